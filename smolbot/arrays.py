@@ -1,0 +1,51 @@
+"""Array types and the shape checks that every public function shares."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from smolbot.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: bool = True) -> FloatArray:
+    """Return `value` as a C-ordered float array of the wanted shape (``None`` matches any length).
+
+    Raises
+    ------
+    InputError
+        If the value is not numeric, has another shape, or holds nan or infinity where `finite` is asked.
+    """
+    try:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be numbers of shape {_spell(shape)}; got {value!r}.") from error
+    if array.ndim != len(shape) or any(
+        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+    ):
+        hint = ""
+        if len(shape) == 2 and array.shape == (shape[1],):
+            hint = f" For one row, pass {name}[None, :]."
+        raise InputError(f"{name} must have shape {_spell(shape)}; got {array.shape}.{hint}")
+    if finite and not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{name} must be finite; entry {where} is {array[where]}.")
+    return array
+
+
+def frozen(array: FloatArray) -> FloatArray:
+    """Return a read-only copy, for fields of frozen dataclasses."""
+    copy = np.array(array)
+    copy.setflags(write=False)
+    return copy
+
+
+def _spell(shape: tuple[int | None, ...]) -> str:
+    names = iter("nmkl")
+    parts = [next(names) if size is None else str(size) for size in shape]
+    return f"({parts[0]},)" if len(parts) == 1 else f"({', '.join(parts)})"

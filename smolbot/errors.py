@@ -1,0 +1,46 @@
+"""Every error smolbot raises on purpose; each also derives from the built-in it resembles."""
+
+from __future__ import annotations
+
+
+class SmolbotError(Exception):
+    """Base of all errors raised on purpose."""
+
+
+class InputError(SmolbotError, ValueError):
+    """A value, shape or unit that cannot be used; the message says which, and what is possible."""
+
+
+class ConfigError(SmolbotError, ValueError):
+    """One or more faults of a user's file; the message has one ``file:line: key: fault`` line for each."""
+
+
+class MissingFileError(SmolbotError, FileNotFoundError):
+    """A named file, mission, rig or robot does not exist; the message lists what does."""
+
+    def __str__(self) -> str:
+        return str(self.args[0]) if self.args else ""
+
+
+class TableError(SmolbotError, ValueError):
+    """A field table that cannot be read or used; the message has file and line."""
+
+
+class OutsideTableError(SmolbotError, ValueError):
+    """A point outside the volume that a field table covers."""
+
+
+class InterlockError(SmolbotError, ValueError):
+    """A shot that breaks a limit of the rig. Nothing of it was played."""
+
+
+class RigError(SmolbotError, RuntimeError):
+    """The world failed while it played a shot. Every output is at zero."""
+
+
+class SignalLostError(SmolbotError, RuntimeError):
+    """No signal that can be trusted, after every means of finding it was tried."""
+
+
+class PluginError(SmolbotError, ImportError):
+    """A controller, rig or command that is not installed, or is shadowed by a foreign package."""

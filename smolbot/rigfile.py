@@ -1,0 +1,322 @@
+"""The rig file: sensors, coils, container and limits of one setup, simulated or real."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from smolbot.arrays import FloatArray
+from smolbot.config import Document, Fault, FileModel
+from smolbot.library import find_file
+from smolbot.limits import Limits
+from smolbot.sensing import SensorArray
+
+if TYPE_CHECKING:
+    from lookup_tables import FieldTable, FlatCoil, RoundCoil
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Vector = tuple[float, float, float]
+Range = tuple[float, float]
+
+
+class SensorsSection(FileModel):
+    """Single-axis magnetometers and the converter behind them."""
+
+    positions_mm: Annotated[list[Vector], Field(min_length=1)]
+    axes: list[Literal["x", "y", "z"] | Vector]
+    sample_rate_hz: Positive = 50_000.0
+    bandwidth_hz: Positive = 1000.0
+    range_ut: Positive = 10.0
+    sensitivity_v_per_ut: Positive = 1.0
+    adc_bits: Annotated[int, Field(ge=8, le=32)] = 16
+    adc_range_v: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _one_axis_each(self) -> SensorsSection:
+        if len(self.axes) != len(self.positions_mm):
+            raise ValueError(f"{len(self.positions_mm)} positions_mm but {len(self.axes)} axes; each sensor needs both.")
+        return self
+
+
+class CoilSection(FileModel):
+    """A round actuation coil with an air core; `axis` is its field's direction at its centre for positive current."""
+
+    name: str
+    center_mm: Vector
+    axis: Vector
+    inner_radius_mm: Positive
+    outer_radius_mm: Positive
+    length_mm: Positive
+    turns: Positive
+    time_constant_ms: NotNegative
+    resistance_ohm: Positive
+
+    @model_validator(mode="after")
+    def _radii_in_order(self) -> CoilSection:
+        if self.outer_radius_mm <= self.inner_radius_mm:
+            raise ValueError("outer_radius_mm must exceed inner_radius_mm.")
+        return self
+
+
+class ExcitationSection(FileModel):
+    """A flat excitation coil, wound around `axis` on a bobbin of `width_mm` x `height_mm`."""
+
+    name: Literal["x", "y"]
+    center_mm: Vector
+    axis: Vector
+    length_mm: Positive
+    width_mm: Positive
+    height_mm: Positive
+    turns: Positive
+    time_constant_ms: NotNegative
+
+
+class TableSection(FileModel):
+    """Field of the actuation coils: built on a mesh, or read from a COMSOL export."""
+
+    x_mm: Range | None = None
+    y_mm: Range | None = None
+    z_mm: Range | None = None
+    mesh_mm: Positive = 0.5
+    file: str | None = None
+    current_a: Positive = 1.0
+    origin_mm: Vector = (0.0, 0.0, 0.0)
+    rotation_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _region_or_file(self) -> TableSection:
+        region = [self.x_mm, self.y_mm, self.z_mm]
+        if self.file is None and None in region:
+            raise ValueError("give either file, or all of x_mm, y_mm and z_mm to build the table.")
+        if self.file is not None and region != [None, None, None]:
+            raise ValueError("give either file, or x_mm, y_mm and z_mm, not both.")
+        for name in ("x_mm", "y_mm", "z_mm"):
+            span = getattr(self, name)
+            if span is not None and span[1] - span[0] < self.mesh_mm:
+                raise ValueError(f"{name} must run from low to high over at least one mesh_mm; got {list(span)}.")
+        return self
+
+
+class ContainerSection(FileModel):
+    """The vessel: inner walls, floor, and the liquid's surface, in the world frame."""
+
+    center_mm: Range
+    size_mm: tuple[Positive, Positive]
+    floor_z_mm: float
+    surface_z_mm: float
+    wall_height_mm: Positive = 20.0
+
+    @model_validator(mode="after")
+    def _surface_above_floor(self) -> ContainerSection:
+        if self.surface_z_mm <= self.floor_z_mm:
+            raise ValueError("surface_z_mm must lie above floor_z_mm.")
+        return self
+
+
+class MediumSection(FileModel):
+    """The liquid, as it is believed to be."""
+
+    name: str
+    viscosity_pa_s: Positive
+    density_kg_m3: Positive
+
+
+class NoiseSection(FileModel):
+    """The magnetic noise that is expected; sizes at 50 Hz are peak."""
+
+    floor_pt_per_rthz: NotNegative
+    at_1hz_pt_per_rthz: NotNegative
+    mains_hz: Positive = 50.0
+    mains_nt: NotNegative
+    mains_gradient_nt_per_m: NotNegative
+    harmonics: dict[str, NotNegative] = {}
+    drift_nt_per_s: NotNegative = 0.0
+    constant_nt: NotNegative = 50.0
+
+    @field_validator("harmonics")
+    @classmethod
+    def _orders(cls, value: dict[str, float]) -> dict[str, float]:
+        for key in value:
+            if not key.isdigit() or int(key) < 2:
+                raise ValueError(f"keys are harmonic orders from 2 up, with their size relative to the first; got '{key}'.")
+        return value
+
+
+class LimitsSection(FileModel):
+    """What may be asked of the hardware; each limit has its reason beside it in the file."""
+
+    max_current_a: Positive
+    unipolar: bool = True
+    max_actuation_ms: Positive
+    max_excitation_current_a: Positive
+    max_excitation_ms: Positive
+    min_ring_down_ms: NotNegative
+    max_listen_ms: Positive
+
+
+class RigFile(FileModel):
+    """Everything a rig file says. World-specific sections (such as ``[tank]``) are checked by that world."""
+
+    name: str
+    world: str
+    description: str = ""
+    turnaround_ms: NotNegative = 2.0
+    sensors: SensorsSection
+    coils: list[CoilSection] = []
+    excitation: Annotated[list[ExcitationSection], Field(min_length=1, max_length=2)]
+    table: TableSection | None = None
+    container: ContainerSection
+    medium: MediumSection
+    noise: NoiseSection
+    limits: LimitsSection
+    tank: dict[str, Any] = {}
+    bench: dict[str, Any] = {}
+
+
+class RigConfig:
+    """A rig file that holds together: its sections in SI, and the field tables it describes."""
+
+    def __init__(self, document: Document, sections: RigFile) -> None:
+        self.document = document
+        self.sections = sections
+        self.name = sections.name
+        self.world = sections.world
+        self.turnaround = sections.turnaround_ms * 1e-3
+
+    @property
+    def coil_names(self) -> tuple[str, ...]:
+        return tuple(coil.name for coil in self.sections.coils)
+
+    @cached_property
+    def sensors(self) -> SensorArray:
+        """The array as it is believed to stand."""
+        section = self.sections.sensors
+        axes = [np.eye(3)["xyz".index(a)] if isinstance(a, str) else np.array(a) for a in section.axes]
+        return SensorArray(np.array(section.positions_mm) * 1e-3, np.array(axes), section.bandwidth_hz)
+
+    @property
+    def sample_rate(self) -> float:
+        return self.sections.sensors.sample_rate_hz
+
+    @cached_property
+    def limits(self) -> Limits:
+        section = self.sections.limits
+        return Limits(
+            coils=self.coil_names,
+            max_current=section.max_current_a,
+            unipolar=section.unipolar,
+            max_actuation=section.max_actuation_ms * 1e-3,
+            max_excitation_current=section.max_excitation_current_a,
+            max_excitation=section.max_excitation_ms * 1e-3,
+            min_ring_down=section.min_ring_down_ms * 1e-3,
+            max_listen=section.max_listen_ms * 1e-3,
+        )
+
+    @property
+    def coil_resistances(self) -> FloatArray:
+        """Of the actuation coils, shape (n_coils,), in ohm."""
+        return np.array([coil.resistance_ohm for coil in self.sections.coils])
+
+    @property
+    def surface_z(self) -> float:
+        """Height of the liquid's surface in the world frame, in m."""
+        return self.sections.container.surface_z_mm * 1e-3
+
+    def round_coils(self) -> tuple[RoundCoil, ...]:
+        """The actuation coils, nominal."""
+        from lookup_tables import RoundCoil
+
+        return tuple(
+            RoundCoil(
+                name=c.name,
+                center=tuple(1e-3 * v for v in c.center_mm),
+                axis=c.axis,
+                inner_radius=c.inner_radius_mm * 1e-3,
+                outer_radius=c.outer_radius_mm * 1e-3,
+                length=c.length_mm * 1e-3,
+                turns=c.turns,
+            )
+            for c in self.sections.coils
+        )
+
+    def flat_coils(self) -> tuple[FlatCoil, ...]:
+        """The excitation coils, nominal; widths lie in the horizontal plane."""
+        from lookup_tables import FlatCoil
+
+        return tuple(
+            FlatCoil(
+                name=c.name,
+                center=tuple(1e-3 * v for v in c.center_mm),
+                axis=c.axis,
+                length=c.length_mm * 1e-3,
+                width=c.width_mm * 1e-3,
+                height=c.height_mm * 1e-3,
+                width_direction=tuple(np.cross([0.0, 0.0, 1.0], c.axis)),
+                turns=c.turns,
+            )
+            for c in self.sections.excitation
+        )
+
+    @cached_property
+    def _table(self) -> FieldTable:
+        from lookup_tables import FieldTable, cached_table
+
+        section = self.sections.table
+        if section is None:
+            raise self.document.error([Fault(("table",), "this rig has no [table]; a gradient mission needs one.")])
+        if section.file is not None:
+            path = self.document.path.parent / section.file
+            turn = np.radians(section.rotation_deg)
+            rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+            table = FieldTable.read(
+                path,
+                current=section.current_a,
+                origin=np.array(section.origin_mm) * 1e-3,
+                rotation=rotation,
+            )
+            if self.coil_names and table.n_coils != len(self.coil_names):
+                message = f"{path.name} holds {table.n_coils} coils; this rig file lists {len(self.coil_names)} ({', '.join(self.coil_names)})."
+                raise self.document.error([Fault(("table", "file"), message)])
+            return table
+        assert section.x_mm and section.y_mm and section.z_mm  # checked by TableSection
+        axes = [mesh_axis(span, section.mesh_mm) for span in (section.x_mm, section.y_mm, section.z_mm)]
+        return cached_table(self.round_coils(), *axes)
+
+    def table(self) -> FieldTable:
+        """Field table of the actuation coils: read, or built once and cached."""
+        return self._table
+
+
+def mesh_axis(span_mm: Range, mesh_mm: float) -> FloatArray:
+    """Equally spaced points in m that cover `span_mm`, at most `mesh_mm` apart."""
+    count = int(np.ceil((span_mm[1] - span_mm[0]) / mesh_mm - 1e-9)) + 1
+    return np.linspace(span_mm[0], span_mm[1], count) * 1e-3
+
+
+def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
+    """Read a shipped rig by name, or a user's by path. Every fault of the file is reported at once."""
+    document = Document.read(find_file(name, "rigs"))
+    if settings:
+        document = document.override(settings)
+    sections, faults = document.validate(RigFile)
+    faults += _world_faults(document)
+    if sections is None or faults:
+        raise document.error(faults)
+    return RigConfig(document, sections)
+
+
+def _world_faults(document: Document) -> list[Fault]:
+    """Faults of the section that only its own world can check."""
+    from smolbot.plugins import load_world
+
+    world = document.data.get("world")
+    if not isinstance(world, str):
+        return []
+    return load_world(world, document).check(document)
+
+

@@ -1,0 +1,102 @@
+"""The robot file: body and resonant device of one robot, as they are believed to be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from smolbot.config import Document, FileModel
+from smolbot.library import find_file
+from smolbot.sensing import Device
+
+Positive = Annotated[float, Field(gt=0)]
+Vector = tuple[float, float, float]
+
+
+class BodySection(FileModel):
+    """The housing: a box with sides along the body axes."""
+
+    size_mm: tuple[Positive, Positive, Positive]
+    center_mm: Vector = (0.0, 0.0, 0.0)
+    mass_mg: Positive
+    drag_radius_mm: Positive
+    urdf: str
+
+
+class DeviceSection(FileModel):
+    """The SMOL device, as calibrated in the medium that the robot swims in."""
+
+    moment_ma_m2: Positive
+    moment_in_body: Vector
+    l0_mm: Positive
+    theta_max_deg: Annotated[float, Field(gt=0, le=60)]
+    frequency_hz: Positive
+    damping_per_s: Annotated[float, Field(ge=0)]
+    damping_model: Literal["linear", "exponential"]
+
+
+class RobotFile(FileModel):
+    """Everything a robot file says."""
+
+    name: str
+    kind: Literal["gradient"]
+    description: str = ""
+    body: BodySection
+    device: DeviceSection
+
+
+class RobotConfig:
+    """A robot file that holds together, in SI."""
+
+    def __init__(self, document: Document, sections: RobotFile) -> None:
+        self.document = document
+        self.sections = sections
+        self.name = sections.name
+        self.kind = sections.kind
+
+    @property
+    def device(self) -> Device:
+        section = self.sections.device
+        return Device(
+            moment=section.moment_ma_m2 * 1e-3,
+            moment_in_body=np.array(section.moment_in_body),
+            l0=section.l0_mm * 1e-3,
+            theta_max=float(np.radians(section.theta_max_deg)),
+            frequency=section.frequency_hz,
+            damping=section.damping_per_s,
+            damping_model=section.damping_model,
+        )
+
+    @property
+    def mass(self) -> float:
+        """In kg."""
+        return self.sections.body.mass_mg * 1e-6
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Sides along the body axes, in m."""
+        x, y, z = self.sections.body.size_mm
+        return x * 1e-3, y * 1e-3, z * 1e-3
+
+    @property
+    def center(self) -> tuple[float, float, float]:
+        """Centre of the housing seen from the cantilever's rotation centre, body frame, in m."""
+        x, y, z = self.sections.body.center_mm
+        return x * 1e-3, y * 1e-3, z * 1e-3
+
+    @property
+    def drag_radius(self) -> float:
+        """Radius of the sphere with the same Stokes drag, in m."""
+        return self.sections.body.drag_radius_mm * 1e-3
+
+
+def load_robot(name: str, beside: Path | None = None) -> RobotConfig:
+    """Read a shipped robot by name, or a user's by path."""
+    document = Document.read(find_file(name, "robots", beside))
+    sections, faults = document.validate(RobotFile)
+    if sections is None:
+        raise document.error(faults)
+    return RobotConfig(document, sections)

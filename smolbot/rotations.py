@@ -1,0 +1,113 @@
+"""Rotations: unit quaternions, scalar first, that take body vectors to world vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+
+
+def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrix of a unit quaternion (Eq. S18).
+
+    Parameters
+    ----------
+    quaternion : ndarray, shape (4,)
+        Scalar first, of unit length.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Takes body vectors to world vectors.
+    """
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
+    """Unit quaternion (4,) with non-negative scalar part of a rotation matrix (3, 3)."""
+    m = matrix
+    squares = 0.25 * np.array(
+        [
+            1 + m[0, 0] + m[1, 1] + m[2, 2],
+            1 + m[0, 0] - m[1, 1] - m[2, 2],
+            1 - m[0, 0] + m[1, 1] - m[2, 2],
+            1 - m[0, 0] - m[1, 1] + m[2, 2],
+        ]
+    )
+    products = 0.25 * np.array(
+        [
+            [0, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], 0, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 0, m[1, 2] + m[2, 1]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 0],
+        ]
+    )
+    largest = int(np.argmax(squares))
+    q = products[largest].copy()
+    q[largest] = squares[largest]
+    q /= np.linalg.norm(q)
+    return -q if q[0] < 0 else q
+
+
+def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Hamilton product: the rotation `b` followed by the rotation `a`; both shape (4,)."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
+    """Unit quaternion exp(e) of a rotation vector `e`, shape (3,), in rad."""
+    angle = float(np.linalg.norm(vector))
+    half = 0.5 * angle
+    scale = 0.5 if angle < 1e-12 else np.sin(half) / angle
+    return np.concatenate(([np.cos(half)], scale * np.asarray(vector)))
+
+
+def rotation_vector(quaternion: FloatArray) -> FloatArray:
+    """Rotation vector (3,), in rad, of at most pi, of a unit quaternion (4,)."""
+    q = -quaternion if quaternion[0] < 0 else quaternion
+    sine = float(np.linalg.norm(q[1:]))
+    if sine < 1e-12:
+        return 2.0 * np.array(q[1:])
+    return np.array(q[1:]) * (2.0 * np.arctan2(sine, q[0]) / sine)
+
+
+def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
+    """World-frame error e (3,), in rad, with R_estimate = exp(e) R_true; both quaternions (4,)."""
+    return rotation_vector(quaternion_product(estimate, truth * np.array([1.0, -1.0, -1.0, -1.0])))
+
+
+def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> FloatArray:
+    """Orientation whose body axes point along two world directions.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (3,)
+        World directions; `second` is made orthogonal to `first`.
+    order : str
+        Two of ``x``, ``y``, ``z``: the body axes that they are, for instance ``"zx"``.
+    """
+    index = ["xyz".index(letter) for letter in order]
+    matrix = np.zeros((3, 3))
+    matrix[:, index[0]] = first / np.linalg.norm(first)
+    rest = second - (second @ matrix[:, index[0]]) * matrix[:, index[0]]
+    matrix[:, index[1]] = rest / np.linalg.norm(rest)
+    third = 3 - index[0] - index[1]
+    sign = 1.0 if (index[1] - index[0]) % 3 == 1 else -1.0
+    matrix[:, third] = sign * np.cross(matrix[:, index[0]], matrix[:, index[1]])
+    return quaternion_from_matrix(matrix)

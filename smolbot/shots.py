@@ -1,0 +1,198 @@
+"""Windows and shots: everything that touches the world, as data.
+
+A shot is a short, immutable tuple of windows. It is either electrical (played by the DAQ as one
+hardware-timed waveform) or mechanical (played by the magnet stage), and listens at most once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from smolbot.errors import InputError
+
+Mode = Literal["quiet", "search", "track", "lost", "hold"]
+
+
+@dataclass(frozen=True)
+class Actuate:
+    """Hold the actuation coils at constant currents (n_coils, in A, in the rig's coil order) for `duration` s."""
+
+    currents: tuple[float, ...]
+    duration: float
+
+    def describe(self, coils: tuple[str, ...] = ()) -> str:
+        names = coils or tuple(f"coil {i}" for i in range(len(self.currents)))
+        driven = [f"{n} {c:.1f} A" for n, c in zip(names, self.currents, strict=True) if c]
+        return "actuate " + (", ".join(driven) or "all off")
+
+
+@dataclass(frozen=True)
+class Excite:
+    """A burst of a sine through the excitation coils: signed peak A along (x, y), Hz, number of cycles."""
+
+    currents: tuple[float, float]
+    frequency: float
+    cycles: int
+
+    @property
+    def duration(self) -> float:
+        return self.cycles / self.frequency
+
+    def describe(self, coils: tuple[str, ...] = ()) -> str:
+        x, y = self.currents
+        return f"excite x {x:+.1f} A, y {y:+.1f} A, {self.cycles} cycles of {self.frequency:.1f} Hz"
+
+
+@dataclass(frozen=True)
+class RingDown:
+    """Wait until the excitation coils' field has died away."""
+
+    duration: float
+
+    def describe(self, coils: tuple[str, ...] = ()) -> str:
+        return "ring-down"
+
+
+@dataclass(frozen=True)
+class Listen:
+    """Record all sensors for a whole number of half-periods of `frequency` Hz."""
+
+    half_periods: int
+    frequency: float
+
+    @property
+    def duration(self) -> float:
+        return self.half_periods / (2.0 * self.frequency)
+
+    def describe(self, coils: tuple[str, ...] = ()) -> str:
+        return f"listen {self.half_periods} half-periods, {self.duration * 1e3:.1f} ms"
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Everything off for `duration` s."""
+
+    duration: float
+
+    def describe(self, coils: tuple[str, ...] = ()) -> str:
+        return "rest"
+
+
+@dataclass(frozen=True)
+class Rotate:
+    """Turn the actuation magnet about `axis` (world, 3) at `frequency` Hz for `turns` turns."""
+
+    axis: tuple[float, float, float]
+    frequency: float
+    turns: float
+
+    @property
+    def duration(self) -> float:
+        return self.turns / self.frequency
+
+    def describe(self, coils: tuple[str, ...] = ()) -> str:
+        return f"rotate {self.turns:g} turns at {self.frequency:g} Hz about ({', '.join(f'{a:.2f}' for a in self.axis)})"
+
+
+@dataclass(frozen=True)
+class MoveMagnet:
+    """Bring the actuation magnet near, or away."""
+
+    to: Literal["near", "away"]
+    expected_duration: float
+
+    @property
+    def duration(self) -> float:
+        return self.expected_duration
+
+    def describe(self, coils: tuple[str, ...] = ()) -> str:
+        return f"move magnet {self.to}"
+
+
+Window = Actuate | Excite | RingDown | Listen | Rest | Rotate | MoveMagnet
+_ELECTRICAL = (Actuate, Excite, RingDown, Listen)
+_MECHANICAL = (Rotate, MoveMagnet)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A tuple of windows, played in order.
+
+    Attributes
+    ----------
+    windows : tuple of windows
+    mode : {"quiet", "search", "track", "lost", "hold"}
+        Why the scheduler made it.
+    start : float, in s
+        When it begins, on the rig's clock.
+
+    Examples
+    --------
+    >>> print(Shot((Actuate((6.2, 8.0), 0.03), Excite((2.0, 0.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5))))
+    0.0 ms actuate coil 0 6.2 A, coil 1 8.0 A | 30.0 excite x +2.0 A, y +0.0 A, 5 cycles of 103.5 Hz | \
+78.3 ring-down | 98.3 listen 2 half-periods, 9.7 ms | 108.0
+    """
+
+    windows: tuple[Window, ...]
+    mode: Mode = "track"
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        windows = tuple(self.windows)
+        object.__setattr__(self, "windows", windows)
+        if not windows:
+            raise InputError("A shot needs at least one window.")
+        if self.mode not in get_args(Mode):
+            raise InputError(f"Shot mode must be one of {', '.join(get_args(Mode))}; got {self.mode!r}.")
+        for window in windows:
+            if not 0 < window.duration < np.inf:
+                raise InputError(f"Window {window!r} lasts {window.duration} s; a duration must be positive and finite.")
+        if sum(isinstance(w, Listen) for w in windows) > 1:
+            raise InputError("A shot has at most one Listen window.")
+        if any(isinstance(w, _ELECTRICAL) for w in windows) and any(isinstance(w, _MECHANICAL) for w in windows):
+            raise InputError("A shot is either electrical or mechanical; put Rotate and MoveMagnet into a shot of their own.")
+
+    @property
+    def duration(self) -> float:
+        """Total length in s."""
+        return sum(w.duration for w in self.windows)
+
+    @property
+    def end(self) -> float:
+        """When it ends, on the rig's clock."""
+        return self.start + self.duration
+
+    @property
+    def listen(self) -> Listen | None:
+        """Its Listen window, if any."""
+        return next((w for w in self.windows if isinstance(w, Listen)), None)
+
+    @property
+    def excite(self) -> Excite | None:
+        """The last excitation before it listens, if any."""
+        found = None
+        for window in self.windows:
+            if isinstance(window, Listen):
+                break
+            if isinstance(window, Excite):
+                found = window
+        return found
+
+    def timed(self) -> Iterator[tuple[float, Window]]:
+        """Each window with its start, in s from the start of the shot."""
+        at = 0.0
+        for window in self.windows:
+            yield at, window
+            at += window.duration
+
+    def timeline(self, coils: tuple[str, ...] = ()) -> str:
+        """One line: the start of each window in ms, what it does, and the end."""
+        parts = [f"{at * 1e3:.1f}{' ms' if i == 0 else ''} {w.describe(coils)}" for i, (at, w) in enumerate(self.timed())]
+        return " | ".join([*parts, f"{self.duration * 1e3:.1f}"])
+
+    def __str__(self) -> str:
+        return self.timeline()
