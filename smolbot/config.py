@@ -42,6 +42,7 @@ class Document:
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         self.text = text
+        self.overridden = False
         try:
             self.data: dict[str, Any] = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -79,6 +80,7 @@ class Document:
     def override(self, settings: dict[str, str]) -> Document:
         """The same document with ``key.path = value`` settings laid over it, values in TOML spelling."""
         changed = Document(self.path, self.text)
+        changed.overridden = bool(settings)
         for name, value in settings.items():
             parts = name.split(".")
             target = changed.data

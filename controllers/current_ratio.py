@@ -1,0 +1,160 @@
+"""The paper's law: the field of two coils points along the way to go (Eqs. S11 to S17).
+
+It takes the direction of B for the direction of the force, which holds near the centre only.
+Eqs. S14 and S15 are printed upside down; here the coil that needs less gets less (docs/decisions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.control import Command, Gain, Reach, Setup, complete_gains
+from smolbot.paths import Curve
+from smolbot.poses import Pose
+from smolbot.scheduler import stretched_actuation
+from smolbot.shots import Actuate
+
+if TYPE_CHECKING:
+    from lookup_tables import FieldTable
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two coils whose field points along the wanted direction: shares of the full current, and field size per A."""
+
+    j: int
+    k: int
+    share_j: float
+    share_k: float
+    field: float
+
+
+def pair_shares(ratio: float) -> tuple[float, float]:
+    """Shares of the full current in coils (j, k) for a current ratio lambda in [0, 1] (Eqs. S14, S15 corrected).
+
+    Examples
+    --------
+    >>> [pair_shares(x) for x in (0.0, 0.25, 0.5, 1.0)]
+    [(0.0, 1.0), (0.3333333333333333, 1.0), (1.0, 1.0), (1.0, 0.0)]
+    """
+    if ratio < 0.5:
+        return ratio / (1.0 - ratio), 1.0
+    return 1.0, (1.0 - ratio) / ratio
+
+
+def best_pair(fields: FloatArray, direction: FloatArray) -> Pair | None:
+    """The pair of coils with the strongest field along `direction`, or None if no pair can point there.
+
+    Parameters
+    ----------
+    fields : ndarray, shape (n_coils, 2), in T per A
+        Horizontal field of each coil at the robot.
+    direction : ndarray, shape (2,)
+        Unit vector D (Eq. S11).
+    """
+    cross = fields[:, 0] * direction[1] - fields[:, 1] * direction[0]  # B x D
+    best: Pair | None = None
+    for j in range(len(fields)):
+        for k in range(j + 1, len(fields)):
+            span = cross[j] - cross[k]
+            if abs(span) < 1e-15:
+                continue
+            ratio = -cross[k] / span  # Eq. S13
+            if not -1e-9 <= ratio <= 1.0 + 1e-9:
+                continue
+            share_j, share_k = pair_shares(float(np.clip(ratio, 0.0, 1.0)))
+            along = float((share_j * fields[j] + share_k * fields[k]) @ direction)
+            if along > 0.0 and (best is None or along > best.field):
+                best = Pair(j, k, share_j, share_k, along)
+    return best
+
+
+class CurrentRatio:
+    """Steers from goal to goal along the path by the ratio of two coil currents."""
+
+    gains: ClassVar[Mapping[str, Gain]] = {
+        "i_min_a": Gain(6.0, 0.5, 20.0, meaning="current close to a goal"),
+        "i_max_a": Gain(8.0, 0.5, 20.0, meaning="current far from a goal"),
+        "p_thr_mm": Gain(3.0, 0.5, 20.0, meaning="distance from which the current is reduced"),
+        "t_min_ms": Gain(30.0, 5.0, 100.0, meaning="actuation per cycle"),
+        "t_max_ms": Gain(80.0, 5.0, 200.0, meaning="actuation per cycle for a turn of 180 degrees"),
+        "sharp_deg": Gain(30.0, 0.0, 180.0, meaning="turns beyond this stretch the actuation"),
+        "spacing_mm": Gain(1.5, 0.2, 10.0, meaning="distance between goals along the path"),
+    }
+
+    def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
+        self.setup = setup
+        values = complete_gains(self.gains, gains, "current_ratio")
+        self._i_min = values["i_min_a"]
+        self._i_max = min(values["i_max_a"], setup.limits.max_current)
+        self._threshold = values["p_thr_mm"] * 1e-3
+        self._t_min, self._t_max = values["t_min_ms"] * 1e-3, values["t_max_ms"] * 1e-3
+        self._sharp = float(np.radians(values["sharp_deg"]))
+        self._spacing = values["spacing_mm"] * 1e-3
+        self._goals = np.zeros((0, 3))
+        self._arc = np.zeros(0)
+        self._next = 0
+
+    def reset(self, path: Curve, pose: Pose) -> None:
+        """Begin a path: its first goal is the path's start."""
+        self._arc = path.sampled(self._spacing)
+        self._goals = path.at(self._arc)
+        self._next = 0
+
+    def command(self, pose: Pose) -> Command:
+        """Currents toward the next goal that is not yet reached."""
+        while self._next < len(self._goals) and self._distance(pose) <= self.setup.tolerance:  # Eq. S16
+            self._next += 1
+        behind = float(self._arc[max(self._next - 1, 0)]) if len(self._arc) else 0.0
+        if self._next >= len(self._goals):
+            return Command(None, note="path's end reached", progress=behind, done=True)
+        phase = "approach" if self._next == 0 else "follow"
+        goal = self._goals[self._next]
+        way = goal[:2] - pose.position[:2]
+        distance = float(np.linalg.norm(way))
+        direction = way / distance
+        currents, saturated, note = self._currents(pose.position, direction, distance)
+        heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
+        turn = abs(float(np.arctan2(heading[0] * direction[1] - heading[1] * direction[0], heading @ direction)))
+        duration = stretched_actuation(turn, self._t_min, self._t_max, self._sharp)
+        window = Actuate(tuple(float(c) for c in currents), duration) if currents.any() else None
+        return Command(window, saturated, note, progress=behind, phase=phase)
+
+    def reach(self, path: Curve) -> Reach:
+        """True force of the law on an aligned moment along the path, at the distance of one goal."""
+        arc = path.sampled(0.5e-3)
+        points, tangents = path.at(arc), path.tangent(arc)
+        force, error = np.zeros(len(arc)), np.zeros(len(arc))
+        for i, (point, tangent) in enumerate(zip(points, tangents, strict=True)):
+            currents, _, _ = self._currents(point, tangent[:2], self._spacing)
+            pull = aligned_force(self.setup.table, currents, point, self.setup.robot.moment)[:2]
+            force[i] = float(np.linalg.norm(pull))
+            cosine = pull @ tangent[:2] / max(force[i], 1e-30)
+            error[i] = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return Reach(points, force, error)
+
+    def _distance(self, pose: Pose) -> float:
+        return float(np.linalg.norm(self._goals[self._next][:2] - pose.position[:2]))
+
+    def _currents(self, position: FloatArray, direction: FloatArray, distance: float) -> tuple[FloatArray, bool, str]:
+        wanted = self._i_min + (self._i_max - self._i_min) * distance / self._threshold  # Eq. S12
+        size = min(wanted, self._i_max)
+        fields = self.setup.table.field(position[None, :])[:, 0, :2]
+        currents = np.zeros(len(fields))
+        pair = best_pair(fields, direction)
+        if pair is None:
+            return currents, True, "no pair of coils can point along the way"
+        currents[pair.j], currents[pair.k] = size * pair.share_j, size * pair.share_k
+        return currents, wanted > self._i_max, ""
+
+
+def aligned_force(table: FieldTable, currents: FloatArray, position: FloatArray, moment: float) -> FloatArray:
+    """Force (3,), in N, on a moment that has aligned with the field: F = |m| grad |B|."""
+    field = np.einsum("c,ck->k", currents, table.field(position[None, :])[:, 0])
+    gradient = np.einsum("c,ckl->kl", currents, table.gradient(position[None, :])[:, 0])
+    return moment * (field @ gradient) / max(float(np.linalg.norm(field)), 1e-30)

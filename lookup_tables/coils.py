@@ -1,0 +1,268 @@
+"""Air coils of finite winding cross-section, computed by magpylib.
+
+A winding is a bundle of turns. A few current loops at the Gauss-Legendre nodes of its cross-section stand for it, with
+the weights of that rule, which converges much faster than equally spaced turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from importlib import import_module
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from lookup_tables.errors import TableError
+
+FloatArray = npt.NDArray[np.float64]
+MU_0 = 4e-7 * np.pi
+CHUNK = 40_000
+
+
+class Coil(Protocol):
+    """What a table can be built from."""
+
+    @property
+    def name(self) -> str:
+        """As rig files and tables call it."""
+
+    def field(self, points: FloatArray) -> FloatArray:
+        """Flux density (n, 3), in T per A, at points (n, 3), in m, world frame."""
+
+    def parameters(self) -> dict[str, Any]:
+        """All that the field depends on, as plain values; the key of the cache is made from it."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoundCoil:
+    """A round coil with a rectangular winding cross-section, without a core.
+
+    Parameters
+    ----------
+    name : str
+        As rig files and tables call it, for instance ``+x``.
+    center : ndarray, shape (3,), in m
+        Middle of the winding, world frame.
+    axis : ndarray, shape (3,)
+        Direction of the field at the centre for a positive current; of any length. An actuation coil's field at the
+        workspace points toward the coil: the one at +x has the axis +x.
+    inner_radius, outer_radius, length : float, in m
+        The winding's cross-section is ``outer_radius - inner_radius`` by ``length``.
+    turns : float
+        Number of turns.
+    radial_loops, axial_loops : int
+        Current loops that stand for the winding. For one of 20 x 20 mm seen from 18 mm away, 5 x 5 loops are within
+        5e-7 of the winding, 8 x 8 within 1e-10.
+
+    Examples
+    --------
+    >>> coil = RoundCoil("+x", np.array([0.052, 0, 0]), np.array([1.0, 0, 0]), 0.015, 0.035, 0.02, 200)
+    >>> print((coil.field(np.zeros((1, 3))) * 1e6).round(2))  # µT per A at the workspace centre
+    [[424.21   0.     0.  ]]
+    """
+
+    name: str
+    center: FloatArray
+    axis: FloatArray
+    inner_radius: float
+    outer_radius: float
+    length: float
+    turns: float
+    radial_loops: int = 5
+    axial_loops: int = 5
+
+    def __post_init__(self) -> None:
+        _freeze_vectors(self, ("center", "axis"))
+        _check_positive(self, ("inner_radius", "length", "turns", "radial_loops", "axial_loops"))
+        if not self.outer_radius > self.inner_radius:
+            raise TableError(
+                f"Coil {self.name!r}: outer_radius must exceed inner_radius, {1e3 * self.inner_radius:g} mm; "
+                f"got {1e3 * self.outer_radius:g} mm."
+            )
+
+    def loops(self) -> Iterator[tuple[float, float, float]]:
+        """Radius (m), place along the axis from the centre (m) and share of the ampere-turns of each loop."""
+        middle, half = 0.5 * (self.inner_radius + self.outer_radius), 0.5 * (self.outer_radius - self.inner_radius)
+        for radial, radial_share in _nodes(self.radial_loops):
+            for axial, axial_share in _nodes(self.axial_loops):
+                yield middle + half * radial, 0.5 * self.length * axial, radial_share * axial_share
+
+    def source(self) -> Any:
+        """A `magpylib.Collection` of current loops that carries 1 A."""
+        magpylib: Any = import_module("magpylib")
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_matrix(_frame(self.axis).T)
+        return magpylib.Collection(
+            *(
+                magpylib.current.Circle(
+                    diameter=2 * radius,
+                    current=self.turns * share,
+                    position=self.center + along * self.axis,
+                    orientation=turn,
+                )
+                for radius, along, share in self.loops()
+            )
+        )
+
+    def field(self, points: FloatArray) -> FloatArray:
+        """Flux density per ampere, from magpylib's loops in the coil's own cylinder coordinates.
+
+        Points that share radius and height, as most of a mesh does by symmetry, are computed once.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m
+            In the world frame.
+
+        Returns
+        -------
+        ndarray, shape (n, 3), in T/A
+        """
+        from magpylib.core import current_circle_Hfield
+
+        relative = as_points(points) - self.center
+        along = relative @ self.axis
+        across = relative - along[:, None] * self.axis
+        radius = np.linalg.norm(across, axis=1)
+        unique, back = np.unique(np.round(np.stack([radius, along]), 13), axis=1, return_inverse=True)
+        total = np.zeros((2, unique.shape[1]))
+        for loop_radius, place, share in self.loops():
+            ones = np.ones(unique.shape[1])
+            field = current_circle_Hfield(
+                r0=loop_radius * ones, r=unique[0], z=unique[1] - place, i0=MU_0 * self.turns * share * ones
+            )
+            total += field[[0, 2]]
+        radial, axial = total[:, back.ravel()]
+        unit = across / np.where(radius > 0, radius, 1.0)[:, None]
+        return np.asarray(radial[:, None] * unit + axial[:, None] * self.axis)
+
+    def parameters(self) -> dict[str, Any]:
+        """All that the field depends on, as plain values."""
+        return _plain(self)
+
+
+@dataclass(frozen=True, eq=False)
+class FlatCoil:
+    """A coil of rectangular turns on a flat bobbin, without a core.
+
+    Parameters
+    ----------
+    name : str
+        As rig files and tables call it.
+    center : ndarray, shape (3,), in m
+        Middle of the winding, world frame.
+    axis : ndarray, shape (3,)
+        Direction of the field at the centre for a positive current; of any length.
+    length : float, in m
+        Extent of the winding along the axis.
+    width, height : float, in m
+        Sides of the innermost turn: `width` along `width_direction`, `height` across it and the axis.
+    width_direction : ndarray, shape (3,)
+        Its part across the axis counts; of any length.
+    turns : float
+        Number of turns.
+    build_up : float, in m
+        Thickness of the winding, outward from the innermost turn; 0 for a single thin layer.
+    axial_loops, build_loops : int
+        Current loops that stand for the winding, along the axis and through its thickness.
+    """
+
+    name: str
+    center: FloatArray
+    axis: FloatArray
+    length: float
+    width: float
+    height: float
+    width_direction: FloatArray
+    turns: float
+    build_up: float = 0.0
+    axial_loops: int = 16
+    build_loops: int = 3
+
+    def __post_init__(self) -> None:
+        _freeze_vectors(self, ("center", "axis", "width_direction"))
+        _check_positive(self, ("length", "width", "height", "turns", "axial_loops", "build_loops"))
+        if not self.build_up >= 0.0:
+            raise TableError(f"Coil {self.name!r}: build_up must be at least 0; got {self.build_up!r}.")
+        across = self.width_direction - (self.width_direction @ self.axis) * self.axis
+        if np.linalg.norm(across) < 1e-6:
+            raise TableError(f"Coil {self.name!r}: width_direction must not be parallel to axis.")
+        object.__setattr__(self, "width_direction", across)
+        _freeze_vectors(self, ("width_direction",))
+
+    def source(self) -> Any:
+        """A `magpylib.Collection` of rectangular current loops that carries 1 A."""
+        magpylib: Any = import_module("magpylib")
+        wide, high = self.width_direction, np.cross(self.axis, self.width_direction)
+        build = _nodes(self.build_loops) if self.build_up else [(0.0, 1.0)]
+        turns = []
+        for depth, depth_share in build:
+            out = 0.5 * self.build_up * (1.0 + depth)
+            w, h = (0.5 * self.width + out) * wide, (0.5 * self.height + out) * high
+            corners = np.array([w + h, h - w, -w - h, w - h, w + h])  # right-handed about the axis
+            for axial, axial_share in _nodes(self.axial_loops):
+                middle = self.center + 0.5 * self.length * axial * self.axis
+                current = self.turns * depth_share * axial_share
+                turns.append(magpylib.current.Polyline(current=current, vertices=corners, position=middle))
+        return magpylib.Collection(*turns)
+
+    def field(self, points: FloatArray) -> FloatArray:
+        """Flux density (n, 3), in T per A, at points (n, 3), in m, world frame."""
+        points, source = as_points(points), self.source()
+        chunks = [source.getB(points[i : i + CHUNK]).reshape(-1, 3) for i in range(0, len(points), CHUNK)]
+        return np.concatenate(chunks) if chunks else np.empty((0, 3))
+
+    def parameters(self) -> dict[str, Any]:
+        """All that the field depends on, as plain values."""
+        return _plain(self)
+
+
+def as_points(points: Any) -> FloatArray:
+    """Return positions as floats of shape (n, 3), or raise `TableError` that says what was given."""
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = " For one point, pass positions[None, :]." if array.shape == (3,) else ""
+        raise TableError(f"Input positions must have shape (n, 3); got {array.shape}.{hint}")
+    return np.ascontiguousarray(array)
+
+
+def _nodes(count: int) -> list[tuple[float, float]]:
+    """Gauss-Legendre nodes on -1 to 1 with weights that sum to 1."""
+    places, weights = np.polynomial.legendre.leggauss(count)
+    return [(float(x), float(w) / 2) for x, w in zip(places, weights, strict=True)]
+
+
+def _frame(axis: FloatArray) -> FloatArray:
+    """Right-handed rows (3, 3) of unit vectors, the last along the unit vector `axis`."""
+    helper = np.eye(3)[np.argmin(np.abs(axis))]
+    first = np.cross(helper, axis)
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(axis, first), axis])
+
+
+def _freeze_vectors(coil: Any, names: tuple[str, ...]) -> None:
+    for name in names:
+        vector = np.array(getattr(coil, name), dtype=np.float64)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise TableError(f"Coil {coil.name!r}: {name} must be three finite numbers; got {vector.tolist()!r}.")
+        if name != "center":
+            if not vector.any():
+                raise TableError(f"Coil {coil.name!r}: {name} must not be zero.")
+            vector /= np.linalg.norm(vector)
+        vector.setflags(write=False)
+        object.__setattr__(coil, name, vector)
+
+
+def _check_positive(coil: Any, names: tuple[str, ...]) -> None:
+    for name in names:
+        if not getattr(coil, name) > 0:
+            raise TableError(f"Coil {coil.name!r}: {name} must be positive; got {getattr(coil, name)!r}.")
+
+
+def _plain(coil: Any) -> dict[str, Any]:
+    values = {f.name: getattr(coil, f.name) for f in fields(coil)}
+    plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
+    return {"kind": type(coil).__name__, **plain}

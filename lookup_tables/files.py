@@ -1,0 +1,128 @@
+"""Tables to and from files: which format, and the change from the file's frame to the world frame."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lookup_tables.errors import TableError
+from lookup_tables.table import FORMAT_VERSION, FieldTable
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Samples(NamedTuple):
+    """What a file holds: axes in m, field (n_coils, nx, ny, nz, 3) in T, coil names, and a fit if there is one."""
+
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
+    field: FloatArray
+    names: tuple[str, ...]
+    potential: FloatArray | None = None
+
+
+def read_table(
+    path: Path,
+    current: float,
+    names: Sequence[str] | None,
+    origin: Sequence[float] | FloatArray,
+    rotation: FloatArray | None,
+) -> FieldTable:
+    """The work of `FieldTable.read`."""
+    if not path.is_file():
+        beside = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))[:10] if path.parent.is_dir() else []
+        there = f"; that folder has {', '.join(beside)}" if beside else ""
+        raise TableError(f"{path}: there is no such file{there}.")
+    if not (np.isfinite(current) and current != 0.0):
+        raise TableError(f"{path}: current must be a number other than 0, in A; got {current}.")
+    if path.suffix == ".npz":
+        samples = _read_npz(path)
+    else:
+        from lookup_tables.comsol import read_comsol
+
+        samples = read_comsol(path)
+    if names is not None:
+        if len(names) != len(samples.names):
+            raise TableError(f"{path}: the table has {len(samples.names)} coils; got {len(names)} names.")
+        samples = samples._replace(names=tuple(names))
+    shift = np.asarray(origin, dtype=np.float64)
+    if shift.shape != (3,) or not np.isfinite(shift).all():
+        raise TableError(f"{path}: origin must be three finite numbers, in m; got {origin!r}.")
+    if current != 1.0 or shift.any() or rotation is not None:
+        samples = _to_world(samples._replace(field=samples.field / current, potential=None), shift, rotation, path)
+    try:
+        return FieldTable(*samples)
+    except TableError as error:
+        raise TableError(f"{path}: {error}") from error
+
+
+def write_table(table: FieldTable, path: Path, layout: str) -> None:
+    """The work of `FieldTable.write`."""
+    try:
+        if path.suffix == ".npz":
+            _write_npz(table, path)
+        else:
+            from lookup_tables.comsol_writer import write_comsol
+
+            write_comsol(table, path, layout)
+    except OSError as error:
+        raise TableError(f"{path}: the table cannot be written ({error.strerror or error}).") from error
+
+
+def _write_npz(table: FieldTable, path: Path) -> None:
+    np.savez(
+        path,
+        format=np.array(FORMAT_VERSION),
+        x=table.x,
+        y=table.y,
+        z=table.z,
+        field=table.samples,
+        names=np.array(table.names),
+        potential=table.spline.coefficients,
+    )
+
+
+def _read_npz(path: Path) -> Samples:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            if int(data["format"]) != FORMAT_VERSION:
+                raise TableError(f"{path}: format {data['format']} is not {FORMAT_VERSION}; build or import it anew.")
+            arrays = [np.asarray(data[key], dtype=np.float64) for key in ("x", "y", "z", "field", "potential")]
+            names = tuple(str(name) for name in data["names"])
+    except TableError:
+        raise
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, OSError) as error:
+        raise TableError(f"{path}: this is not a table that FieldTable.write wrote ({error}).") from error
+    x, y, z, field, potential = arrays
+    return Samples(x, y, z, field, names, potential)
+
+
+def _to_world(samples: Samples, origin: FloatArray, rotation: FloatArray | None, path: Path) -> Samples:
+    """Turn and shift axes and vectors; a right-angle rotation permutes the axes and flips some."""
+    turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
+    if turn.shape != (3, 3):
+        raise TableError(f"{path}: rotation must have shape (3, 3); got {turn.shape}.")
+    whole = np.round(turn)
+    right_angles = np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)) and np.linalg.det(whole) > 0
+    if not right_angles or np.abs(turn - whole).max() > 1e-6:
+        raise TableError(
+            f"{path}: rotation must turn by right angles only, so that the mesh stays along the world's axes (each "
+            f"row and column one 1 or -1, determinant 1); got {np.round(turn, 6).tolist()}."
+        )
+    source = np.abs(whole).argmax(axis=1)  # world axis i is the file's axis source[i]
+    signs = whole[range(3), source]
+    axes: list[FloatArray] = []
+    field = np.transpose(samples.field, (0, *(1 + source), 4))[..., source] * signs
+    file_axes = (samples.x, samples.y, samples.z)
+    for i in range(3):
+        axis = signs[i] * file_axes[source[i]]
+        if signs[i] < 0:
+            axis, field = axis[::-1], np.flip(field, axis=1 + i)
+        axes.append(axis + origin[i])
+    return Samples(axes[0], axes[1], axes[2], np.ascontiguousarray(field), samples.names)

@@ -1,0 +1,132 @@
+"""The simulated rig: keeps the promise of `smolbot.worlds.Rig` with a tank behind it."""
+
+from __future__ import annotations
+
+import math
+from types import TracebackType
+from typing import Any, Self
+
+from sim.coils import NominalExcitation
+from sim.history import TankWitness
+from sim.settings import TankSettings
+from sim.tank import Tank
+from smolbot.arrays import FloatArray, as_floats
+from smolbot.errors import RigError
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+from smolbot.sensing import Recording
+from smolbot.shots import Excite, Listen, Rest, Shot
+from smolbot.worlds import Witness
+
+
+class TankRig:
+    """A rig whose world is simulated. What it says about itself is nominal; the truth leaves only by the witness.
+
+    Attributes
+    ----------
+    sensors : SensorArray
+        As they are believed to stand.
+    limits : Limits
+    witness : Witness or None
+        Knows the truth; may be set to None, which changes nothing else.
+
+    Examples
+    --------
+    >>> from smolbot.rigfile import load_rig
+    >>> from smolbot.robotfile import load_robot
+    >>> from smolbot.shots import RingDown, Shot
+    >>> from sim.world import TankWorld
+    >>> with TankWorld.open(load_rig("tank"), load_robot("gradient"), (0.0, 0.0), seed=1) as rig:
+    ...     heard = rig.play(Shot((Excite((2.0, 2.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5))))
+    >>> print(heard.field.shape, bool(heard.saturated.any()))
+    (10, 483) False
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        robot: RobotConfig,
+        settings: TankSettings,
+        start: FloatArray,
+        seed: int,
+        *,
+        gui: bool = False,
+        ideal: bool = False,
+    ) -> None:
+        self.sensors = rig.sensors
+        self.limits = rig.limits
+        self._tank = Tank(rig, robot, settings, start, seed, gui=gui, ideal=ideal)
+        self.witness: Witness | None = TankWitness(self._tank.history)
+        self._excitation = NominalExcitation(rig)
+        self._rate = rig.sample_rate
+        self._turnaround = rig.turnaround
+        self._seed, self._ideal = seed, ideal
+        self._last_drive: tuple[Excite, float] | None = None
+        self._open = True
+
+    def now(self) -> float:
+        """Time on the tank's virtual clock, in s."""
+        return self._tank.time
+
+    def play(self, shot: Shot) -> Recording | None:
+        """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
+
+        The turnaround follows: the tank runs on with every command at zero while the loop computes.
+
+        Raises
+        ------
+        InterlockError
+            Before anything moves, if the shot breaks a limit.
+        RigError
+            If the rig is closed, was stopped during the shot, or the robot left the container.
+        """
+        if not self._open:
+            raise RigError("This tank is closed; nothing was played.")
+        self.limits.check(shot)
+        tank, begin = self._tank, self._tank.time
+        tank.continue_history()
+        windows = (*shot.windows, Rest(self._turnaround)) if self._turnaround > 0 else shot.windows
+        if not tank.advance(windows):
+            raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
+        return self._recording(shot, begin)
+
+    def excitation_field(self, position: FloatArray) -> FloatArray:
+        """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
+        return self._excitation.at(as_floats(position, (3,), "excitation_field position"))
+
+    def stop(self) -> None:
+        """Bring every output to zero now and end a shot under way. Safe from any thread, any number of times."""
+        self._tank.running = False
+        self._tank.silence()
+
+    def close(self) -> None:
+        """Stop, then let go of Bullet's world; harmless when repeated."""
+        self.stop()
+        self._open = False
+        self._tank.bodies.close()
+
+    def provenance(self) -> dict[str, Any]:
+        """What this tank was drawn as: seed, whether ideal, and every drawn mismatch."""
+        return {"seed": self._seed, "ideal": self._ideal, "truth": self._tank.truth.as_dict()}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _recording(self, shot: Shot, begin: float) -> Recording | None:
+        heard: Recording | None = None
+        for at, window in shot.timed():
+            start = begin + at
+            if isinstance(window, Excite):
+                self._last_drive = (window, start + window.duration)
+            elif isinstance(window, Listen):
+                drive = shot.excite
+                since = start - self._last_drive[1] if drive is not None and self._last_drive else math.inf
+                n = round(window.duration * self._rate)
+                field, saturated = self._tank.listen(start, n)
+                heard = Recording(field, self._rate, since, saturated, drive, start)
+        return heard

@@ -1,0 +1,204 @@
+"""The simulated tank: a robot, its liquid, its coils and its sensors on one virtual clock."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sim.bodies import Bodies
+from sim.cantilever import STATE_LENGTH, pack_device, swing
+from sim.coils import TankCoils, volume
+from sim.history import History
+from sim.hydrodynamics import Hull, float_step
+from sim.mismatch import Streams, Truth, draw
+from sim.sensors import TrueSensors
+from sim.settings import TankSettings
+from smolbot.arrays import BoolArray, FloatArray
+from smolbot.errors import InputError, RigError
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
+from smolbot.shots import Actuate, Excite, Window
+
+SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
+MAGNET_MASS = 7500.0 * math.pi * 0.5e-3**2 * 1e-3  # kg: NdFeB, diameter 1 x 1 mm
+
+
+class Tank:
+    """Plays windows: advances the robot in steps of at most 1 ms, the cantilever in steps of the sample clock.
+
+    Parameters
+    ----------
+    rig, robot : RigConfig, RobotConfig
+        What is believed; the truth is drawn around it.
+    start : array_like, shape (2,), in m
+        Where the robot is put down by hand (x, y).
+    seed : int
+    gui, ideal : bool
+        Show Bullet's window; draw no mismatch.
+    """
+
+    def __init__(
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
+        *, gui: bool = False, ideal: bool = False,
+    ) -> None:  # fmt: skip
+        streams = Streams.from_seed(seed)
+        n_coils = len(rig.sections.coils) + len(rig.sections.excitation)
+        self.truth: Truth = draw(settings, n_coils, len(rig.sensors), streams, ideal=ideal)
+        self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
+        self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
+        self.hull = Hull.build(rig, robot, settings, self.truth)
+        device = robot.device
+        self.device = pack_device(
+            device.moment * self.truth.moment,
+            device.moment_in_body,
+            device.l0 * self.truth.l0,
+            device.theta_max * self.truth.theta_max,
+            device.frequency * self.truth.frequency,
+            device.damping * self.truth.damping,
+            device.damping_model,
+            settings.stop_restitution,
+            robot.center,
+            MAGNET_MASS,
+        )
+        position, orientation = self._put_down(rig, robot, start)
+        self.bodies = Bodies(rig, robot, position, orientation, friction=settings.wall_friction, gui=gui)
+        self.history = History()
+        self.time = 0.0
+        self.running = False
+        self._step = settings.physics_step_ms * 1e-3
+        self._low, self._high = volume(rig)
+        self._state = np.zeros(STATE_LENGTH)
+        self._trace_times = np.zeros(1)
+        self._trace = np.zeros((1, 1 + len(self.coils.circuits)))
+        self._trace[0, 1:] = self.coils.circuits[:, 0]
+
+    def advance(self, windows: tuple[Window, ...]) -> bool:
+        """Play windows one after the other; return False if `running` was set to False meanwhile.
+
+        Afterwards every command is zero."""
+        lengths = [(w, *_divide(w.duration, self._step)) for w in windows]
+        steps = sum(n for _, n, _ in lengths)
+        times, poses = self.history.reserve(steps + 1)
+        done = 0
+        self._begin_trace(sum(n * _substeps(h) for _, n, h in lengths))
+        complete, self.running = True, True
+        for window, n, step in lengths:
+            self._command(window)
+            played = self._run(n, step, times[done:], poses[done:])
+            done += played
+            if played < n:
+                complete = False
+                break
+        self.running = False
+        self.silence()
+        self._note_pose(times[done : done + 1], poses[done : done + 1])
+        self.history.drop_last(steps - done)
+        return complete
+
+    def listen(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
+        """Samples (n_sensors, n) in T from `clock` s on, and which sensors were saturated; within what was just played."""
+        pose_times, poses = self.history.since(clock - self.sensors.lead)
+        end = self._used
+        return self.sensors.hear(
+            clock, n, self.device, self.coils.coupling, self._trace_times[:end], self._trace[:end], pose_times, poses
+        )
+
+    def continue_history(self) -> None:
+        """Drop the closing row of the last shot, which the first row of the next one repeats."""
+        if self.time > 0:
+            self.history.drop_last()
+
+    def silence(self) -> None:
+        """Command zero to every driven coil; its current decays."""
+        driven = self.coils.n_actuation + self.coils.n_excitation
+        self.coils.circuits[:driven, 1:3] = 0.0
+
+    def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
+        substeps = _substeps(step)
+        device, earth, state = self.device, self.coils.earth, self._state
+        rows, table, circuits = self.coils.fields.rows, self.coils.fields.coefficients, self.coils.circuits
+        hull, height = self.hull.values, self.hull.float_height
+        read, move = self.bodies.state, self.bodies.move
+        used, start = self._used, self.time
+        trace = self._trace
+        played = 0
+        for i in range(n):
+            if not self.running:
+                break
+            position, quaternion, velocity, spin = read()
+            magnetic = swing(
+                position, quaternion, device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps
+            )
+            velocity, spin = float_step(position, quaternion, velocity, spin, magnetic, hull, height, step)
+            move(velocity, spin, step)
+            used += substeps
+            played += 1
+        times[:played] = start + step * np.arange(played)
+        count = played * substeps
+        self._trace_times[self._used : used] = start + step / substeps * np.arange(1, count + 1)
+        self._used = used
+        self.time = start + played * step
+        if played and not (np.all(poses[played - 1, :3] > self._low) and np.all(poses[played - 1, :3] < self._high)):
+            self.silence()
+            raise RigError(f"The robot left the container, at {1e3 * poses[played - 1, :3]} mm, {self.time:.3f} s.")
+        return played
+
+    def _command(self, window: Window) -> None:
+        self.silence()
+        self._state[2:4] = 0.0
+        actuation = self.coils.n_actuation
+        if isinstance(window, Actuate):
+            self.coils.circuits[:actuation, 1] = window.currents
+        elif isinstance(window, Excite):
+            n = self.coils.n_excitation
+            self.coils.circuits[actuation : actuation + n, 2] = window.currents[:n]
+            self._state[3] = 2 * math.pi * window.frequency
+
+    def _begin_trace(self, rows: int) -> None:
+        """Keep what the sensors' low pass still remembers of the past, and make room for `rows` more."""
+        end = getattr(self, "_used", 1)
+        first = max(int(np.searchsorted(self._trace_times[:end], self.time - self.sensors.lead)) - 1, 0)
+        kept = end - first
+        times, trace = self._trace_times[first:end].copy(), self._trace[first:end].copy()
+        if kept + rows > len(self._trace_times):
+            self._trace_times = np.zeros(kept + rows)
+            self._trace = np.zeros((kept + rows, self._trace.shape[1]))
+        self._trace_times[:kept], self._trace[:kept] = times, trace
+        self._used = kept
+
+    def _note_pose(self, time: FloatArray, pose: FloatArray) -> None:
+        position, quaternion, _, _ = self.bodies.state()
+        turn = matrix_from_quaternion(np.array(quaternion))
+        time[0] = self.time
+        pose[0, :3] = position - turn @ self.device[10:13]
+        pose[0, 3:] = quaternion
+
+    def _put_down(self, rig: RigConfig, robot: RobotConfig, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Middle and orientation of the housing: afloat, level, near `start`, its heading drawn."""
+        section = rig.sections.container
+        wanted = np.asarray(start, dtype=np.float64)[:2]
+        away = np.abs(wanted - 1e-3 * np.array(section.center_mm))
+        room = 0.5e-3 * np.array(section.size_mm) - np.hypot(robot.size[0], robot.size[2]) / 2
+        if np.any(away > room):
+            raise InputError(
+                f"The robot must start within ±{1e3 * room[0]:.1f} x ±{1e3 * room[1]:.1f} mm of the container's middle; "
+                f"got ({1e3 * wanted[0]:.1f}, {1e3 * wanted[1]:.1f}) mm."
+            )
+        heading = self.truth.start_heading
+        ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
+        orientation = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zy")
+        middle = np.array([*(wanted + self.truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
+        middle[2] = self.hull.float_height
+        return middle, orientation
+
+
+def _divide(duration: float, longest: float) -> tuple[int, float]:
+    """Number and length of equal steps, none longer than `longest`, that exactly fill `duration`."""
+    n = max(int(math.ceil(duration / longest - 1e-9)), 1)
+    return n, duration / n
+
+
+def _substeps(step: float) -> int:
+    return max(int(math.ceil(step / SUBSTEP - 1e-9)), 1)

@@ -1,0 +1,57 @@
+"""The entry point ``tank`` of ``smolbot.rigs``: checks a rig file's ``[tank]`` section and opens the tank."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from smolbot.config import Document, Fault, validate
+
+if TYPE_CHECKING:
+    from sim.rig import TankRig
+    from smolbot.rigfile import RigConfig
+    from smolbot.robotfile import RobotConfig
+
+
+class TankWorld:
+    """How a simulated tank is checked and opened."""
+
+    @staticmethod
+    def check(document: Document) -> list[Fault]:
+        """Faults of the ``[tank]`` section, if there is one."""
+        from sim.settings import TankSettings
+
+        section = document.data.get("tank", {})
+        if not isinstance(section, dict):
+            return [Fault(("tank",), f"must be a section, [tank]; got {section!r}.")]
+        return validate(TankSettings, section, ("tank",))[1]
+
+    @staticmethod
+    def open(
+        rig: RigConfig,
+        robot: RobotConfig,
+        start: Any,
+        seed: int,
+        *,
+        gui: bool = False,
+        ideal: bool = False,
+        **options: Any,
+    ) -> TankRig:
+        """Open a tank drawn from `seed`, with the robot put down near `start` (x, y in m).
+
+        Parameters
+        ----------
+        gui : bool
+            Show Bullet's own window; needs a display.
+        ideal : bool
+            Draw no mismatch: results must be labelled ``ideal`` wherever they are shown.
+        """
+        import numpy as np
+
+        from sim.rig import TankRig
+        from sim.settings import TankSettings
+
+        settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
+        if settings is None:
+            raise rig.document.error(faults)
+        place = np.asarray(start, dtype=np.float64)
+        return TankRig(rig, robot, settings, place, seed, gui=gui, ideal=ideal)

@@ -1,0 +1,71 @@
+"""smolbot steers a magnetic millirobot along a path and sees it only through magnetism.
+
+The names below are importable from here; each loads its own module when first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Actuate": "shots",
+    "Command": "control",
+    "Controller": "control",
+    "Curve": "paths",
+    "Device": "sensing",
+    "Excite": "shots",
+    "Gain": "control",
+    "Limits": "limits",
+    "Listen": "shots",
+    "Localizer": "localization.localizer",
+    "Mission": "missionfile",
+    "MoveMagnet": "shots",
+    "Pose": "poses",
+    "Recording": "sensing",
+    "Rest": "shots",
+    "Rig": "worlds",
+    "RingDown": "shots",
+    "Rotate": "shots",
+    "Run": "loop",
+    "SensorArray": "sensing",
+    "Setup": "control",
+    "Shot": "shots",
+    "SmolbotError": "errors",
+    "Tracker": "tracking",
+    "Witness": "worlds",
+    "load_mission": "missionfile",
+    "load_rig": "rigfile",
+    "run": "flying",
+}
+
+__all__ = ["__version__", *sorted(_HOME)]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"smolbot.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'smolbot' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+if TYPE_CHECKING:
+    from smolbot.control import Command, Controller, Gain, Setup
+    from smolbot.errors import SmolbotError
+    from smolbot.flying import run
+    from smolbot.limits import Limits
+    from smolbot.localization.localizer import Localizer
+    from smolbot.loop import Run
+    from smolbot.missionfile import Mission, load_mission
+    from smolbot.paths import Curve
+    from smolbot.poses import Pose
+    from smolbot.rigfile import load_rig
+    from smolbot.sensing import Device, Recording, SensorArray
+    from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot
+    from smolbot.tracking import Tracker
+    from smolbot.worlds import Rig, Witness

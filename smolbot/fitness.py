@@ -1,0 +1,123 @@
+"""Whether mission, rig and robot fit each other: checked before anything moves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.config import Fault
+from smolbot.errors import ConfigError
+from smolbot.localization.expected import NoiseLevels, expected_covariance
+from smolbot.poses import Pose
+from smolbot.rotations import quaternion_from_axes
+from smolbot.shots import Excite, Listen, RingDown, Shot
+
+if TYPE_CHECKING:
+    from smolbot.missionfile import Mission
+
+
+def fitness_faults(mission: Mission) -> list[Fault]:
+    """Every reason why the mission cannot be flown as its files say; empty if there is none."""
+    return [
+        *_container_faults(mission),
+        *_table_faults(mission),
+        *_limit_faults(mission),
+        *_tolerance_faults(mission),
+    ]
+
+
+def _container_faults(mission: Mission) -> list[Fault]:
+    box = mission.rig.sections.container
+    margin = 0.5e3 * max(mission.robot.size)
+    low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
+    high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
+    room = f"the robot's centre can go from ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) mm"
+    faults = []
+    for key, points in (("path", mission.path.points[:, :2] * 1e3), ("start", 1e3 * np.array([mission.start]))):
+        outside = np.flatnonzero(np.any((points < low - 1e-9) | (points > high + 1e-9), axis=1))
+        if outside.size:
+            x, y = points[outside[0]]
+            faults.append(Fault((key,), f"({x:.1f}, {y:.1f}) mm lies outside the tank; {room}."))
+    return faults
+
+
+def _table_faults(mission: Mission) -> list[Fault]:
+    try:
+        table = mission.rig.table()
+    except ConfigError as error:
+        return [Fault(("rig",), line) for line in str(error).splitlines()]
+    if table.n_coils != len(mission.rig.coil_names):
+        message = f"the table holds {table.n_coils} coils, rig '{mission.rig.name}' has {len(mission.rig.coil_names)}."
+        return [Fault(("rig",), message)]
+    faults = []
+    start = np.array([[*mission.start, mission.rig.surface_z]])
+    for key, points in (("path", mission.path.points), ("start", start)):
+        outside = np.flatnonzero(~table.contains(points))
+        if outside.size:
+            x, y, z = points[outside[0]] * 1e3
+            low, high = (1e3 * np.array(bound) for bound in table.bounds)
+            message = (
+                f"({x:.1f}, {y:.1f}, {z:.1f}) mm lies outside the field table, which covers x {low[0]:g} to {high[0]:g}, "
+                f"y {low[1]:g} to {high[1]:g}, z {low[2]:g} to {high[2]:g} mm."
+            )
+            faults.append(Fault((key,), message))
+    return faults
+
+
+def _limit_faults(mission: Mission) -> list[Fault]:
+    frequency = mission.robot.device.frequency
+    cycle = mission.cycle
+    shot = Shot(
+        (
+            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
+            RingDown(cycle.ring_down),
+            Listen(cycle.half_periods, frequency),
+        )
+    )
+    return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
+
+
+def _tolerance_faults(mission: Mission) -> list[Fault]:
+    expected = expected_error(mission)
+    if mission.tolerance >= expected:
+        return []
+    message = (
+        f"{mission.tolerance * 1e3:g} mm lies under the localization error to be expected on this path, "
+        f"{expected * 1e3:.2f} mm in the plane; raise it, or listen longer ([cycle] half_periods)."
+    )
+    return [Fault(("controller", "tolerance_mm"), message)]
+
+
+def expected_error(mission: Mission, places: int = 5) -> float:
+    """Horizontal rms error of one pose, in m, the worst of some places along the path."""
+    return float(np.max(expected_errors(mission, np.linspace(0.0, mission.path.length, places))))
+
+
+def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
+    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path."""
+    rig, device = mission.rig, mission.robot.device
+    section = rig.sections.noise
+    noise = NoiseLevels(
+        floor=section.floor_pt_per_rthz * 1e-12,
+        at_1hz=section.at_1hz_pt_per_rthz * 1e-12,
+        mains_frequency=section.mains_hz,
+        mains=section.mains_nt * 1e-9,
+        mains_gradient=section.mains_gradient_nt_per_m * 1e-9,
+        harmonics={int(order): size for order, size in section.harmonics.items()},
+    )
+    errors = []
+    for point, heading in zip(mission.path.at(arc), mission.path.tangent(arc), strict=True):
+        orientation = quaternion_from_axes(heading, np.array([0.0, 0.0, 1.0]), "zy")
+        covariance = expected_covariance(
+            rig.sensors,
+            device,
+            noise,
+            Pose(0.0, point, orientation, np.eye(6)),
+            mission.cycle.half_periods,
+            rig.sample_rate,
+            mission.cycle.ring_down,
+        )
+        errors.append(np.sqrt(covariance[0, 0] + covariance[1, 1]))
+    return np.array(errors)

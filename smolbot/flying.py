@@ -1,0 +1,172 @@
+"""Flies a mission: opens the rig, makes the parts, runs the loop, leaves a run folder."""
+
+from __future__ import annotations
+
+import gc
+import re
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.errors import InputError
+from smolbot.localization.cold_start import SearchVolume
+from smolbot.localization.localizer import Localizer
+from smolbot.loop import CycleRecord, Listener, Loop, Run, StopRules
+from smolbot.missionfile import Mission, load_mission
+from smolbot.plugins import load, load_world
+from smolbot.records.folder import RunFolder
+from smolbot.records.summary import summarise
+from smolbot.records.trace import Trace
+from smolbot.scheduler import Scheduler
+from smolbot.tracking import Tracker
+from smolbot.worlds import Rig
+
+
+def run(
+    mission: str | Mission,
+    rig: str | None = None,
+    seed: int = 0,
+    *,
+    out: str | Path | None = None,
+    gui: bool = False,
+    witness: bool = True,
+    **overrides: Any,
+) -> Run:
+    """Fly a mission; the same from a notebook as from the command line.
+
+    Parameters
+    ----------
+    mission : str or Mission
+        Shipped name, path of a mission file, or a mission that was loaded.
+    rig : str, optional
+        A rig to fly on instead of the mission's own.
+    seed : int
+        The same seed gives the same run, bit for bit.
+    out : path, optional
+        Run folder to write; none is written without it.
+    gui : bool
+        Show the simulated world in a window, where there is a display.
+    witness : bool
+        Ask the simulated world for the truth; without it, poses and commands are the same.
+    **overrides
+        Settings laid over the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
+
+    Returns
+    -------
+    Run
+        Status, every cycle, and the summary.
+
+    Raises
+    ------
+    ConfigError, InputError
+        For every fault of the files, before anything moves.
+    """
+    settings = {name.replace("__", "."): _spell(value) for name, value in overrides.items()}
+    if isinstance(mission, str):
+        mission = load_mission(mission, rig, settings)
+    elif rig is not None or settings:
+        raise InputError("rig and overrides belong to loading: pass the mission's name, or load it with them.")
+    folder = None if out is None else RunFolder(Path(out))
+    return fly(mission, seed, folder=folder, settings=settings, gui=gui, witness=witness)
+
+
+def fly(
+    mission: Mission,
+    seed: int = 0,
+    *,
+    folder: RunFolder | None = None,
+    settings: Mapping[str, str] | None = None,
+    gui: bool = False,
+    witness: bool = True,
+    listeners: Callable[[Mission], tuple[Listener, ...]] | None = None,
+) -> Run:
+    """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar."""
+    world = load_world(mission.rig.world, mission.rig.document)
+    rig = world.open(mission.rig, mission.robot, mission.start, seed, gui=gui)
+    try:
+        return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners)
+    finally:
+        rig.close()
+
+
+def _fly_on(
+    rig: Rig,
+    mission: Mission,
+    seed: int,
+    folder: RunFolder | None,
+    settings: Mapping[str, str],
+    witness: bool,
+    listeners: Callable[[Mission], tuple[Listener, ...]] | None,
+) -> Run:
+    drawn = getattr(rig, "provenance", dict)()
+    if folder is not None:
+        folder.begin(mission, seed, settings, drawn)
+    trace = Trace(rig.witness if witness else None)
+
+    def write(record: CycleRecord) -> None:
+        trace(record)
+        if folder is not None:
+            folder.record(trace.moments[-1])
+
+    extra = listeners(mission) if listeners else ()
+    loop = make_loop(rig, mission, (write, *extra))
+    gc.collect()
+    gc.freeze()
+    try:
+        flown = loop.fly()
+    finally:
+        gc.unfreeze()
+    flown.summary = summarise(mission, flown, trace)
+    flown.summary["seed"] = seed
+    flown.summary["ideal"] = bool(drawn.get("ideal", False))
+    flown.summary["run"] = str(folder.path) if folder is not None else None
+    if folder is not None:
+        flown.folder = str(folder.path)
+        folder.end(flown.summary)
+        from smolbot.records.picture import draw_run
+
+        draw_run(mission, flown, trace, folder.path / "path.png")
+    return flown
+
+
+def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) -> Loop:
+    """The loop of a mission on an open rig, every part made from the mission's files."""
+    setup = mission.setup()
+    controller = load("controllers", mission.law)(setup, mission.gains)
+    tracker = Tracker(setup.robot, setup.device, setup.table)
+    scheduler = Scheduler(setup.cycle, rig.limits, setup.device, rig.excitation_field, rig.now)
+    localizer = Localizer(
+        rig.sensors, setup.device, mission.sections.localization.estimator, search_volume(mission)
+    )
+    stop = mission.sections.stop
+    rules = StopRules(stop.max_duration_s, stop.lost_shots)
+    return Loop(rig, mission.path, scheduler, localizer, tracker, controller, rules, listeners)
+
+
+def search_volume(mission: Mission) -> SearchVolume:
+    """Where the robot can be: inside the container, between its floor and a little above the surface."""
+    box = mission.rig.sections.container
+    center, half = np.array(box.center_mm) * 1e-3, 0.5e-3 * np.array(box.size_mm)
+    low = (*(center - half), box.floor_z_mm * 1e-3)
+    high = (*(center + half), box.surface_z_mm * 1e-3 + 0.01)
+    return SearchVolume(low, high, spacing=5e-3)
+
+
+def new_folder(mission: Mission, seed: int, base: Path = Path("runs")) -> RunFolder:
+    """A fresh run folder, named by mission, seed and local time."""
+    stem = re.sub(r"[^A-Za-z0-9_-]", "_", mission.name)
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    name = f"{stem}-{stamp}-seed{seed}"
+    path, number = base / name, 2
+    while path.exists():
+        path, number = base / f"{name}-{number}", number + 1
+    return RunFolder(path)
+
+
+def _spell(value: Any) -> str:
+    import json
+
+    return value if isinstance(value, str) else json.dumps(value)

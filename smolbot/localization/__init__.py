@@ -1,0 +1,1 @@
+"""From raw sensor signals to a pose: signal chain, forward model, fit."""

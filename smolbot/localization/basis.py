@@ -1,0 +1,83 @@
+"""The oscillation as seen through any linear chain, ready for the fit.
+
+A sensor's field is a smooth function of the deflection, so a low power series in it is exact to
+noise and far beyond: b(theta) = sum_k c_k (theta / theta_ref)^k. With theta from Eq. S2,
+
+    theta^k = A^k D(t)^k cos^k(w t + phi) = A^k sum_h w_kh D(t)^k cos(h (w t + phi)),
+
+and each D^k exp(i h w t) passes through sensor and chain once, before the fit, whatever pose, phase
+and amplitude turn out to be. The fit then costs one field evaluation per sensor and node.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+import numpy.typing as npt
+
+from smolbot.arrays import FloatArray
+from smolbot.localization.chain import Taps
+from smolbot.localization.forward import envelope
+from smolbot.sensing import Device
+
+DEGREE = 6
+"""Highest power of the deflection that is kept; the rest is below 1e-6 of the signal at 30 degrees."""
+
+REFERENCE_ANGLE = float(np.radians(30.0))
+"""Deflection that the power series is scaled by, in rad; the series holds up to 40 degrees."""
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+def nodes() -> FloatArray:
+    """Chebyshev nodes in theta / REFERENCE_ANGLE at which the field is evaluated, shape (DEGREE + 1,)."""
+    return 1.3 * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+
+
+@lru_cache(maxsize=1)
+def power_matrix() -> FloatArray:
+    """Matrix (DEGREE + 1, DEGREE + 1) that turns values at the nodes into power series coefficients."""
+    return np.linalg.inv(np.vander(nodes(), DEGREE + 1, increasing=True))
+
+
+def harmonic_weight(power: int, harmonic: int) -> float:
+    """Weight w_kh of cos(h x) in cos(x)^k."""
+    if harmonic > power or (power - harmonic) % 2:
+        return 0.0
+    weight = comb(power, (power - harmonic) // 2) / 2.0**power
+    return weight if harmonic == 0 else 2.0 * weight
+
+
+def time_basis(device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float) -> ComplexArray:
+    """Each D^k exp(i h w t) after the sensors' low pass and the chain.
+
+    Parameters
+    ----------
+    chain : Taps
+        Weights of the chain's output samples.
+    time_since_drive : float, in s
+        From the end of the drive to the recording's first sample.
+    bandwidth : float, in Hz
+        Of the sensors' first-order low pass, whose transient has died away.
+
+    Returns
+    -------
+    ndarray of complex, shape (DEGREE + 1, DEGREE + 1, n_out)
+        ``[k, h]``: real part of it times exp(i h phi), summed over h, is the chain's output for
+        (D cos(w t + phi))^k.
+    """
+    omega = 2.0 * np.pi * device.frequency
+    width = chain.weights.shape[1]
+    time = time_since_drive + (chain.first[:, None] + np.arange(width)) / sample_rate
+    damping = envelope(device, time)
+    rate = device.damping / damping if device.damping_model == "linear" else np.full_like(time, device.damping)
+    wave = np.exp(1j * omega * time)
+    out = np.zeros((DEGREE + 1, DEGREE + 1, len(chain.first)), dtype=np.complex128)
+    for k in range(1, DEGREE + 1):
+        damped = np.where(damping > 0, damping, 0.0) ** k
+        for h in range(k % 2, k + 1, 2):
+            lag = 1.0 + (1j * h * omega - k * np.where(damping > 0, rate, 0.0)) / (2.0 * np.pi * bandwidth)
+            out[k, h] = harmonic_weight(k, h) * np.sum(chain.weights * damped * wave**h / lag, axis=1)
+    return out

@@ -1,0 +1,156 @@
+"""The paper's signal chain: same-axis difference, two moving means, time derivative, 4N+1 samples.
+
+The chain is linear, so each of its output samples is a weighted sum of raw samples around it. The
+weights (`Taps`) are found by sending impulses through the very filters defined here; data and
+model both pass through them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from smolbot.arrays import BoolArray, FloatArray
+from smolbot.errors import InputError
+
+WINDOW = 50
+"""Length of each moving mean, in samples: 1 ms at the paper's 50 kS/s."""
+
+_REACH = 2 * WINDOW + 4
+
+
+def moving_mean(signal: FloatArray, window: int = WINDOW, *, later: bool = False) -> FloatArray:
+    """Mean over `window` samples along the last axis; the window shrinks at both ends.
+
+    An even window cannot be centred: it reaches one sample further back, or, if `later`, forward. One
+    of each kind together shift nothing in time.
+    """
+    n = signal.shape[-1]
+    back = window // 2 - (1 if later and window % 2 == 0 else 0)
+    index = np.arange(n)
+    first = np.maximum(index - back, 0)
+    last = np.minimum(index - back + window, n)
+    total = np.concatenate([np.zeros((*signal.shape[:-1], 1)), np.cumsum(signal, axis=-1)], axis=-1)
+    means: FloatArray = (total[..., last] - total[..., first]) / (last - first)
+    return means
+
+
+def central_difference(signal: FloatArray, sample_rate: float) -> FloatArray:
+    """Time derivative along the last axis, one-sided at both ends; per s."""
+    derivative: FloatArray = np.gradient(signal, 1.0 / sample_rate, axis=-1)
+    return derivative
+
+
+def filtered(signal: FloatArray, sample_rate: float) -> FloatArray:
+    """Two moving means and a central difference along the last axis, full length."""
+    smooth = moving_mean(moving_mean(signal), later=True)
+    return central_difference(smooth, sample_rate)
+
+
+def whole_half_periods(n_samples: int, sample_rate: float, frequency: float) -> int:
+    """Number N of half-periods that a recording holds; one sample short still counts."""
+    return int(np.floor((n_samples + 1) * 2.0 * frequency / sample_rate + 1e-9))
+
+
+def sample_points(n_samples: int, sample_rate: float, frequency: float) -> FloatArray:
+    """Indices (whole numbers, as float) of the 4N+1 samples, evenly spread over the whole half-periods.
+
+    Samples whose filters would reach beyond an end are noisy; where the recording is long enough the
+    outermost ones are therefore drawn in by half a filter.
+
+    Raises
+    ------
+    InputError
+        If the recording is shorter than half a period.
+    """
+    half_periods = whole_half_periods(n_samples, sample_rate, frequency)
+    if half_periods < 1:
+        raise InputError(
+            f"The recording lasts {n_samples / sample_rate * 1e3:.2f} ms; a half-period of {frequency:g} Hz "
+            f"lasts {500.0 / frequency:.2f} ms, and at least one is needed."
+        )
+    cut = min(n_samples - 1, round(half_periods * sample_rate / (2.0 * frequency)))
+    inset = min(EDGE, cut // 8)
+    return np.round(np.linspace(inset, cut - inset, 4 * half_periods + 1))
+
+
+EDGE = WINDOW // 2
+"""How far the outermost samples are drawn in: half a moving mean, see docs/decisions."""
+
+
+@dataclass(frozen=True)
+class Taps:
+    """Weights of the chain for some output samples.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n_out,)
+        Index of each output sample in the recording.
+    first : ndarray of int, shape (n_out,)
+        First raw sample that it uses.
+    weights : ndarray, shape (n_out, width), per s
+        Weight of each raw sample from there on; zero beyond the filter's reach.
+    """
+
+    points: FloatArray
+    first: np.ndarray[tuple[int], np.dtype[np.int64]]
+    weights: FloatArray
+
+
+@lru_cache(maxsize=32)
+def taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
+    """Weights of the chain's 4N+1 samples for a recording of `n_samples`."""
+    points = sample_points(n_samples, sample_rate, frequency)
+    width = min(n_samples, 2 * _REACH + 1)
+    first = np.zeros(len(points), dtype=np.int64)
+    weights = np.zeros((len(points), width))
+    inner: FloatArray | None = None
+    for row, point in enumerate(points.astype(int)):
+        start = int(np.clip(point - _REACH, 0, n_samples - width))
+        first[row] = start
+        interior = start == point - _REACH and width == 2 * _REACH + 1
+        if interior and inner is not None:
+            weights[row] = inner
+            continue
+        weights[row] = filtered(np.eye(width), sample_rate)[:, point - start]
+        if interior:
+            inner = weights[row]
+    for array in (points, first, weights):
+        array.setflags(write=False)
+    return Taps(points, first, weights)
+
+
+def difference_matrix(axes: FloatArray, positions: FloatArray, usable: BoolArray) -> FloatArray:
+    """Same-axis difference as a matrix: each sensor minus the reference of its own direction.
+
+    The reference of a group of parallel sensors is the one nearest to the group's middle: noise
+    that varies in space differs least from it.
+
+    Parameters
+    ----------
+    axes, positions : ndarray, shape (n, 3)
+    usable : ndarray of bool, shape (n,)
+        Sensors that may take part.
+
+    Returns
+    -------
+    ndarray, shape (n_differences, n)
+        Antiparallel sensors are added instead of subtracted.
+    """
+    rows: list[FloatArray] = []
+    left = [i for i in range(len(axes)) if usable[i]]
+    while left:
+        lead = left[0]
+        group = [i for i in left if abs(axes[i] @ axes[lead]) > np.cos(np.radians(2.0))]
+        left = [i for i in left if i not in group]
+        middle = positions[group].mean(axis=0)
+        reference = min(group, key=lambda i: float(np.linalg.norm(positions[i] - middle)))
+        for i in group:
+            if i != reference:
+                row = np.zeros(len(axes))
+                row[i] = 1.0
+                row[reference] = -float(np.sign(axes[i] @ axes[reference]))
+                rows.append(row)
+    return np.array(rows).reshape(-1, len(axes))

@@ -1,0 +1,130 @@
+"""How well a pose can be expected to be known: covariance of the estimator under a described noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.localization import basis as time_functions
+from smolbot.localization.chain import Taps, difference_matrix, taps
+from smolbot.localization.problem import Problem, basis_for
+from smolbot.poses import Pose
+from smolbot.sensing import Device, SensorArray
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Magnetic noise as a few numbers. SI units.
+
+    Attributes
+    ----------
+    floor : float, in T/sqrt(Hz)
+        White part of each sensor.
+    at_1hz : float, in T/sqrt(Hz)
+        Sensor noise at 1 Hz; falls as 1/f in power to the floor.
+    mains_frequency : float, in Hz
+    mains : float, in T
+        Peak of the uniform part at the mains frequency.
+    mains_gradient : float, in T/m
+        Peak of its spatial gradient (root mean square element).
+    harmonics : mapping of int to float
+        Order, and size relative to the first.
+    """
+
+    floor: float
+    at_1hz: float
+    mains_frequency: float
+    mains: float
+    mains_gradient: float
+    harmonics: dict[int, float] = field(default_factory=dict)
+
+
+def expected_covariance(
+    sensors: SensorArray,
+    device: Device,
+    noise: NoiseLevels,
+    pose: Pose,
+    half_periods: int,
+    sample_rate: float,
+    time_since_drive: float,
+    amplitude: float | None = None,
+) -> FloatArray:
+    """Covariance (6, 6) of the ``paper`` estimator at `pose`, with phase and amplitude free.
+
+    The noise of a fit is not white after the chain: mains lines are the same in phase for all
+    sensors and last the whole window. Their phase is uniform, their direction and gradient random.
+
+    Parameters
+    ----------
+    amplitude : float, optional, in rad
+        At the end of the drive; `Device.theta_max` if not given.
+
+    Returns
+    -------
+    ndarray, shape (6, 6)
+        Of (position in m, rotation e in rad), averaged over four phases of the oscillation.
+    """
+    n_samples = round(half_periods * sample_rate / (2.0 * device.frequency))
+    chain = taps(n_samples, sample_rate, device.frequency)
+    mixing = difference_matrix(sensors.axes, sensors.positions, np.ones(len(sensors), dtype=np.bool_))
+    problem = Problem(
+        sensors,
+        device,
+        np.zeros((len(mixing), len(chain.first))),
+        basis_for(device, sensors, n_samples, sample_rate, time_since_drive),
+        mixing,
+    )
+    size = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
+    parts = _noise_parts(sensors, noise, chain, sample_rate, mixing)
+    covariances = []
+    for phase in np.pi * np.arange(4) / 4.0:
+        _, jacobian = problem.model(pose.position, pose.rotation, float(phase), size)
+        scale = np.sqrt(np.sum(jacobian**2, axis=(0, 1)))
+        scaled = jacobian / scale
+        gain = np.linalg.inv(np.einsum("qia,qib->ab", scaled, scaled))
+        middle = np.zeros((8, 8))
+        for space, time in parts:
+            middle += np.einsum("qia,qr,ij,rjb->ab", scaled, space, time, scaled, optimize=True)
+        covariances.append((gain @ middle @ gain) / np.outer(scale, scale))
+    return np.mean(covariances, axis=0)[:6, :6]
+
+
+def _noise_parts(
+    sensors: SensorArray, noise: NoiseLevels, chain: Taps, sample_rate: float, mixing: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Noise covariance of the chain's output as (between channels, between samples) pairs."""
+    n = len(sensors)
+    parts = [(mixing @ mixing.T, _sensor_noise(noise, chain, sample_rate, sensors.bandwidth))]
+    alignment = sensors.axes @ sensors.axes.T
+    uniform = noise.mains**2 / 3.0 * alignment
+    place, axes = sensors.positions, sensors.axes
+    # isotropic symmetric trace-free gradient: <G_ab G_cd> = g² (δac δbd + δad δbc - 2/3 δab δcd) / 2 · 6/5
+    along = np.einsum("ja,ka->jk", axes, axes) * (place @ place.T)
+    crossed = (axes @ place.T) * (axes @ place.T).T
+    own = np.einsum("ja,ja->j", axes, place)
+    gradient = 0.6 * noise.mains_gradient**2 * (along + crossed - 2.0 / 3.0 * np.outer(own, own))
+    for order, relative in {1: 1.0, **noise.harmonics}.items():
+        space = relative**2 * (uniform + gradient).reshape(n, n)
+        wave = _response(chain, sample_rate, order * noise.mains_frequency)
+        parts.append((mixing @ space @ mixing.T, 0.5 * np.real(np.outer(wave, wave.conj()))))
+    return parts
+
+
+def _response(chain: Taps, sample_rate: float, frequency: float) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
+    time = (chain.first[:, None] + np.arange(chain.weights.shape[1])) / sample_rate
+    return np.sum(chain.weights * np.exp(2j * np.pi * frequency * time), axis=1)
+
+
+def _sensor_noise(noise: NoiseLevels, chain: Taps, sample_rate: float, bandwidth: float) -> FloatArray:
+    """Covariance between output samples of one sensor's own noise."""
+    frequency = np.concatenate([np.geomspace(0.5, 50.0, 40), np.arange(55.0, min(4.0 * bandwidth, 0.45 * sample_rate), 10.0)])
+    density = (noise.floor**2 + noise.at_1hz**2 / frequency) / (1.0 + (frequency / bandwidth) ** 2)
+    width = np.gradient(frequency)
+    time = (chain.first[:, None] + np.arange(chain.weights.shape[1])) / sample_rate
+    total = np.zeros((len(chain.first), len(chain.first)))
+    for f, power in zip(frequency, density * width, strict=True):
+        wave = np.sum(chain.weights * np.exp(2j * np.pi * f * time), axis=1)
+        total += power * np.real(np.outer(wave, wave.conj()))
+    return total

@@ -1,0 +1,1 @@
+"""What robots do under a command, as the controller believes it."""

@@ -1,0 +1,157 @@
+"""The run folder: both files as used, provenance, cycles, summary and picture."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import platform
+import subprocess
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, TextIO
+
+import smolbot
+from smolbot.config import Document
+from smolbot.errors import InputError
+from smolbot.missionfile import Mission
+from smolbot.records.trace import Moment, row
+
+_PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
+
+
+class RunFolder:
+    """Written as the run goes on; whatever was flushed before a kill is readable after it."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            taken = any(path.iterdir())
+        except OSError as error:
+            raise InputError(f"{path}: the run folder cannot be made: {error}.") from error
+        if taken:
+            raise InputError(f"{path}: is not empty; name a new folder, so that no run is lost.")
+        self.path = path
+        self._file: TextIO | None = None
+        self._writer: csv.DictWriter[str] | None = None
+        self._rows = 0
+
+    def begin(self, mission: Mission, seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> None:
+        """Write what the run starts from."""
+        for name, document in (
+            ("mission.toml", mission.document),
+            ("rig.toml", mission.rig.document),
+            ("robot.toml", mission.robot.document),
+        ):
+            (self.path / name).write_text(as_used(document), encoding="utf-8")
+        self._json("provenance.json", provenance(seed, settings, world))
+
+    def record(self, moment: Moment) -> None:
+        """Append one cycle to ``cycles.csv``."""
+        line = row(self._rows, moment)
+        if self._writer is None:
+            self._file = (self.path / "cycles.csv").open("w", newline="", encoding="utf-8")
+            self._writer = csv.DictWriter(self._file, fieldnames=list(line))
+            self._writer.writeheader()
+        self._writer.writerow(line)
+        self._rows += 1
+        if self._rows % 20 == 0 and self._file is not None:
+            self._file.flush()
+
+    def end(self, summary: dict[str, Any]) -> None:
+        """Close the record and write the summary."""
+        if self._file is not None:
+            self._file.close()
+        self._json("summary.json", summary)
+
+    def _json(self, name: str, data: Any) -> None:
+        (self.path / name).write_text(json.dumps(data, indent=2, default=str) + "\n", encoding="utf-8")
+
+
+def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
+    """Where a run came from: version, commit, seed, settings, drawn mismatches, packages."""
+    packages: dict[str, str] = {}
+    for name in _PACKAGES:
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            packages[name] = "not installed"
+    return {
+        "smolbot": smolbot.__version__,
+        "commit": _commit(),
+        "seed": seed,
+        "settings": dict(settings),
+        "world": dict(world),
+        "python": platform.python_version(),
+        "platform": platform.system(),
+        "packages": packages,
+    }
+
+
+def _commit() -> str | None:
+    """Commit of the source tree that is running, if it is one and git is there."""
+    home = Path(smolbot.__file__).parent.parent
+    if not (home / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+            cwd=home,
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None
+
+
+def as_used(document: Document) -> str:
+    """Text of a file with its settings applied; the user's own text where nothing was set."""
+    return document.text if not document.overridden else f"# as used, with settings applied\n{toml_text(document.data)}"
+
+
+def toml_text(data: Mapping[str, Any], prefix: str = "") -> str:
+    """TOML of nested dictionaries, lists, text, numbers and truth values.
+
+    Examples
+    --------
+    >>> print(toml_text({"a": 1.5, "t": {"b": [1, 2], "c": "x"}}))
+    a = 1.5
+    <BLANKLINE>
+    [t]
+    b = [1, 2]
+    c = "x"
+    <BLANKLINE>
+    """
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in data.items() if not _is_table(v)]
+    text = "\n".join(lines) + "\n" if lines else ""
+    for key, value in data.items():
+        name = f"{prefix}{_key(key)}"
+        if isinstance(value, dict):
+            text += f"\n[{name}]\n{toml_text(value, name + '.')}"
+        elif _is_table(value):
+            text += "".join(f"\n[[{name}]]\n{toml_text(item, name + '.')}" for item in value)
+    return text
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value))
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() else json.dumps(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, list):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,137 @@
+"""The figures of merit of a run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.loop import Run
+from smolbot.missionfile import Mission
+from smolbot.poses import Pose
+from smolbot.records.trace import Moment, Trace
+from smolbot.rotations import quaternion_product, rotation_error
+from smolbot.shots import Actuate
+
+_HALF_TURN = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
+    """Figures of a run, in the units that their names carry; those that need the truth only where it is known.
+
+    Tracking error is the true robot's horizontal distance to the path as a curve, from the path's
+    start on (the approach is left out). Localization error is the located pose minus truth, in
+    three dimensions, of every pose that was trusted; `tracked_error_mm` is the same of the tracked one.
+    """
+    cycles = run.cycles
+    played = sum(c.shot.duration for c in cycles)
+    duration = run.duration
+    poses = [c.pose for c in cycles if c.pose is not None and c.pose.trusted]
+    out: dict[str, Any] = {
+        "mission": mission.name,
+        "rig": mission.rig.name,
+        "status": run.status,
+        "stop_reason": run.stop_reason,
+        "cycles": len(cycles),
+        "duration_s": duration,
+        "loop_rate_hz": len(cycles) / duration if duration else 0.0,
+        "timeline_limit_hz": len(cycles) / played if played else 0.0,
+        "turnaround_ms": mission.rig.turnaround * 1e3,
+        "compute_ms": _compute(run),
+        "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
+        "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles),
+        "coil_energy_j": coil_energy(mission, run),
+        "path_length_mm": mission.path.length * 1e3,
+        "progress_mm": max((c.command.progress for c in cycles), default=0.0) * 1e3,
+    }
+    out |= _against_truth(mission, trace)
+    out["wall_s"] = run.wall
+    out["realtime_factor"] = duration / run.wall if run.wall else 0.0
+    out["verdict"], out["verdict_reasons"] = verdict(mission, run, out)
+    return out
+
+
+def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
+    """``passed`` or ``failed``, and every reason for a failure."""
+    wanted = mission.sections.verdict
+    reasons = [] if run.status == "completed" else [run.stop_reason or run.status]
+    for name, limit in (("tracking", wanted.mean_tracking_mm), ("localization", wanted.mean_localization_mm)):
+        error = figures.get(f"{name}_error_mm")
+        if limit is not None and error is not None and error["mean"] > limit:
+            reasons.append(f"mean {name} error {error['mean']:.2f} mm exceeds {limit:g} mm")
+    return ("passed" if not reasons else "failed"), reasons
+
+
+def coil_energy(mission: Mission, run: Run) -> float:
+    """Heat in the actuation coils, in J, from the commanded currents and the coils' resistance."""
+    resistance = mission.rig.coil_resistances
+    return float(
+        sum(
+            window.duration * np.sum(resistance * np.square(window.currents))
+            for cycle in run.cycles
+            for window in cycle.shot.windows
+            if isinstance(window, Actuate)
+        )
+    )
+
+
+def _against_truth(mission: Mission, trace: Trace) -> dict[str, Any]:
+    along = mission.robot.device.along_cantilever
+    heard = [(m.cycle.pose, m.truth) for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    known = [(pose, truth) for pose, truth in heard if truth is not None]
+    tracked = [(m.cycle.tracked, m.truth) for m in trace.moments]
+    out: dict[str, Any] = {}
+    if known:
+        errors = np.array([pose.position - truth.position for pose, truth in known])
+        angles = np.array([orientation_error(pose, truth, along) for pose, truth in known])
+        out["localization_error_mm"] = _statistics(np.linalg.norm(errors, axis=1) * 1e3, "mean", "std", "p95")
+        out["localization_bias_mm"] = [float(v) for v in errors.mean(axis=0) * 1e3]
+        out["localization_scatter_mm"] = [float(v) for v in errors.std(axis=0) * 1e3]
+        out["orientation_error_deg"] = _statistics(np.degrees(angles), "mean", "p95")
+        out["flips"] = int(np.sum(angles > np.radians(90.0)))
+        believed = np.array([p.position - t.position for p, t in tracked if p is not None and t is not None])
+        out["tracked_error_mm"] = _statistics(np.linalg.norm(believed, axis=1) * 1e3, "mean", "std", "p95")
+    distance = tracking_distance(mission, trace.following)
+    if distance.size:
+        out["tracking_error_mm"] = _statistics(distance * 1e3, "mean", "rms", "p95", "max")
+    return out
+
+
+def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
+    """Distance (n,) of the true robot to the path, in m, at pose times and shot ends."""
+    truths = [p.position for m in moments for p in (m.truth, m.truth_at_end) if p is not None]
+    if not truths:
+        return np.zeros(0)
+    return mission.path.project(np.array(truths))[1]
+
+
+def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
+    """Angle between two orientations in rad; of the nearer twin where a half turn about the moment changes no signal."""
+    error = float(np.linalg.norm(rotation_error(pose.orientation, truth.orientation)))
+    if not along_cantilever:
+        return error
+    twin = quaternion_product(pose.orientation, _HALF_TURN)
+    return min(error, float(np.linalg.norm(rotation_error(twin, truth.orientation))))
+
+
+def _compute(run: Run) -> dict[str, float | None]:
+    times = np.array([c.compute for c in run.cycles]) * 1e3
+    if not times.size:
+        return {"median": None, "p99": None}
+    return {"median": float(np.median(times)), "p99": float(np.percentile(times, 99))}
+
+
+def _statistics(values: FloatArray, *names: str) -> dict[str, float]:
+    functions = {
+        "mean": np.mean,
+        "std": np.std,
+        "rms": lambda v: np.sqrt(np.mean(np.square(v))),
+        "p95": lambda v: np.percentile(v, 95),
+        "max": np.max,
+    }
+    return {name: float(functions[name](values)) for name in names}
+
+
+def _finite(value: Any) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)

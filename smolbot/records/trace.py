@@ -1,0 +1,99 @@
+"""A run as arrays: what was planned, heard, believed, commanded and (with a witness) true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.loop import CycleRecord
+from smolbot.poses import Pose
+from smolbot.shots import Actuate
+from smolbot.worlds import Witness
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One cycle with the truth at its pose's time and at its end, where a witness knows it."""
+
+    cycle: CycleRecord
+    truth: Pose | None
+    truth_at_end: Pose | None
+
+
+class Trace:
+    """Collects every cycle of a run; the only holder of the truth besides the report."""
+
+    def __init__(self, witness: Witness | None) -> None:
+        self._witness = witness
+        self.moments: list[Moment] = []
+
+    def __call__(self, record: CycleRecord) -> None:
+        truth = end = None
+        if self._witness is not None:
+            end = self._witness.truth(record.shot.end)
+            truth = self._witness.truth(record.pose.time) if record.pose is not None else end
+        self.moments.append(Moment(record, truth, end))
+
+    @property
+    def following(self) -> list[Moment]:
+        """The cycles whose command came after the path's start was reached."""
+        begun = next((i for i, m in enumerate(self.moments) if m.cycle.command.phase == "follow" and _begun(m)), None)
+        return [] if begun is None else self.moments[begun:]
+
+    def currents(self, n_coils: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Starts (n,) and durations (n,) of the actuation windows in s, and their currents (n, n_coils) in A."""
+        found = [
+            (m.cycle.shot.start + at, window.duration, window.currents)
+            for m in self.moments
+            for at, window in m.cycle.shot.timed()
+            if isinstance(window, Actuate)
+        ]
+        if not found:
+            return np.zeros(0), np.zeros(0), np.zeros((0, n_coils))
+        starts, durations, currents = zip(*found, strict=True)
+        return np.array(starts), np.array(durations), np.array(currents)
+
+    def true_positions(self) -> FloatArray:
+        """True positions at pose times and shot ends, in order, shape (n, 3), in m."""
+        return _positions([p for m in self.moments for p in (m.truth, m.truth_at_end) if p is not None])
+
+
+def _begun(moment: Moment) -> bool:
+    return moment.cycle.command.window is not None or moment.cycle.command.done
+
+
+def _positions(poses: list[Pose]) -> FloatArray:
+    return np.array([p.position for p in poses]).reshape(-1, 3)
+
+
+def row(number: int, moment: Moment) -> dict[str, Any]:
+    """One line of ``cycles.csv``: SI values with the unit in the name, empty where there is none."""
+    cycle = moment.cycle
+    pose, tracked, truth = cycle.pose, cycle.tracked, moment.truth
+    actuate = next((w for w in cycle.shot.windows if isinstance(w, Actuate)), None)
+    out: dict[str, Any] = {
+        "cycle": number,
+        "mode": cycle.shot.mode,
+        "start_s": cycle.shot.start,
+        "end_s": cycle.shot.end,
+        "actuate_s": actuate.duration if actuate else 0.0,
+        "currents_a": " ".join(f"{c:.4f}" for c in actuate.currents) if actuate else "",
+        "excite_a": " ".join(f"{c:.4f}" for c in cycle.shot.excite.currents) if cycle.shot.excite else "",
+        "pose_time_s": pose.time if pose else None,
+        "r_squared": pose.r_squared if pose else None,
+        "trusted": int(pose.trusted) if pose else None,
+        "believed": int(tracked.trusted) if tracked else None,
+        "phase": cycle.command.phase,
+        "progress_m": cycle.command.progress,
+        "note": cycle.command.note,
+        "compute_s": cycle.compute,
+    }
+    for name, value in (("pose", pose), ("tracked", tracked), ("true", truth)):
+        for index, axis in enumerate("xyz"):
+            out[f"{name}_{axis}_m"] = value.position[index] if value else None
+        for index, part in enumerate("wxyz"):
+            out[f"{name}_q{part}"] = value.orientation[index] if value else None
+    return out

@@ -1,0 +1,136 @@
+"""Makes each shot: interleaves actuation with localization, finds a lost signal, holds still on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.control import Command, Cycle
+from smolbot.limits import Limits
+from smolbot.poses import Pose
+from smolbot.sensing import Device
+from smolbot.shots import Excite, Listen, Mode, RingDown, Shot, Window
+
+SEARCH_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
+"""Excitation mixes (x, y) tried in turn while the orientation is unknown."""
+
+
+def stretched_actuation(turn: float, t_min: float, t_max: float, sharp: float) -> float:
+    """Actuation time for a turn of `turn` rad, in s: longer for sharp turns, so that the magnet aligns (Eq. S17).
+
+    Examples
+    --------
+    >>> [round(stretched_actuation(np.radians(a), 0.03, 0.08, np.radians(30)), 4) for a in (0, 29, 90, 180)]
+    [0.03, 0.03, 0.055, 0.08]
+    """
+    if abs(turn) <= sharp:
+        return t_min
+    return t_min + (t_max - t_min) * abs(turn) / np.pi
+
+
+class Believed(Protocol):
+    """What the scheduler asks of the tracker: the pose it believes in, and how it came by it."""
+
+    @property
+    def pose(self) -> Pose | None: ...
+
+    @property
+    def misses(self) -> int: ...
+
+    @property
+    def confirmed(self) -> bool: ...
+
+
+class Scheduler:
+    """Decides the mode of the next shot and lays out its windows.
+
+    Modes: ``search`` without a pose; ``hold`` to listen without actuating; ``track`` to act and
+    listen; ``lost`` after `patience` windows without a pose that can be believed.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    limits : Limits
+    device : Device
+        Replaced when its resonance is learned anew.
+    excitation_field : callable
+        Position (3,) in m to field (2, 3) in T per A of the excitation coils, as believed.
+    clock : callable
+        Earliest start of the next shot, in s.
+    patience : int
+        Misses in a row that are borne before actuation stops.
+    """
+
+    def __init__(
+        self,
+        cycle: Cycle,
+        limits: Limits,
+        device: Device,
+        excitation_field: Callable[[FloatArray], FloatArray],
+        clock: Callable[[], float],
+        patience: int = 3,
+    ) -> None:
+        self.cycle = cycle
+        self.limits = limits
+        self.device = device
+        self.patience = patience
+        self.paused = False
+        self.searched = 0
+        self._excitation_field = excitation_field
+        self._clock = clock
+
+    def next(self, command: Command, tracker: Believed) -> Shot:
+        """The next shot, for a command and what the tracker believes."""
+        mode = self._mode(tracker)
+        windows: list[Window] = []
+        if mode == "track" and command.window is not None:
+            windows.append(command.window)
+        self.searched = self.searched + 1 if mode in ("search", "lost") else 0
+        windows.append(self._excite(mode, tracker.pose))
+        windows.append(RingDown(self.cycle.ring_down))
+        windows.append(Listen(self.cycle.half_periods, self.device.frequency))
+        return Shot(tuple(windows), mode, self._clock())
+
+    def _mode(self, tracker: Believed) -> Mode:
+        if tracker.pose is None:
+            return "search"
+        if tracker.misses >= self.patience:
+            return "lost"
+        return "hold" if self.paused or not tracker.confirmed else "track"
+
+    def _excite(self, mode: Mode, pose: Pose | None) -> Excite:
+        """Excitation for the last known orientation; in a search, each direction in turn, then for longer."""
+        turn = (self.searched - 1) % (len(SEARCH_DIRECTIONS) + 1) if mode in ("search", "lost") else 0
+        rounds = max(self.searched - 1, 0) // (len(SEARCH_DIRECTIONS) + 1)
+        if mode == "search":
+            turn = (self.searched - 1) % len(SEARCH_DIRECTIONS) + 1
+            rounds = max(self.searched - 1, 0) // len(SEARCH_DIRECTIONS)
+        longest = int(self.limits.max_excitation * self.device.frequency)
+        cycles = min(self.cycle.excite_cycles * 2 ** min(rounds, 4), longest) if rounds else self.cycle.excite_cycles
+        if turn == 0 and pose is not None:
+            mix = excitation_mix(self._excitation_field(np.asarray(pose.position)), pose, self.device)
+        else:
+            mix = np.array(SEARCH_DIRECTIONS[turn - 1])
+        currents = self.cycle.excite_current * mix
+        return Excite((float(currents[0]), float(currents[1])), self.device.frequency, cycles)
+
+
+def excitation_mix(fields: FloatArray, pose: Pose, device: Device) -> FloatArray:
+    """Shares (n_exc,) of the peak current that drive the device most, the largest being 1.
+
+    Only the torque about body y drives the oscillation: the field along y x m counts (Eq. S1). With
+    shares in proportion to each coil's field along it, the drive per unit of heat is greatest.
+
+    Parameters
+    ----------
+    fields : ndarray, shape (n_exc, 3), in T per A
+    """
+    useful = fields @ (pose.rotation @ device.drive_direction_in_body)
+    largest = float(np.max(np.abs(useful)))
+    if largest < 1e-12:
+        return np.eye(len(fields))[0]
+    mix: FloatArray = useful / largest
+    return mix
