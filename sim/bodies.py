@@ -53,15 +53,15 @@ class Bodies:
         import pybullet
 
         if gui and not os.environ.get("DISPLAY"):
-            raise RigError("Bullet's window needs a display, and DISPLAY is not set; leave gui away to run without one.")
+            raise RigError(
+                "Bullet's window needs a display, and DISPLAY is not set; leave gui away to run without one."
+            )
         self._bullet = pybullet
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self._client < 0:
             raise RigError("Bullet could not open a world.")
         pybullet.setGravity(0, 0, 0, physicsClientId=self._client)  # weight is part of the tank's own forces
-        pybullet.setPhysicsEngineParameter(
-            numSubSteps=0, deterministicOverlappingPairs=1, physicsClientId=self._client
-        )
+        pybullet.setPhysicsEngineParameter(numSubSteps=0, deterministicOverlappingPairs=1, physicsClientId=self._client)
         self._build_container(rig, friction)
         w, x, y, z = (float(v) for v in orientation)
         self._robot = pybullet.loadURDF(
@@ -131,9 +131,7 @@ class Bodies:
     def _wall(self, half_sides: Triple, center: Triple, friction: float) -> None:
         bullet: Any = self._bullet
         shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half_sides, physicsClientId=self._client)
-        wall = bullet.createMultiBody(
-            0, shape, -1, center, useMaximalCoordinates=True, physicsClientId=self._client
-        )
+        wall = bullet.createMultiBody(0, shape, -1, center, useMaximalCoordinates=True, physicsClientId=self._client)
         bullet.changeDynamics(wall, -1, lateralFriction=friction, restitution=0.0, physicsClientId=self._client)
 
 
@@ -151,4 +149,6 @@ def urdf_path(robot: RobotConfig) -> Path:
         if path.is_file():
             return path
     shipped = ", ".join(sorted(path.name for path in ours.parent.glob("*.urdf")))
-    raise RigError(f"{robot.document.path}: body.urdf: '{name}' is neither beside the file nor shipped; shipped: {shipped}.")
+    raise RigError(
+        f"{robot.document.path}: body.urdf: '{name}' is neither beside the file nor shipped; shipped: {shipped}."
+    )

@@ -13,6 +13,9 @@ from numba import njit
 
 from smolbot.arrays import FloatArray
 
+Triple = tuple[float, float, float]
+Quad = tuple[float, float, float, float]
+
 # Entries of `device`: m (A·m²), direction at rest (x, z), l0, theta_max, omega0², friction (rad/s²), damping eta (1/s),
 # restitution of the stops, inertia (kg·m²), middle of the housing seen from the rotation centre (3)
 DEVICE_LENGTH = 13
@@ -20,14 +23,15 @@ DEVICE_LENGTH = 13
 STATE_LENGTH = 4
 # Columns of `circuits`: current (A), constant command (A), amplitude of a sine command (A), time constant (s)
 LIVE = 1e-5  # A: below it a coil moves nothing (its field is below 1e-8 T)
+SILENT = 1e-12  # A: below it no sensor hears it
 
 
 @njit(cache=True, error_model="numpy")
-def _cell(x, origin, scale, count):
+def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad, Quad]:
     """First coefficient of the cell that holds x (beyond the table the outermost cell), the four cubic B-spline weights
     and their derivatives."""
     u = (x - origin) * scale
-    i = max(1, min(int(math.floor(u)), count - 3))
+    i = max(1, min(math.floor(u), count - 3))
     t = min(max(u - i, 0.0), 1.0)
     s = 1.0 - t
     value = (s**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * s**2 + 3.0 * s**3) / 6.0, t**3 / 6.0)
@@ -36,7 +40,9 @@ def _cell(x, origin, scale, count):
 
 
 @njit(cache=True, error_model="numpy")
-def _round_field(x, y, z, row, table, b, g):
+def _round_field(
+    x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray
+) -> None:
     """Field (3,) and gradient (3, 3) of a round coil at a point in its own frame, T per A and T per (A m)."""
     radius = math.sqrt(x * x + y * y)
     n_heights = int(row[3])
@@ -71,7 +77,7 @@ def _round_field(x, y, z, row, table, b, g):
 
 
 @njit(cache=True, error_model="numpy")
-def _flat_field(x, y, z, row, table, b, g):
+def _flat_field(x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray) -> None:
     """Field (3,) and gradient (3, 3) of a flat coil at a point in its own frame, T per A and T per (A m)."""
     ny, nz = int(row[3]), int(row[4])
     i, wx, dx = _cell(x, row[5], row[8], int(row[2]))
@@ -96,7 +102,15 @@ def _flat_field(x, y, z, row, table, b, g):
 
 
 @njit(cache=True, error_model="numpy")
-def coil_field(point, row, table, rotation, b, g, work):
+def coil_field(
+    point: FloatArray,
+    row: FloatArray,
+    table: FloatArray,
+    rotation: FloatArray,
+    b: FloatArray,
+    g: FloatArray,
+    work: FloatArray,
+) -> None:
     """Field and gradient of one coil at a world point, seen in the frame whose axes are the columns of `rotation`.
 
     Parameters
@@ -136,7 +150,7 @@ def coil_field(point, row, table, rotation, b, g, work):
 
 
 @njit(cache=True, error_model="numpy")
-def fields_at(points, rows, table):
+def fields_at(points: FloatArray, rows: FloatArray, table: FloatArray) -> FloatArray:
     """Field (n_coils, n, 3) in T per A of every coil at world points (n, 3) in m, world frame."""
     out = np.empty((len(rows), len(points), 3))
     g, world, work = np.empty((3, 3)), np.eye(3), np.empty((4, 3, 3))
@@ -147,7 +161,22 @@ def fields_at(points, rows, table):
 
 
 @njit(cache=True, error_model="numpy")
-def swing(position, quaternion, device, earth, rows, table, circuits, state, poses, index, trace, used, step, substeps):
+def swing(
+    position: Triple,
+    quaternion: Quad,
+    device: FloatArray,
+    earth: FloatArray,
+    rows: FloatArray,
+    table: FloatArray,
+    circuits: FloatArray,
+    state: FloatArray,
+    poses: FloatArray,
+    index: int,
+    trace: FloatArray,
+    used: int,
+    step: float,
+    substeps: int,
+) -> tuple[float, float, float, float, float, float]:
     """Advance currents and cantilever by one physics step and return what the field does to the robot.
 
         theta'' = -2 eta theta' - friction sign(theta') - omega0² theta + Q / I
@@ -212,13 +241,15 @@ def swing(position, quaternion, device, earth, rows, table, circuits, state, pos
             coil_field(point, rows[c], table, rotation, b[n_live], g[n_live], work)
             live[n_live] = c
             n_live += 1
-        else:
+        elif abs(circuits[c, 0]) > SILENT:
             idle[n_idle] = c
             n_idle += 1
+        else:
+            circuits[c, 0] = 0.0
     for r in range(3):
         e[r] = rotation[0, r] * earth[0] + rotation[1, r] * earth[1] + rotation[2, r] * earth[2]
 
-    damp = math.exp(-2.0 * eta * h)
+    damp, push = math.exp(-2.0 * eta * h), h * math.exp(-eta * h)  # so that frequency and decay are right to 2nd order
     slip = friction * h
     drawn = np.zeros((n_live + 1, 2))  # sums of current times moment, for the mean force and torque
     sum_x = sum_z = 0.0
@@ -242,7 +273,7 @@ def swing(position, quaternion, device, earth, rows, table, circuits, state, pos
         mz = moment * (rest_z * cosine - rest_x * sine)
         torque = (bx + gxx * dx + gxz * dz) * mz - (bz + gzx * dx + gzz * dz) * mx
         torque += l0 * (cosine * (gxx * mx + gzx * mz) - sine * (gxz * mx + gzz * mz))
-        rate = (rate + h * (torque * agility - omega2 * theta)) * damp
+        rate = rate * damp + push * (torque * agility - omega2 * theta)
         rate = 0.0 if abs(rate) <= slip else rate - math.copysign(slip, rate)
         turn = h * rate
         theta += turn
@@ -252,8 +283,8 @@ def swing(position, quaternion, device, earth, rows, table, circuits, state, pos
                 rate = -restitution * rate
             sine, cosine = math.sin(theta), math.cos(theta)
         else:  # a turn of some mrad: the series is exact to rounding, at a tenth of the cost
-            s, c = turn - turn**3 / 6.0, 1.0 - 0.5 * turn**2 + turn**4 / 24.0
-            sine, cosine = sine * c + cosine * s, cosine * c - sine * s
+            ds, dc = turn - turn**3 / 6.0, 1.0 - 0.5 * turn**2 + turn**4 / 24.0
+            sine, cosine = sine * dc + cosine * ds, cosine * dc - sine * ds
         for n in range(n_live):
             drawn[n, 0] += circuits[live[n], 0] * mx
             drawn[n, 1] += circuits[live[n], 0] * mz
@@ -287,29 +318,3 @@ def swing(position, quaternion, device, earth, rows, table, circuits, state, pos
         tz += mx * by
     ax, ay, az = start_x + dx - device[10], -device[11], start_z + dz - device[12]
     return fx, fy, fz, tx + ay * fz - az * fy, ty + az * fx - ax * fz, tz + ax * fy - ay * fx
-
-
-def pack_device(
-    moment: float,
-    direction: FloatArray,
-    l0: float,
-    theta_max: float,
-    frequency: float,
-    damping: float,
-    damping_model: str,
-    restitution: float,
-    center: tuple[float, float, float],
-    magnet_mass: float,
-) -> FloatArray:
-    """The `device` array of `swing`, from SI values.
-
-    Linear damping (Eq. S3) is what dry friction does: the amplitude falls by ``eta theta_max`` each second, so the
-    friction is ``eta theta_max omega² / (4 f)``. Exponential damping (Eq. S4) is viscous; omega0 is
-    such that the damped oscillation has the given frequency.
-    """
-    omega = 2.0 * math.pi * frequency
-    linear = damping_model == "linear"
-    friction = damping * theta_max * omega**2 / (4.0 * frequency) if linear else 0.0
-    eta = 0.0 if linear else damping
-    values = [moment, direction[0], direction[2], l0, theta_max, omega**2 + eta**2, friction]
-    return np.array([*values, eta, restitution, magnet_mass * l0**2, *center])

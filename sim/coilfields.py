@@ -1,7 +1,7 @@
 """The coils as they truly are: one fine table per coil shape in the coil's own frame, moved, tilted and scaled.
 
-The controller interpolates one table of all nominal coils on the rig's mesh. Here each shape is tabulated once in its own
-frame (radius and height for round coils, three axes for flat ones), and each coil is an erroneous copy of it.
+The controller interpolates one table of all nominal coils on the rig's mesh. Here each shape is tabulated once in its
+own frame (radius and height for round coils, three axes for flat ones), and each coil is an erroneous copy of it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 import os
 import tempfile
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 FORMAT = 1
 ROUND, FLAT = 0.0, 1.0
 PAD = 4  # cells beyond the region asked for: the spline's end conditions have died out there
-# Columns of a coil's row: kind, offset of its coefficients, counts (3), origin (3), 1/spacing, place (3), frame (9), gain
+# Columns of a coil's row: kind, offset of its coefficients, counts (3), origin (3), 1/spacing, place (3), frame (9),
+# gain
 ROW_LENGTH = 22
 
 
@@ -61,14 +62,14 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
         Rounded outward to whole cells, so that neighbouring wishes share a table.
     spacing : float, in m
     """
-    from dataclasses import replace
+    from lookup_tables import FlatCoil
 
-    standing = replace(coil, center=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]))
-    if hasattr(standing, "width_direction"):
-        standing = replace(standing, width_direction=np.array([1.0, 0.0, 0.0]))
-        kind = FLAT
+    up, ahead = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    standing: RoundCoil | FlatCoil
+    if isinstance(coil, FlatCoil):
+        kind, standing = FLAT, replace(coil, center=np.zeros(3), axis=up, width_direction=ahead)
     else:
-        kind = ROUND
+        kind, standing = ROUND, replace(coil, center=np.zeros(3), axis=up)
         reach = float(np.hypot(max(-low[0], high[0]), max(-low[1], high[1])))
         low, high = np.array([0.0, low[2]]), np.array([reach, high[2]])
     first = np.floor(low / (4 * spacing)) * 4 - PAD

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.coilfields import CoilSet, pack
-from sim.coupling import coil_to_sensor
+from sim.coupling import MU_0, coil_to_sensor
 from sim.mismatch import Truth
 from sim.settings import TankSettings
 from smolbot.arrays import FloatArray
@@ -44,16 +44,17 @@ class TankCoils:
         cls, rig: RigConfig, settings: TankSettings, truth: Truth, positions: FloatArray, axes: FloatArray
     ) -> TankCoils:
         """Place every coil with its drawn errors; `positions` and `axes` (n_sensors, 3) are the true sensors."""
-        from lookup_tables import RoundCoil
+        from lookup_tables import FlatCoil, RoundCoil
 
-        driven = (*rig.round_coils(), *rig.flat_coils())
-        sections = (*rig.sections.coils, *rig.sections.excitation)
-        constants = 1e-3 * np.array([s.time_constant_ms for s in sections]) * truth.coil_time_constants
+        driven: tuple[RoundCoil | FlatCoil, ...] = (*rig.round_coils(), *rig.flat_coils())
+        constants = [c.time_constant_ms for c in rig.sections.coils] + [
+            c.time_constant_ms for c in rig.sections.excitation
+        ]
         circuits = np.zeros((len(driven), 4))
-        circuits[:, 3] = constants
+        circuits[:, 3] = 1e-3 * np.array(constants) * truth.coil_time_constants
         rotations = np.array([matrix_from_quaternion(quaternion_from_rotation_vector(t)) for t in truth.coil_tilts])
         coupling = coil_to_sensor(driven, truth.coil_places, rotations, truth.coil_gains, positions, axes)
-        coils: list[object] = list(driven)
+        coils = list(driven)
         places, tilts, gains = truth.coil_places, truth.coil_tilts, truth.coil_gains
         earth = 1e-6 * np.array(settings.earth.field_ut)
         strength = float(np.linalg.norm(earth))
@@ -65,14 +66,18 @@ class TankCoils:
                 "earth", middle - 1e-3 * section.coil_distance_mm * direction, direction,
                 0.95 * radius, 1.05 * radius, 0.2 * radius, 200.0,
             )  # fmt: skip
-            per_ampere = float(external.field(middle[None])[0] @ direction)
+            away = 1e-3 * section.coil_distance_mm
+            per_ampere = sum(
+                0.5 * MU_0 * external.turns * share * r**2 / (r**2 + (away - along) ** 2) ** 1.5
+                for r, along, share in external.loops()
+            )
             coils.append(external)
             places, tilts = np.vstack([places, np.zeros(3)]), np.vstack([tilts, truth.compensation_tilt])
             gains = np.append(gains, truth.compensation_gain)
             current = strength / per_ampere
             circuits = np.vstack([circuits, [current, current, 0.0, 0.0]])
             coupling = np.vstack([coupling, np.zeros(len(positions))])
-        fields = pack(tuple(coils), places, tilts, gains, low, high)  # type: ignore[arg-type]
+        fields = pack(tuple(coils), places, tilts, gains, low, high)
         return cls(fields, circuits, coupling, earth, len(rig.sections.coils), len(rig.sections.excitation))
 
 

@@ -71,12 +71,12 @@ def _wires(coil: RoundCoil | FlatCoil) -> tuple[FloatArray, FloatArray, FloatArr
     """Starts, ends and ampere-turns of the wires of a coil that stands at the origin along z."""
     from lookup_tables import FlatCoil
 
-    loops = []
+    loops: list[tuple[FloatArray, float, float]] = []
     if isinstance(coil, FlatCoil):
         half_width, half_height = 0.5 * coil.width + 0.5 * coil.build_up, 0.5 * coil.height + 0.5 * coil.build_up
         corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [half_width, half_height]
         heights, weights = np.polynomial.legendre.leggauss(coil.axial_loops)
-        loops = [(corners, 0.5 * coil.length * h, 0.5 * w) for h, w in zip(heights, weights, strict=True)]
+        loops = [(corners, float(0.5 * coil.length * h), float(0.5 * w)) for h, w in zip(heights, weights, strict=True)]
     else:
         angles = 2 * np.pi * np.arange(SIDES) / SIDES
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)

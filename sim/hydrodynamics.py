@@ -15,6 +15,7 @@ from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 
 GRAVITY = 9.81
+Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +69,17 @@ class Hull:
         return cls(np.array(values), rig.sections.container.floor_z_mm * 1e-3 + 0.5 * y)
 
 
-@njit(cache=True)
-def float_step(position, quaternion, velocity, spin, magnetic, hull, float_height, step):
+@njit(cache=True, error_model="numpy")
+def float_step(
+    position: Triple,
+    quaternion: tuple[float, float, float, float],
+    velocity: Triple,
+    spin: Triple,
+    magnetic: tuple[float, float, float, float, float, float],
+    hull: FloatArray,
+    float_height: float,
+    step: float,
+) -> tuple[Triple, Triple]:
     """Velocity and spin after one step, with drag taken at its end (implicit Euler).
 
         v' = (v + F dt / m) / (1 + gamma dt / m)   along each body axis, and likewise for the spin
@@ -102,10 +112,11 @@ def float_step(position, quaternion, velocity, spin, magnetic, hull, float_heigh
     if 0.0 < wet < 1.0:
         lift -= hull[14] * (position[2] - float_height)
         tip_x, tip_z = hull[15] * zz, -hull[16] * zx  # turns body y toward the world's up
+    force_x, force_y, force_z = magnetic[0] + lift * zx, magnetic[1] + lift * zy, magnetic[2] + lift * zz
     mass = step / hull[0]
-    u = (velocity[0] * xx + velocity[1] * yx + velocity[2] * zx + mass * (magnetic[0] + lift * zx)) / (1 + mass * hull[4])
-    v = (velocity[0] * xy + velocity[1] * yy + velocity[2] * zy + mass * (magnetic[1] + lift * zy)) / (1 + mass * hull[5])
-    t = (velocity[0] * xz + velocity[1] * yz + velocity[2] * zz + mass * (magnetic[2] + lift * zz)) / (1 + mass * hull[6])
+    u = (velocity[0] * xx + velocity[1] * yx + velocity[2] * zx + mass * force_x) / (1 + mass * hull[4])
+    v = (velocity[0] * xy + velocity[1] * yy + velocity[2] * zy + mass * force_y) / (1 + mass * hull[5])
+    t = (velocity[0] * xz + velocity[1] * yz + velocity[2] * zz + mass * force_z) / (1 + mass * hull[6])
     ix, iy, iz = step / hull[1], step / hull[2], step / hull[3]
     p = (spin[0] * xx + spin[1] * yx + spin[2] * zx + ix * (magnetic[3] + tip_x)) / (1 + ix * hull[7])
     q = (spin[0] * xy + spin[1] * yy + spin[2] * zy + iy * magnetic[4]) / (1 + iy * hull[8])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from smolbot.arrays import FloatArray
@@ -22,8 +23,8 @@ class FieldNoise:
         B(r, t) = sum_k Re[(B_k e^{i a_k} + G_k r e^{i b_k}) e^{2 pi i f_k t}]
 
     Directions of B_k, symmetric traceless gradients G_k and phases are drawn. `mains_nt` is the peak of |B| at 50 Hz,
-    `mains_gradient_nt_per_m` the root mean square, over directions, of the peak of its change per metre (G's Frobenius norm over sqrt 3);
-    harmonics have both in the same proportion. The drift is a sum of slow lines with the given rms slope.
+    `mains_gradient_nt_per_m` the peak of its change per metre, root mean square over directions (G's Frobenius norm
+    over sqrt 3); harmonics have both in the same proportion. The drift is a sum of slow lines with the given rms slope.
 
     Parameters
     ----------
@@ -119,7 +120,7 @@ class SensorNoise:
 
 
 @njit(cache=True, error_model="numpy")
-def _add_lines(signal, real, imaginary, turn):
+def _add_lines(signal: FloatArray, real: FloatArray, imaginary: FloatArray, turn: FloatArray) -> None:
     """Add lines with complex amplitudes (n_lines, n_sensors) that turn by `turn` rad a sample."""
     n = signal.shape[1]
     cosine, sine = np.empty(n), np.empty(n)
@@ -134,7 +135,14 @@ def _add_lines(signal, real, imaginary, turn):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_processes(signal, state, deviations, knots, decay, draws):
+def _add_processes(
+    signal: FloatArray,
+    state: FloatArray,
+    deviations: FloatArray,
+    knots: npt.NDArray[np.int64],
+    decay: FloatArray,
+    draws: npt.NDArray[np.float32],
+) -> None:
     """Add first-order processes: stepped exactly from knot to knot, straight between; `state` moves on in place."""
     n = signal.shape[1]
     at = 0
@@ -161,7 +169,7 @@ def _add_processes(signal, state, deviations, knots, decay, draws):
                     following = decay[p] * value + kick * draws[at + q]
                     rise = size * (following - value) / pace
                     offset = size * value - rise * q * pace
-                    for j in range(int(math.ceil(q * pace)), min(int(math.ceil((q + 1) * pace)), n)):
+                    for j in range(math.ceil(q * pace), min(math.ceil((q + 1) * pace), n)):
                         row[j] += offset + rise * j
                     value = following
                 at += knots[p]

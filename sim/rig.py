@@ -84,7 +84,6 @@ class TankRig:
             raise RigError("This tank is closed; nothing was played.")
         self.limits.check(shot)
         tank, begin = self._tank, self._tank.time
-        tank.continue_history()
         windows = (*shot.windows, Rest(self._turnaround)) if self._turnaround > 0 else shot.windows
         if not tank.advance(windows):
             raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")

@@ -102,7 +102,7 @@ class TrueSensors:
         poses: FloatArray,
     ) -> FloatArray:
         """What noiseless sensors with the same low pass would read; arguments as for `hear`."""
-        lead = int(math.ceil(self.lead * self.rate))
+        lead = math.ceil(self.lead * self.rate)
         pace = 1.0 / (self.rate * self._tau) if self._tau else np.inf
         keep = math.exp(-pace)
         spread = (1.0 - keep) / pace if self._tau else 0.0
@@ -116,8 +116,22 @@ class TrueSensors:
         return field
 
 
-@njit(cache=True)
-def _listen(out, clock, step, lead, low_pass, magnet, positions, axes, coupling, trace_times, trace, pose_times, poses):
+@njit(cache=True, error_model="numpy")
+def _listen(
+    out: FloatArray,
+    clock: float,
+    step: float,
+    lead: int,
+    low_pass: tuple[float, float, float],
+    magnet: tuple[float, float, float, float],
+    positions: FloatArray,
+    axes: FloatArray,
+    coupling: FloatArray,
+    trace_times: FloatArray,
+    trace: FloatArray,
+    pose_times: FloatArray,
+    poses: FloatArray,
+) -> None:
     """Low-passed field along each sensor's axis; the dipole is Eq. S5, its motion Eqs. S6 to S8."""
     moment, rest_x, rest_z, l0 = magnet
     keep, before, now = low_pass
@@ -168,8 +182,10 @@ def _listen(out, clock, step, lead, low_pass, magnet, positions, axes, coupling,
                 out[k, s] = reading[k]
 
 
-@njit(cache=True)
-def _convert(field, constants, sensor_range, full_scale, step):
+@njit(cache=True, error_model="numpy")
+def _convert(
+    field: FloatArray, constants: FloatArray, sensor_range: float, full_scale: float, step: float
+) -> BoolArray:
     """Add the constants, clip at the sensor's range and the converter's, and round to its steps, in place."""
     saturated = np.zeros(len(field), np.bool_)
     top = full_scale - step

@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from sim.bodies import Bodies
-from sim.cantilever import STATE_LENGTH, pack_device, swing
+from sim.cantilever import STATE_LENGTH, swing
 from sim.coils import TankCoils, volume
 from sim.history import History
 from sim.hydrodynamics import Hull, float_step
+from sim.magnet import true_device
 from sim.mismatch import Streams, Truth, draw
 from sim.sensors import TrueSensors
 from sim.settings import TankSettings
@@ -22,7 +23,6 @@ from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.shots import Actuate, Excite, Window
 
 SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
-MAGNET_MASS = 7500.0 * math.pi * 0.5e-3**2 * 1e-3  # kg: NdFeB, diameter 1 x 1 mm
 
 
 class Tank:
@@ -49,19 +49,7 @@ class Tank:
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
         self.hull = Hull.build(rig, robot, settings, self.truth)
-        device = robot.device
-        self.device = pack_device(
-            device.moment * self.truth.moment,
-            device.moment_in_body,
-            device.l0 * self.truth.l0,
-            device.theta_max * self.truth.theta_max,
-            device.frequency * self.truth.frequency,
-            device.damping * self.truth.damping,
-            device.damping_model,
-            settings.stop_restitution,
-            robot.center,
-            MAGNET_MASS,
-        )
+        self.device = true_device(robot, settings, self.truth)
         position, orientation = self._put_down(rig, robot, start)
         self.bodies = Bodies(rig, robot, position, orientation, friction=settings.wall_friction, gui=gui)
         self.history = History()
@@ -73,6 +61,8 @@ class Tank:
         self._trace_times = np.zeros(1)
         self._trace = np.zeros((1, 1 + len(self.coils.circuits)))
         self._trace[0, 1:] = self.coils.circuits[:, 0]
+        self._used = 1
+        self._note_pose(*self.history.reserve(1))
 
     def advance(self, windows: tuple[Window, ...]) -> bool:
         """Play windows one after the other; return False if `running` was set to False meanwhile.
@@ -80,35 +70,33 @@ class Tank:
         Afterwards every command is zero."""
         lengths = [(w, *_divide(w.duration, self._step)) for w in windows]
         steps = sum(n for _, n, _ in lengths)
+        self.history.drop_last()  # the first row of this shot repeats the closing row of the last
         times, poses = self.history.reserve(steps + 1)
-        done = 0
         self._begin_trace(sum(n * _substeps(h) for _, n, h in lengths))
-        complete, self.running = True, True
-        for window, n, step in lengths:
-            self._command(window)
-            played = self._run(n, step, times[done:], poses[done:])
-            done += played
-            if played < n:
-                complete = False
-                break
-        self.running = False
-        self.silence()
-        self._note_pose(times[done : done + 1], poses[done : done + 1])
-        self.history.drop_last(steps - done)
-        return complete
+        done, self.running = 0, True
+        try:
+            for window, n, step in lengths:
+                self._command(window)
+                done += self._run(n, step, times[done:], poses[done:])
+                if not self.running:
+                    break
+        finally:
+            self.running = False
+            self.silence()
+            self._note_pose(times[done : done + 1], poses[done : done + 1])
+            self.history.drop_last(steps - done)
+        place = poses[done, :3]
+        if not (np.all(place > self._low) and np.all(place < self._high)):
+            raise RigError(f"The robot left the container, to {np.round(1e3 * place, 2)} mm, at {self.time:.3f} s.")
+        return done == steps
 
     def listen(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
-        """Samples (n_sensors, n) in T from `clock` s on, and which sensors were saturated; within what was just played."""
+        """Samples (n_sensors, n) in T from `clock` s on, of the shot just played, and which sensors were saturated."""
         pose_times, poses = self.history.since(clock - self.sensors.lead)
         end = self._used
         return self.sensors.hear(
             clock, n, self.device, self.coils.coupling, self._trace_times[:end], self._trace[:end], pose_times, poses
         )
-
-    def continue_history(self) -> None:
-        """Drop the closing row of the last shot, which the first row of the next one repeats."""
-        if self.time > 0:
-            self.history.drop_last()
 
     def silence(self) -> None:
         """Command zero to every driven coil; its current decays."""
@@ -140,9 +128,6 @@ class Tank:
         self._trace_times[self._used : used] = start + step / substeps * np.arange(1, count + 1)
         self._used = used
         self.time = start + played * step
-        if played and not (np.all(poses[played - 1, :3] > self._low) and np.all(poses[played - 1, :3] < self._high)):
-            self.silence()
-            raise RigError(f"The robot left the container, at {1e3 * poses[played - 1, :3]} mm, {self.time:.3f} s.")
         return played
 
     def _command(self, window: Window) -> None:
@@ -158,7 +143,7 @@ class Tank:
 
     def _begin_trace(self, rows: int) -> None:
         """Keep what the sensors' low pass still remembers of the past, and make room for `rows` more."""
-        end = getattr(self, "_used", 1)
+        end = self._used
         first = max(int(np.searchsorted(self._trace_times[:end], self.time - self.sensors.lead)) - 1, 0)
         kept = end - first
         times, trace = self._trace_times[first:end].copy(), self._trace[first:end].copy()
@@ -183,22 +168,24 @@ class Tank:
         room = 0.5e-3 * np.array(section.size_mm) - np.hypot(robot.size[0], robot.size[2]) / 2
         if np.any(away > room):
             raise InputError(
-                f"The robot must start within ±{1e3 * room[0]:.1f} x ±{1e3 * room[1]:.1f} mm of the container's middle; "
+                f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "
                 f"got ({1e3 * wanted[0]:.1f}, {1e3 * wanted[1]:.1f}) mm."
             )
         heading = self.truth.start_heading
         ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
         orientation = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zy")
-        middle = np.array([*(wanted + self.truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
+        middle = (
+            np.array([*(wanted + self.truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
+        )
         middle[2] = self.hull.float_height
         return middle, orientation
 
 
 def _divide(duration: float, longest: float) -> tuple[int, float]:
     """Number and length of equal steps, none longer than `longest`, that exactly fill `duration`."""
-    n = max(int(math.ceil(duration / longest - 1e-9)), 1)
+    n = max(math.ceil(duration / longest - 1e-9), 1)
     return n, duration / n
 
 
 def _substeps(step: float) -> int:
-    return max(int(math.ceil(step / SUBSTEP - 1e-9)), 1)
+    return max(math.ceil(step / SUBSTEP - 1e-9), 1)

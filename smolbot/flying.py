@@ -119,6 +119,7 @@ def _fly_on(
         flown = loop.fly()
     finally:
         gc.unfreeze()
+    flown.true_trail = trace.true_positions() if trace.knows_truth else None
     flown.summary = summarise(mission, flown, trace)
     flown.summary["seed"] = seed
     flown.summary["ideal"] = bool(drawn.get("ideal", False))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 
+from smolbot.arrays import FloatArray
 from smolbot.control import Command, Controller
 from smolbot.errors import InputError, InterlockError, RigError
 from smolbot.localization.localizer import Localizer
@@ -34,7 +35,10 @@ class CycleRecord:
 
 @dataclass
 class Run:
-    """A flown mission: how it ended, every cycle, and (once summarised) its figures and folder."""
+    """A flown mission: how it ended, every cycle, and (once summarised) its figures and folder.
+
+    `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only.
+    """
 
     status: Status = "stopped"
     stop_reason: str = ""
@@ -43,6 +47,7 @@ class Run:
     cycles: list[CycleRecord] = field(default_factory=list)
     summary: dict[str, object] = field(default_factory=dict)
     folder: str | None = None
+    true_trail: FloatArray | None = None
 
 
 class Listener(Protocol):

@@ -151,7 +151,15 @@ class Mission:
             table=self.rig.table(),
             limits=self.rig.limits,
             device=device,
-            robot=Robot.in_liquid(device.moment, self.robot.drag_radius, medium.viscosity_pa_s),
+            robot=Robot.in_liquid(
+                device.moment,
+                self.robot.drag_radius,
+                medium.viscosity_pa_s,
+                frequency=device.frequency,
+                l0=device.l0,
+                theta_max=device.theta_max,
+                center_ahead=self.robot.center[2],
+            ),
             cycle=self.cycle,
             tolerance=self.tolerance,
         )

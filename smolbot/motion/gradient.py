@@ -9,11 +9,25 @@ from numba import njit
 from smolbot.arrays import FloatArray
 from smolbot.motion.robot import Robot
 
+STEP = 2e-3
+"""Longest step of the integration, in s; alignment takes tens of ms."""
+
 
 @njit(cache=True)
-def _advance(field, gradient, moment, drag, rotational_drag, heading, duration, steps):  # type: ignore[no-untyped-def]
-    """Displacement (2,) and heading after `duration`, in a field that varies linearly around the start."""
+def _deflection(off, torque, stiffness, theta_max):  # type: ignore[no-untyped-def]
+    """Angle of the magnet toward a field `off` rad from the housing: k d = m B sin(off - d), up to the stop."""
+    d = 0.0
+    for _ in range(8):
+        value = stiffness * d - torque * np.sin(off - d)
+        d -= value / (stiffness + torque * abs(np.cos(off - d)) + 1e-30)
+    return min(max(d, -theta_max), theta_max)
+
+
+@njit(cache=True)
+def _advance(field, gradient, moment, drag, rotational_drag, stiffness, theta_max, magnet, center, heading, duration, steps):  # type: ignore[no-untyped-def]
+    """Displacement (2,) of the rotation centre, and heading, after `duration`; the field varies linearly."""
     x = np.zeros(2)
+    begin = heading
     dt = duration / steps
     for _ in range(steps):
         bx = field[0] + gradient[0, 0] * x[0] + gradient[0, 1] * x[1]
@@ -21,18 +35,23 @@ def _advance(field, gradient, moment, drag, rotational_drag, heading, duration, 
         size = np.sqrt(bx * bx + by * by)
         if size < 1e-15:
             break
-        # alignment has a closed form for a constant field: tan(angle / 2) decays exponentially
         to_field = np.arctan2(by, bx)
-        off = heading - to_field
+        off = to_field - heading
         off -= 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-        shrink = np.exp(-moment * size / rotational_drag * dt)
-        half = min(max(0.5 * off, -1.5707), 1.5707)
-        after = 2.0 * np.arctan(np.tan(half) * shrink)
-        middle = to_field + 0.5 * (off + after)
-        heading = to_field + after
-        mx, my = moment * np.cos(middle), moment * np.sin(middle)
-        x[0] += dt * (gradient[0, 0] * mx + gradient[1, 0] * my) / drag
-        x[1] += dt * (gradient[0, 1] * mx + gradient[1, 1] * my) / drag
+        bent = _deflection(off, moment * size, stiffness, theta_max) if np.isfinite(stiffness) else 0.0
+        # for a constant field tan(angle / 2) decays exponentially, which is stable at any step
+        angle = off - bent
+        half = min(max(0.5 * angle, -1.5707), 1.5707)
+        after = 2.0 * np.arctan(np.tan(half) * np.exp(-moment * size / rotational_drag * dt))
+        points = heading + bent + 0.5 * (angle - after)
+        mx, my = moment * np.cos(points), moment * np.sin(points)
+        fx, fy = gradient[0, 0] * mx + gradient[1, 0] * my, gradient[0, 1] * mx + gradient[1, 1] * my
+        lever = (magnet - center) * (np.cos(heading) * fy - np.sin(heading) * fx)
+        heading += angle - after + dt * lever / rotational_drag
+        x[0] += dt * fx / drag
+        x[1] += dt * fy / drag
+    x[0] -= center * (np.cos(heading) - np.cos(begin))
+    x[1] -= center * (np.sin(heading) - np.sin(begin))
     return x, heading
 
 
@@ -41,8 +60,9 @@ def advance(
 ) -> tuple[FloatArray, float]:
     """Motion under constant coil currents for one window.
 
-    The moment turns into the field against viscous drag, and is pulled by grad(m . B); momentum dies
-    in under a millisecond and is left out.
+    The moment turns into the field, first by bending the cantilever, then by turning the housing
+    against viscous drag, and is pulled by grad(m . B). Momentum dies in under a millisecond and is
+    left out.
 
     Parameters
     ----------
@@ -53,18 +73,30 @@ def advance(
         ``[..., i, j] = dB_i / dx_j``.
     currents : ndarray, shape (n_coils,), in A
     heading : float, in rad
-        Of the moment in the horizontal plane, from x toward y.
+        Of the cantilever in the horizontal plane, from x toward y.
     duration : float, in s
 
     Returns
     -------
     displacement : ndarray, shape (2,), in m
+        Of the cantilever's rotation centre; the housing turns about its centre of drag.
     heading : float, in rad
         At the end of the window.
     """
     total_field = np.ascontiguousarray(currents @ field)
     total_gradient = np.ascontiguousarray(np.tensordot(currents, gradient, axes=1))
-    steps = max(int(np.ceil(duration / 2e-3)), 1)
+    steps = max(int(np.ceil(duration / STEP)), 1)
     return _advance(
-        total_field, total_gradient, robot.moment, robot.drag, robot.rotational_drag, float(heading), float(duration), steps
+        total_field,
+        total_gradient,
+        robot.moment,
+        robot.drag,
+        robot.rotational_drag,
+        robot.stiffness,
+        robot.theta_max,
+        robot.magnet_ahead,
+        robot.center_ahead,
+        float(heading),
+        float(duration),
+        steps,
     )

@@ -7,6 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+REMANENCE = 1.45
+"""Of N52, in T: with the moment it gives the magnet's volume."""
+
+MAGNET_DENSITY = 7500.0
+"""Of NdFeB, in kg/m³."""
+
+_MU0 = 4e-7 * np.pi
+
 
 @dataclass(frozen=True)
 class Robot:
@@ -20,22 +28,47 @@ class Robot:
         Stokes drag of translation, 6 pi mu r.
     rotational_drag : float, in N·m·s
         Stokes drag of rotation, 8 pi mu r³.
-    floats : bool
-        True where the liquid's surface holds its height, pitch and roll.
+    stiffness : float, in N·m/rad
+        Of the cantilever between magnet and housing; ``inf`` for a magnet that is fixed.
+    theta_max : float, in rad
+        Stop of its deflection.
+    magnet_ahead, center_ahead : float, in m
+        Places of magnet and centre of drag along the cantilever, from its rotation centre.
     """
 
     kind: Literal["gradient"]
     moment: float
     drag: float
     rotational_drag: float
-    floats: bool = True
+    stiffness: float = np.inf
+    theta_max: float = 0.0
+    magnet_ahead: float = 0.0
+    center_ahead: float = 0.0
 
     @classmethod
-    def in_liquid(cls, moment: float, radius: float, viscosity: float) -> Robot:
-        """A gradient-pulled robot with the drag of a sphere of `radius` m in a liquid of `viscosity` Pa·s."""
+    def in_liquid(
+        cls,
+        moment: float,
+        radius: float,
+        viscosity: float,
+        *,
+        frequency: float,
+        l0: float,
+        theta_max: float,
+        center_ahead: float = 0.0,
+    ) -> Robot:
+        """A gradient-pulled robot with the drag of a sphere of `radius` m in a liquid of `viscosity` Pa·s.
+
+        The cantilever's stiffness follows from its resonance: k = I (2 pi f)², I = m_magnet l0².
+        """
+        mass = MAGNET_DENSITY * moment * _MU0 / REMANENCE
         return cls(
             kind="gradient",
             moment=moment,
             drag=6.0 * np.pi * viscosity * radius,
             rotational_drag=8.0 * np.pi * viscosity * radius**3,
+            stiffness=mass * l0**2 * (2.0 * np.pi * frequency) ** 2,
+            theta_max=theta_max,
+            magnet_ahead=l0,
+            center_ahead=center_ahead,
         )

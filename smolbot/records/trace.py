@@ -38,6 +38,11 @@ class Trace:
         self.moments.append(Moment(record, truth, end))
 
     @property
+    def knows_truth(self) -> bool:
+        """True with a witness."""
+        return self._witness is not None
+
+    @property
     def following(self) -> list[Moment]:
         """The cycles whose command came after the path's start was reached."""
         begun = next((i for i, m in enumerate(self.moments) if m.cycle.command.phase == "follow" and _begun(m)), None)

@@ -1,0 +1,212 @@
+"""``smolbot simulate``: one mission over many seeds, each a tank drawn anew."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from smolbot.cli.missions import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+from smolbot.errors import InputError
+
+COLUMNS = {
+    "seed": ("seed",),
+    "status": ("status",),
+    "verdict": ("verdict",),
+    "duration_s": ("duration_s",),
+    "cycles": ("cycles",),
+    "loop_rate_hz": ("loop_rate_hz",),
+    "timeline_limit_hz": ("timeline_limit_hz",),
+    "localization_mean_mm": ("localization_error_mm", "mean"),
+    "localization_p95_mm": ("localization_error_mm", "p95"),
+    "tracked_mean_mm": ("tracked_error_mm", "mean"),
+    "orientation_mean_deg": ("orientation_error_deg", "mean"),
+    "tracking_mean_mm": ("tracking_error_mm", "mean"),
+    "tracking_rms_mm": ("tracking_error_mm", "rms"),
+    "tracking_p95_mm": ("tracking_error_mm", "p95"),
+    "tracking_max_mm": ("tracking_error_mm", "max"),
+    "r_squared_median": ("r_squared_median",),
+    "flips": ("flips",),
+    "compute_p99_ms": ("compute_ms", "p99"),
+    "realtime_factor": ("realtime_factor",),
+    "stop_reason": ("stop_reason",),
+}
+"""Columns of results.csv, and where each stands in a run's summary."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One simulated run: its summary and where the robot truly went, (n, 2) in mm."""
+
+    summary: dict[str, Any]
+    trail: Any
+
+    def value(self, column: str) -> Any:
+        found: Any = self.summary
+        for key in COLUMNS[column]:
+            found = found.get(key) if isinstance(found, dict) else None
+        return found
+
+
+def simulate(
+    mission: MissionArgument,
+    seeds: Annotated[str, typer.Option(help="First and last seed: A..B.")] = "1..20",
+    rig: RigOption = None,
+    jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
+    set_: SetOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Fly a mission in the simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
+    from smolbot.missionfile import load_mission
+    from smolbot.records.folder import RunFolder
+
+    wanted = parse_seeds(seeds)
+    settings = settings_from(set_)
+    loaded = load_mission(mission, rig, settings)
+    loaded.rig.table()  # built once, before the workers need it
+    folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
+    folder.begin(loaded, wanted[0], settings, {"seeds": wanted})
+    with _executor(jobs) as executor:
+        flights = list(_watched(fly_seeds(executor, mission, rig, settings, wanted), loaded.name, len(wanted)))
+    flights.sort(key=lambda f: f.summary["seed"])
+    write_results(folder.path / "results.csv", flights)
+    from sim.study_picture import draw_flights
+
+    draw_flights(loaded, flights, folder.path / "flights.png")
+    figures = combine(loaded.name, flights)
+    figures["folder"] = str(folder.path)
+    folder.end(figures)
+    _show(figures, flights, json)
+    raise typer.Exit(0 if figures["passed"] == figures["flown"] else 1)
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds of ``A..B`` (both included) or of a single number.
+
+    Examples
+    --------
+    >>> parse_seeds("3..5")
+    [3, 4, 5]
+    """
+    first, dots, last = text.partition("..")
+    try:
+        a, b = int(first), int(last if dots else first)
+    except ValueError:
+        raise InputError(f"--seeds must be A..B, such as 1..20; got '{text}'.") from None
+    if a < 0 or b < a:
+        raise InputError(f"--seeds must run from low to high and not below 0; got '{text}'.")
+    return list(range(a, b + 1))
+
+
+def fly_seeds(
+    executor: Executor, mission: str, rig: str | None, settings: dict[str, str], seeds: list[int]
+) -> Iterator[Flight]:
+    """Flights as they end, in any order, over any `concurrent.futures.Executor`."""
+    futures = [executor.submit(fly_one, mission, rig, settings, seed) for seed in seeds]
+    for future in as_completed(futures):
+        yield future.result()
+
+
+_loaded: dict[tuple[Any, ...], Any] = {}
+
+
+def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int) -> Flight:
+    """One flight, in whatever process this is; files are read once per process."""
+    from smolbot.flying import fly
+    from smolbot.missionfile import load_mission
+
+    key = (mission, rig, tuple(sorted(settings.items())))
+    if key not in _loaded:
+        _loaded[key] = load_mission(mission, rig, settings)
+    run = fly(_loaded[key], seed, settings=settings)
+    return Flight(run.summary, run.true_trail)
+
+
+def combine(mission: str, flights: list[Flight]) -> dict[str, Any]:
+    """Figures over all flights."""
+    import numpy as np
+
+    from smolbot.statistics import wilson_interval
+
+    passed = sum(f.summary["verdict"] == "passed" for f in flights)
+    out: dict[str, Any] = {
+        "mission": mission,
+        "plant": "full",
+        "ideal": any(f.summary["ideal"] for f in flights),
+        "flown": len(flights),
+        "passed": passed,
+        "pass_rate": passed / len(flights),
+        "pass_rate_95": wilson_interval(passed, len(flights)),
+    }
+    for column in COLUMNS:
+        values = [v for f in flights if isinstance(v := f.value(column), int | float)]
+        if values and column != "seed":
+            out[column] = {"mean": float(np.mean(values)), "min": float(np.min(values)), "max": float(np.max(values))}
+    return out
+
+
+def write_results(path: Path, flights: list[Flight]) -> None:
+    """One line per flight."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows([[f.value(column) for column in COLUMNS] for f in flights])
+
+
+def _executor(jobs: int) -> ProcessPoolExecutor:
+    import multiprocessing
+
+    return ProcessPoolExecutor(jobs or os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn"))
+
+
+def _new_folder(name: str) -> Any:
+    from datetime import datetime
+
+    from smolbot.records.folder import RunFolder
+
+    return RunFolder(Path("runs") / f"simulate-{name}-{datetime.now():%Y%m%d-%H%M%S}")
+
+
+def _watched(flights: Iterator[Flight], name: str, total: int) -> Iterator[Flight]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    passed = 0
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(name, total=total)
+        for flight in flights:
+            passed += flight.summary["verdict"] == "passed"
+            progress.update(task, advance=1, description=f"{name}: {passed} passed")
+            yield flight
+
+
+def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
+    from smolbot.cli.show import echo_json, table
+
+    low, high = figures["pass_rate_95"]
+    rows = [
+        ("passed", f"{figures['passed']} of {figures['flown']} ({low:.0%} to {high:.0%} with 95 % confidence)"),
+        *[
+            (column, f"{v['mean']:.3g}   ({v['min']:.3g} to {v['max']:.3g})")
+            for column in COLUMNS
+            if isinstance(v := figures.get(column), dict)
+        ],
+        *[
+            (f"seed {f.summary['seed']}", "; ".join(f.summary["verdict_reasons"]))
+            for f in flights
+            if f.summary["verdict"] != "passed"
+        ],
+        ("folder", figures["folder"]),
+    ]
+    label = " (ideal: all mismatches off)" if figures["ideal"] else ""
+    table(f"{figures['mission']}, {figures['flown']} flights{label}: mean (least to most)", rows, err=json)
+    if json:
+        echo_json(figures)

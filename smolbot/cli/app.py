@@ -1,0 +1,108 @@
+"""``smolbot``: the commands of every installed package, and how errors become exit codes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.metadata import entry_points
+from typing import Any
+
+import click
+import typer
+from typer.core import TyperGroup
+
+import smolbot
+from smolbot.errors import InterlockError, PluginError, RigError, SmolbotError
+
+DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3
+
+
+class CommandGroup(TyperGroup):
+    """Lists our own commands and those that entry points of ``smolbot.commands`` bring."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        own = super().list_commands(ctx)
+        return own + sorted({p.name for p in entry_points(group="smolbot.commands")} - set(own))
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> Any:
+        found = super().get_command(ctx, cmd_name)
+        if found is not None:
+            return found
+        if cmd_name not in {p.name for p in entry_points(group="smolbot.commands")}:
+            return None
+        from smolbot.plugins import load
+
+        try:
+            loaded = load("commands", cmd_name)
+        except PluginError as error:
+            return _broken(cmd_name, str(error))
+        app = loaded
+        if not isinstance(loaded, typer.Typer):
+            app = typer.Typer(add_completion=False)
+            app.command(cmd_name)(loaded)
+        command = typer.main.get_command(app)
+        command.name = cmd_name
+        return command
+
+
+def _broken(name: str, message: str) -> click.Command:
+    """A command that cannot be loaded says why when it is called, and does not hide the others."""
+
+    def explain(**_: Any) -> None:
+        typer.echo(message, err=True)
+        raise typer.Exit(BAD_INPUT)
+
+    app = typer.Typer(add_completion=False)
+    app.command(name, help="Cannot be loaded; call it to see why.")(lambda: explain())
+    return typer.main.get_command(app)
+
+
+app = typer.Typer(
+    cls=CommandGroup,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Steers a magnetic millirobot along a path and sees it only through magnetism.",
+)
+
+
+def _version(value: bool) -> None:
+    if value:
+        typer.echo(f"smolbot {smolbot.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+) -> None:
+    """Steers a magnetic millirobot along a path and sees it only through magnetism."""
+
+
+def main() -> None:
+    """Entry point of the console script; every error on purpose is one message and an exit code."""
+    from smolbot.cli import missions
+
+    missions.register(app)
+    try:
+        app()
+    except (InterlockError, RigError) as error:
+        _fail(str(error), STOPPED)
+    except SmolbotError as error:
+        _fail(str(error), BAD_INPUT)
+    except ValueError as error:
+        if type(error).__module__.split(".")[0] != "lookup_tables":
+            raise
+        _fail(str(error), BAD_INPUT)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(VERDICT_FAILED)
+
+
+def _fail(message: str, code: int) -> None:
+    print(message, file=sys.stderr)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

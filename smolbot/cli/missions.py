@@ -1,0 +1,234 @@
+"""``run``, ``preview``, ``list`` and ``init``."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from smolbot.cli.show import as_json, echo_json, table
+from smolbot.errors import ConfigError, InputError
+
+if TYPE_CHECKING:
+    from smolbot.loop import Listener, Run
+    from smolbot.missionfile import Mission
+    from smolbot.preview import Preview
+
+MissionArgument = Annotated[str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")]
+RigOption = Annotated[str | None, typer.Option("--rig", help="Rig to use instead of the mission's own, by name or path.")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="key=value laid over the mission file; rig.key=value over the rig file.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    for name, function in (("run", run), ("preview", preview), ("list", list_), ("init", init)):
+        app.command(name)(function)
+
+
+def settings_from(pairs: list[str] | None) -> dict[str, str]:
+    """``key=value`` options as a dictionary.
+
+    Raises
+    ------
+    InputError
+        For an option without ``=``.
+    """
+    found: dict[str, str] = {}
+    for pair in pairs or []:
+        key, equals, value = pair.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"--set needs key=value, such as controller.tolerance_mm=0.5; got '{pair}'.")
+        found[key.strip()] = value.strip()
+    return found
+
+
+def run(
+    mission: MissionArgument,
+    rig: RigOption = None,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same run, bit for bit.")] = 1,
+    out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
+    set_: SetOption = None,
+    gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
+    json: JsonOption = False,
+) -> None:
+    """Fly a mission, closed loop, and leave a run folder with its figures and picture."""
+    from smolbot.cli.progress import shown_progress
+    from smolbot.flying import fly, new_folder
+    from smolbot.missionfile import load_mission
+    from smolbot.records.folder import RunFolder
+
+    settings = settings_from(set_)
+    loaded = load_mission(mission, rig, settings)
+    folder = RunFolder(out) if out is not None else new_folder(loaded, seed)
+    with shown_progress(loaded) as progress:
+
+        def listeners(_: Mission) -> tuple[Listener, ...]:
+            return (progress,)
+
+        flown = fly(loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners)
+    _show_run(loaded, flown, json)
+    raise typer.Exit(_exit_code(flown))
+
+
+def _exit_code(run: Run) -> int:
+    if run.status in ("stopped", "failed"):
+        return 3
+    return 0 if run.summary["verdict"] == "passed" else 1
+
+
+def _show_run(mission: Mission, run: Run, json: bool) -> None:
+    s = run.summary
+    rows = [
+        ("status", f"{s['status']}: {s['stop_reason']}"),
+        ("verdict", "; ".join([str(s["verdict"]), *_texts(s["verdict_reasons"])])),
+        ("robot time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
+        ("loop rate", f"{s['loop_rate_hz']:.2f} Hz (timeline allows {s['timeline_limit_hz']:.2f} Hz)"),
+        ("computing", _compute(s)),
+    ]
+    for key, label in (
+        ("localization_error_mm", "localization error"),
+        ("tracked_error_mm", "tracked pose error"),
+        ("orientation_error_deg", "orientation error"),
+        ("tracking_error_mm", "tracking error"),
+    ):
+        if key in s:
+            unit = key.rsplit("_", 1)[1]
+            rows.append((label, ", ".join(f"{name} {value:.2f}" for name, value in s[key].items()) + f" {unit}"))  # type: ignore[attr-defined]
+    if s["r_squared_median"] is not None:
+        rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
+    rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
+    rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
+    rows.append(("picture", f"{run.folder}/path.png"))
+    table(f"{mission.name} on {mission.rig.name}", rows, err=json)
+    if json:
+        echo_json(s)
+
+
+def _texts(value: Any) -> list[str]:
+    return [str(v) for v in value]
+
+
+def _compute(summary: dict[str, Any]) -> str:
+    times = summary["compute_ms"]
+    if times["median"] is None:
+        return "no cycle was played"
+    return f"median {times['median']:.2f} ms, p99 {times['p99']:.2f} ms (turnaround {summary['turnaround_ms']:g} ms)"
+
+
+def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = None, json: JsonOption = False) -> None:
+    """Time a mission on paper: a cycle's timeline, rate, duration, reach of force; go or no-go with reasons."""
+    from smolbot.missionfile import load_mission
+    from smolbot.preview import preview as look
+
+    try:
+        loaded = load_mission(mission, rig, settings_from(set_))
+    except ConfigError as error:
+        if json:
+            echo_json({"mission": mission, "go": False, "reasons": str(error).splitlines()})
+        typer.echo("no-go", err=True)
+        raise
+    _show_preview(loaded, look(loaded), json)
+
+
+def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
+    import numpy as np
+
+    reach, worst = seen.reach, int(np.argmax(seen.reach.direction_error))
+    where = f"at ({reach.points[worst, 0] * 1e3:.1f}, {reach.points[worst, 1] * 1e3:.1f}) mm"
+    error = seen.localization_error * 1e3
+    rows = [
+        ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
+        ("loop rate", f"{seen.rate:.2f} Hz (timeline allows {seen.rate_limit:.2f} Hz)"),
+        ("path", f"{seen.length * 1e3:.1f} mm"),
+        ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
+        ("force along the path", f"{reach.force.min() * 1e6:.0f} to {reach.force.max() * 1e6:.0f} µN"),
+        (
+            "force direction error",
+            f"median {np.degrees(np.median(reach.direction_error)):.0f}°, "
+            f"worst {np.degrees(reach.direction_error[worst]):.0f}° {where}",
+        ),
+        ("localization error", f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose"),
+        ("coil energy", f"{seen.coil_energy:.0f} J"),
+        ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons)),
+    ]
+    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=json)
+    if json:
+        echo_json(
+            {
+                "mission": mission.name,
+                "rig": mission.rig.name,
+                "go": seen.go,
+                "reasons": seen.reasons,
+                "cycle": str(seen.shot),
+                "cycle_ms": seen.shot.duration * 1e3,
+                "timeline_limit_hz": seen.rate_limit,
+                "loop_rate_hz": seen.rate,
+                "path_length_mm": seen.length * 1e3,
+                "expected_duration_s": as_json(seen.duration),
+                "expected_cycles": seen.cycles,
+                "force_un": {"min": reach.force.min() * 1e6, "max": reach.force.max() * 1e6},
+                "force_direction_error_deg": {
+                    "median": float(np.degrees(np.median(reach.direction_error))),
+                    "max": float(np.degrees(reach.direction_error.max())),
+                },
+                "localization_error_mm": {"min": error.min(), "max": error.max()},
+                "coil_energy_j": seen.coil_energy,
+            }
+        )
+    raise typer.Exit(0 if seen.go else 1)
+
+
+def list_(json: JsonOption = False) -> None:
+    """List shipped missions, rigs and robots, and the installed controllers."""
+    from smolbot.config import Document
+    from smolbot.library import KINDS, shipped
+    from smolbot.plugins import names
+
+    found = {
+        kind: {name: str(Document.read(path).data.get("description", "")) for name, path in shipped(kind).items()}
+        for kind in KINDS
+    }
+    for kind, entries in found.items():
+        table(kind, list(entries.items()), err=json)
+    laws = names("controllers")
+    table("controllers", [(name, "") for name in laws], err=json)
+    if json:
+        echo_json({**found, "controllers": laws})
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(help="Folder to make.", metavar="DIR")],
+    mission: Annotated[str, typer.Option(help="Shipped mission to start from.")] = "r_small",
+) -> None:
+    """Copy a mission with its rig and robot into a folder, to edit and fly as your own."""
+    from smolbot.config import Document
+    from smolbot.library import find_file
+
+    source = find_file(mission, "missions")
+    data = Document.read(source).data
+    files = {
+        f"{source.stem}.toml": source,
+        f"{data['rig']}.toml": find_file(data["rig"], "rigs"),
+        f"{data['robot']}.toml": find_file(data["robot"], "robots"),
+    }
+    existing = [name for name in files if (folder / name).exists()]
+    if existing:
+        raise InputError(f"{folder}: {', '.join(existing)} stand there already; nothing was written.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, path in files.items():
+            shutil.copyfile(path, folder / name)
+        own = folder / f"{source.stem}.toml"
+        text = own.read_text(encoding="utf-8")
+        for key in ("rig", "robot"):
+            text = text.replace(f'{key} = "{data[key]}"', f'{key} = "{data[key]}.toml"', 1)
+        own.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error}.") from error
+    table(f"{folder}", [(name, "copied") for name in files])
+    typer.echo(f"Edit them, then: smolbot preview {own}  and  smolbot run {own}")
