@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.control import Command, Gain, Reach, Setup, complete_gains
+from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
 from smolbot.paths import Curve
 from smolbot.poses import Pose
 from smolbot.scheduler import stretched_actuation
@@ -57,20 +57,23 @@ def best_pair(fields: FloatArray, direction: FloatArray) -> Pair | None:
     direction : ndarray, shape (2,)
         Unit vector D (Eq. S11).
     """
-    cross = fields[:, 0] * direction[1] - fields[:, 1] * direction[0]  # B x D
+    dx, dy = float(direction[0]), float(direction[1])
+    coils: list[list[float]] = fields.tolist()
+    cross = [bx * dy - by * dx for bx, by in coils]  # B x D
+    along = [bx * dx + by * dy for bx, by in coils]
     best: Pair | None = None
-    for j in range(len(fields)):
-        for k in range(j + 1, len(fields)):
+    for j in range(len(coils)):
+        for k in range(j + 1, len(coils)):
             span = cross[j] - cross[k]
             if abs(span) < 1e-15:
                 continue
             ratio = -cross[k] / span  # Eq. S13
             if not -1e-9 <= ratio <= 1.0 + 1e-9:
                 continue
-            share_j, share_k = pair_shares(float(np.clip(ratio, 0.0, 1.0)))
-            along = float((share_j * fields[j] + share_k * fields[k]) @ direction)
-            if along > 0.0 and (best is None or along > best.field):
-                best = Pair(j, k, share_j, share_k, along)
+            share_j, share_k = pair_shares(min(max(ratio, 0.0), 1.0))
+            field = share_j * along[j] + share_k * along[k]
+            if field > 0.0 and (best is None or field > best.field):
+                best = Pair(j, k, share_j, share_k, field)
     return best
 
 
@@ -113,7 +116,7 @@ class CurrentRatio:
         behind = float(self._arc[max(self._next - 1, 0)]) if len(self._arc) else 0.0
         if self._next >= len(self._goals):
             return Command(None, note="path's end reached", progress=behind, done=True)
-        phase = "approach" if self._next == 0 else "follow"
+        phase: Phase = "approach" if self._next == 0 else "follow"
         goal = self._goals[self._next]
         way = goal[:2] - pose.position[:2]
         distance = float(np.linalg.norm(way))

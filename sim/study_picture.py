@@ -90,4 +90,4 @@ def _draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str]
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
     axes.set_title(title, loc="left", fontsize=11)
     axes.set_xlabel("seed")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.locator_params(axis="x", integer=True)

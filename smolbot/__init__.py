@@ -41,7 +41,37 @@ _HOME = {
     "run": "flying",
 }
 
-__all__ = ["__version__", *sorted(_HOME)]  # noqa: PLE0604
+__all__ = [
+    "Actuate",
+    "Command",
+    "Controller",
+    "Curve",
+    "Device",
+    "Excite",
+    "Gain",
+    "Limits",
+    "Listen",
+    "Localizer",
+    "Mission",
+    "MoveMagnet",
+    "Pose",
+    "Recording",
+    "Rest",
+    "Rig",
+    "RingDown",
+    "Rotate",
+    "Run",
+    "SensorArray",
+    "Setup",
+    "Shot",
+    "SmolbotError",
+    "Tracker",
+    "Witness",
+    "__version__",
+    "load_mission",
+    "load_rig",
+    "run",
+]
 
 
 def __getattr__(name: str) -> Any:

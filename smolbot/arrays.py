@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,9 @@ def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: b
     InputError
         If the value is not numeric, has another shape, or holds nan or infinity where `finite` is asked.
     """
+    plain = type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous
+    if plain and value.shape == shape and (not finite or math.isfinite(value.sum())):
+        return value
     try:
         array = np.ascontiguousarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:

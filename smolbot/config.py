@@ -121,7 +121,9 @@ def _fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
         if close:
             message += f" Did you mean {close}?"
     elif kind == "missing":
-        message = f"this key is missing; the section needs {', '.join(_fields_at(model, location[:-1], required=True))}."
+        message = (
+            f"this key is missing; the section needs {', '.join(_fields_at(model, location[:-1], required=True))}."
+        )
     elif kind == "value_error":
         message = str(item["ctx"]["error"])
     else:
@@ -164,7 +166,9 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
 
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
-_ASSIGNMENT = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
+_ASSIGNMENT = re.compile(
+    r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*="""
+)
 
 
 def _split(name: str) -> tuple[str, ...]:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from lookup_tables import FieldTable
 
 
+Phase = Literal["approach", "follow"]
+
+
 @dataclass(frozen=True)
 class Gain:
     """A number that a user may tune: its default, its range, and whether the range is logarithmic."""
@@ -103,7 +106,7 @@ class Command:
     saturated: bool = False
     note: str = ""
     progress: float = 0.0
-    phase: Literal["approach", "follow"] = "follow"
+    phase: Phase = "follow"
     done: bool = False
 
 

@@ -30,7 +30,7 @@ def fitness_faults(mission: Mission) -> list[Fault]:
 
 def _container_faults(mission: Mission) -> list[Fault]:
     box = mission.rig.sections.container
-    margin = 0.5e3 * max(mission.robot.size)
+    margin = 0.5e3 * float(np.hypot(*sorted(mission.robot.size)[1:]))  # it may lie at any angle
     low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
     high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
     room = f"the robot's centre can go from ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) mm"
@@ -59,8 +59,9 @@ def _table_faults(mission: Mission) -> list[Fault]:
             x, y, z = points[outside[0]] * 1e3
             low, high = (1e3 * np.array(bound) for bound in table.bounds)
             message = (
-                f"({x:.1f}, {y:.1f}, {z:.1f}) mm lies outside the field table, which covers x {low[0]:g} to {high[0]:g}, "
-                f"y {low[1]:g} to {high[1]:g}, z {low[2]:g} to {high[2]:g} mm."
+                f"({x:.1f}, {y:.1f}, {z:.1f}) mm lies outside the field table, "
+                f"which covers x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g}, "
+                f"z {low[2]:g} to {high[2]:g} mm."
             )
             faults.append(Fault((key,), message))
     return faults

@@ -16,6 +16,7 @@ from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
 from smolbot.loop import CycleRecord, Listener, Loop, Run, StopRules
 from smolbot.missionfile import Mission, load_mission
+from smolbot.motion.robot import magnet_inertia
 from smolbot.plugins import load, load_world
 from smolbot.records.folder import RunFolder
 from smolbot.records.summary import summarise
@@ -101,7 +102,7 @@ def _fly_on(
     witness: bool,
     listeners: Callable[[Mission], tuple[Listener, ...]] | None,
 ) -> Run:
-    drawn = getattr(rig, "provenance", dict)()
+    drawn: dict[str, Any] = getattr(rig, "provenance", dict)()
     if folder is not None:
         folder.begin(mission, seed, settings, drawn)
     trace = Trace(rig.witness if witness else None)
@@ -138,10 +139,9 @@ def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) 
     setup = mission.setup()
     controller = load("controllers", mission.law)(setup, mission.gains)
     tracker = Tracker(setup.robot, setup.device, setup.table)
-    scheduler = Scheduler(setup.cycle, rig.limits, setup.device, rig.excitation_field, rig.now)
-    localizer = Localizer(
-        rig.sensors, setup.device, mission.sections.localization.estimator, search_volume(mission)
-    )
+    inertia = magnet_inertia(setup.device.moment, setup.device.l0)
+    scheduler = Scheduler(setup.cycle, rig.limits, setup.device, rig.excitation_field, rig.now, inertia)
+    localizer = Localizer(rig.sensors, setup.device, mission.sections.localization.estimator, search_volume(mission))
     stop = mission.sections.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     return Loop(rig, mission.path, scheduler, localizer, tracker, controller, rules, listeners)

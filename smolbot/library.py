@@ -30,12 +30,13 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
     if not looks_like_path and name in ours:
         return ours[name]
     if looks_like_path:
-        for path in ([Path(name)] if beside is None else [beside / name, Path(name)]):
+        for path in [Path(name)] if beside is None else [beside / name, Path(name)]:
             if path.is_file():
                 return path
         raise MissingFileError(f"{name}: no such file. Shipped {kind}: {', '.join(ours)}.")
     close = difflib.get_close_matches(name, ours, 1)
     hint = f" Did you mean {close[0]}?" if close else ""
     raise MissingFileError(
-        f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{hint} Your own is given by its path, such as ./{name}.toml."
+        f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{hint} "
+        f"Your own is given by its path, such as ./{name}.toml."
     )

@@ -76,7 +76,8 @@ class Limits:
 
     def _actuation_faults(self, window: Actuate) -> list[str]:
         if len(window.currents) != len(self.coils):
-            return [f"Actuate has {len(window.currents)} currents; this rig has {len(self.coils)} coils ({', '.join(self.coils)})."]
+            coils = f"{len(self.coils)} coils ({', '.join(self.coils)})"
+            return [f"Actuate has {len(window.currents)} currents; this rig has {coils}."]
         low = 0.0 if self.unipolar else -self.max_current
         found = [
             f"Coil '{name}' current must lie within {low:g} to {self.max_current:g} A; got {current:.2f} A."
@@ -84,7 +85,9 @@ class Limits:
             if not low - 1e-9 <= current <= self.max_current + 1e-9
         ]
         if window.duration > self.max_actuation + 1e-9:
-            found.append(f"Actuate must last at most {self.max_actuation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms.")
+            found.append(
+                f"Actuate must last at most {self.max_actuation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
+            )
         return found
 
     def _excitation_faults(self, window: Excite) -> list[str]:
@@ -94,7 +97,9 @@ class Limits:
             if not abs(current) <= self.max_excitation_current + 1e-9
         ]
         if window.duration > self.max_excitation + 1e-9:
-            found.append(f"Excite must last at most {self.max_excitation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms.")
+            found.append(
+                f"Excite must last at most {self.max_excitation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
+            )
         return found
 
     def _mechanical_faults(self, window: Rotate | MoveMagnet) -> list[str]:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Controller
 from smolbot.errors import InputError, InterlockError, RigError
@@ -107,7 +106,7 @@ class Loop:
                     break
         except KeyboardInterrupt:
             run.status, run.stop_reason = "stopped", "stopped by the operator (Ctrl-C)"
-        except (InterlockError, RigError) as error:
+        except (InterlockError, RigError, OutsideTableError) as error:
             run.status, run.stop_reason = "failed", str(error)
         finally:
             self.rig.stop()
@@ -154,5 +153,3 @@ class Loop:
         if self.rig.now() >= self.rules.max_duration:
             return "timeout", f"max_duration_s reached after {self.rig.now():.0f} s"
         return None
-
-

@@ -59,7 +59,7 @@ class ControllerSection(FileModel):
 
     law: str
     tolerance_mm: Positive = 0.8
-    gains: dict[str, float] = {}
+    gains: dict[str, float] = Field(default_factory=dict)
 
 
 class CycleSection(FileModel):
@@ -110,7 +110,9 @@ class MissionFile(FileModel):
 class Mission:
     """A mission whose files hold together: path, rig, robot and law fit each other."""
 
-    def __init__(self, document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig, path: Curve) -> None:
+    def __init__(
+        self, document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig, path: Curve
+    ) -> None:
         self.document = document
         self.sections = sections
         self.rig = rig

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ class Curve:
         stops = np.concatenate([[0.0], self.arc[1:-1][turns > corner], [self.length]])
         pieces = [
             np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[1:]
-            for a, b in zip(stops[:-1], stops[1:], strict=True)
+            for a, b in pairwise(stops)
         ]
         return np.concatenate([[0.0], *pieces])
 
@@ -112,7 +113,9 @@ def read_csv(path: Path) -> FloatArray:
         except ValueError:
             if not rows and number == 1:
                 continue
-            raise InputError(f"{path}:{number}: each row must be two numbers, x and y in mm; got {line.strip()!r}.") from None
+            raise InputError(
+                f"{path}:{number}: each row must be two numbers, x and y in mm; got {line.strip()!r}."
+            ) from None
         if not np.isfinite([x, y]).all():
             raise InputError(f"{path}:{number}: x and y must be finite; got {line.strip()!r}.")
         rows.append((x, y))

@@ -10,8 +10,8 @@ from smolbot.errors import PluginError
 
 if TYPE_CHECKING:
     from smolbot.config import Document, Fault
-    from smolbot.robotfile import RobotConfig
     from smolbot.rigfile import RigConfig
+    from smolbot.robotfile import RobotConfig
     from smolbot.worlds import Rig
 
 _OURS = {"controllers", "sim", "lookup_tables"}
@@ -79,6 +79,7 @@ def _explain(package: str, point: EntryPoint, error: Exception) -> str:
         where = getattr(importlib.import_module(package), "__file__", None)
     except ImportError:
         return message
-    return f"{message} The package '{package}' that Python finds is {where}; if it is not smolbot's, it shadows ours: run from another directory or rename it."
-
-
+    return (
+        f"{message} The package '{package}' that Python finds is {where}; if it is not smolbot's, "
+        "it shadows ours: run from another directory, or rename it."
+    )

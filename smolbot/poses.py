@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from smolbot.arrays import FloatArray, as_floats, frozen
 from smolbot.errors import InputError
 from smolbot.rotations import matrix_from_quaternion
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose:
     """One estimate of the device's position and orientation.
 
@@ -44,7 +43,7 @@ class Pose:
     def __post_init__(self) -> None:
         position = as_floats(self.position, (3,), "Pose position")
         orientation = as_floats(self.orientation, (4,), "Pose orientation")
-        length = float(np.linalg.norm(orientation))
+        length = math.sqrt(orientation @ orientation)
         if not 0.99 < length < 1.01:
             raise InputError(f"Pose orientation must be a unit quaternion; got length {length:.4g}.")
         object.__setattr__(self, "position", frozen(position))

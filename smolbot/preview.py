@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.control import Reach
+from smolbot.control import Controller, Reach
 from smolbot.fitness import expected_errors
 from smolbot.missionfile import Mission
 from smolbot.motion.gradient import advance
@@ -59,79 +59,100 @@ class Preview:
         return not self.reasons
 
 
+class _Rollout:
+    """A mission flown on the controller's own model, without noise."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.setup = mission.setup()
+        self.controller: Controller = load("controllers", mission.law)(self.setup, mission.gains)
+        self.rest = self.setup.cycle.duration(self.setup.device.frequency) + mission.rig.turnaround
+        self.position = np.array([*mission.start, mission.rig.surface_z])
+        first = mission.path.points[0] - self.position
+        self.heading = float(np.arctan2(first[1], first[0]))
+        self.clock = 2.0 * self.rest  # one shot to find the signal, one to confirm it
+        self.cycles = 2
+        self.windows: list[Actuate] = []
+        self.trail = [self.position.copy()]
+        self.energy = 0.0
+
+    def fly(self) -> str | None:
+        """Go on until the path's end; otherwise the reason why it is not reached."""
+        self.controller.reset(self.mission.path, self._pose())
+        best, nearest, since = 0.0, np.inf, 0
+        while True:
+            command = self.controller.command(self._pose())
+            if command.done:
+                return None
+            if not self.setup.table.contains(self.position[None, :])[0]:
+                return f"the robot would leave the field table near {_mm(self.position)}."
+            self._act(command.window)
+            goal = self.mission.path.at(command.progress)
+            away = float(np.linalg.norm(goal[:2] - self.position[:2]))
+            approached = command.phase == "approach" and away < nearest - 1e-5
+            if command.progress > best + 1e-6 or approached:
+                best, nearest, since = max(best, command.progress), away, 0
+            else:
+                since += 1
+            done = f"{best * 1e3:.1f} of {self.mission.path.length * 1e3:.1f} mm"
+            if since > STALL_CYCLES:
+                return (
+                    f"the robot would stall near {_mm(self.position)}, {done} along the path: "
+                    f"the force of {self.mission.law} does not point where it should there."
+                )
+            limit = self.mission.sections.stop.max_duration_s
+            if self.clock > limit:
+                return f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
+
+    def _act(self, window: object) -> None:
+        if isinstance(window, Actuate) and any(window.currents):
+            field_, gradient = self.setup.table.field_and_gradient(self.position[None, :])
+            currents = np.array(window.currents)
+            step, self.heading = advance(
+                self.setup.robot, field_[:, 0], gradient[:, 0], currents, self.heading, window.duration
+            )
+            self.position = self.position + np.array([step[0], step[1], 0.0])
+            self.energy += float(np.sum(self.mission.rig.coil_resistances * currents**2)) * window.duration
+            self.clock += window.duration
+            self.windows.append(window)
+        self.clock += self.rest
+        self.cycles += 1
+        self.trail.append(self.position.copy())
+
+    def _pose(self) -> Pose:
+        ahead = np.array([np.cos(self.heading), np.sin(self.heading), 0.0])
+        return Pose(self.clock, self.position, quaternion_from_axes(ahead, _UP, "zy"), np.zeros((6, 6)))
+
+    def typical_shot(self) -> Shot:
+        """A cycle with the actuation of median length."""
+        cycle, frequency = self.setup.cycle, self.setup.device.frequency
+        windows = sorted(self.windows, key=lambda w: w.duration)
+        listening = (
+            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
+            RingDown(cycle.ring_down),
+            Listen(cycle.half_periods, frequency),
+        )
+        return Shot((windows[len(windows) // 2], *listening) if windows else listening)
+
+
 def preview(mission: Mission) -> Preview:
     """Time a mission on paper and fly it once on the controller's own model, without noise."""
-    setup = mission.setup()
-    controller = load("controllers", mission.law)(setup, mission.gains)
-    device, robot, cycle = setup.device, setup.robot, setup.cycle
-    position = np.array([*mission.start, mission.rig.surface_z])
-    first = mission.path.points[0] - position
-    heading = float(np.arctan2(first[1], first[0]))
-    rest = cycle.duration(device.frequency) + mission.rig.turnaround
-    clock = 2.0 * rest  # one shot to find the signal, one to confirm it
-    controller.reset(mission.path, _pose(clock, position, heading))
-    trail, energy, played, shots = [position.copy()], 0.0, 0.0, []
-    best, since, reasons, count, command = 0.0, 0, [], 2, None
-    goal_distance = np.inf
-    while True:
-        command = controller.command(_pose(clock, position, heading))
-        if command.done:
-            break
-        window = command.window
-        if isinstance(window, Actuate) and any(window.currents):
-            if not setup.table.contains(position[None, :])[0]:
-                reasons.append(f"the robot would leave the field table near {_mm(position)}.")
-                break
-            field_, gradient = setup.table.field_and_gradient(position[None, :])
-            currents = np.array(window.currents)
-            step, heading = advance(robot, field_[:, 0], gradient[:, 0], currents, heading, window.duration)
-            position = position + np.array([*step, 0.0])
-            energy += float(np.sum(mission.rig.coil_resistances * currents**2)) * window.duration
-            clock += window.duration
-            shots.append(window)
-        clock += rest
-        count += 1
-        trail.append(position.copy())
-        away = float(np.linalg.norm(mission.path.at(command.progress)[:2] - position[:2]))
-        if command.progress > best + 1e-6 or (best == 0.0 and away < goal_distance - 1e-5):
-            best, since, goal_distance = max(best, command.progress), 0, away
-        else:
-            since += 1
-        if since > STALL_CYCLES:
-            reasons.append(
-                f"the robot would stall near {_mm(position)}, {best * 1e3:.1f} of {mission.path.length * 1e3:.1f} mm along "
-                f"the path: the force of {mission.law} does not point where it should there."
-            )
-            break
-        if clock > mission.sections.stop.max_duration_s:
-            reasons.append(
-                f"it would not end within max_duration_s = {mission.sections.stop.max_duration_s:g} s: "
-                f"{best * 1e3:.1f} of {mission.path.length * 1e3:.1f} mm would be done."
-            )
-            break
-    typical = Actuate(shots[-1].currents, float(np.median([w.duration for w in shots]))) if shots else None
-    excite = Excite((cycle.excite_current, 0.0), device.frequency, cycle.excite_cycles)
-    parts = (excite, RingDown(cycle.ring_down), Listen(cycle.half_periods, device.frequency))
-    shot = Shot((typical, *parts) if typical else parts)
-    played = clock - count * mission.rig.turnaround
+    rollout = _Rollout(mission)
+    reason = rollout.fly()
+    played = rollout.clock - rollout.cycles * mission.rig.turnaround
     return Preview(
-        shot=shot,
-        rate_limit=count / played,
-        rate=count / clock,
+        shot=rollout.typical_shot(),
+        rate_limit=rollout.cycles / played,
+        rate=rollout.cycles / rollout.clock,
         length=mission.path.length,
-        duration=float("nan") if reasons else clock,
-        cycles=count,
-        trail=np.array(trail),
-        reach=controller.reach(mission.path),
+        duration=float("nan") if reason else rollout.clock,
+        cycles=rollout.cycles,
+        trail=np.array(rollout.trail),
+        reach=rollout.controller.reach(mission.path),
         localization_error=expected_errors(mission, np.linspace(0.0, mission.path.length, 9)),
-        coil_energy=energy,
-        reasons=reasons,
+        coil_energy=rollout.energy,
+        reasons=[reason] if reason else [],
     )
-
-
-def _pose(time: float, position: FloatArray, heading: float) -> Pose:
-    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
-    return Pose(time, position, quaternion_from_axes(ahead, _UP, "zy"), np.zeros((6, 6)))
 
 
 def _mm(position: FloatArray) -> str:

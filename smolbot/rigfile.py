@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -11,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from smolbot.arrays import FloatArray
 from smolbot.config import Document, Fault, FileModel
+from smolbot.errors import ConfigError
 from smolbot.library import find_file
 from smolbot.limits import Limits
 from smolbot.sensing import SensorArray
@@ -39,7 +39,9 @@ class SensorsSection(FileModel):
     @model_validator(mode="after")
     def _one_axis_each(self) -> SensorsSection:
         if len(self.axes) != len(self.positions_mm):
-            raise ValueError(f"{len(self.positions_mm)} positions_mm but {len(self.axes)} axes; each sensor needs both.")
+            raise ValueError(
+                f"{len(self.positions_mm)} positions_mm but {len(self.axes)} axes; each sensor needs both."
+            )
         return self
 
 
@@ -134,7 +136,7 @@ class NoiseSection(FileModel):
     mains_hz: Positive = 50.0
     mains_nt: NotNegative
     mains_gradient_nt_per_m: NotNegative
-    harmonics: dict[str, NotNegative] = {}
+    harmonics: dict[str, NotNegative] = Field(default_factory=dict)
     drift_nt_per_s: NotNegative = 0.0
     constant_nt: NotNegative = 50.0
 
@@ -143,7 +145,9 @@ class NoiseSection(FileModel):
     def _orders(cls, value: dict[str, float]) -> dict[str, float]:
         for key in value:
             if not key.isdigit() or int(key) < 2:
-                raise ValueError(f"keys are harmonic orders from 2 up, with their size relative to the first; got '{key}'.")
+                raise ValueError(
+                    f"keys are harmonic orders from 2 up, with their size relative to the first; got '{key}'."
+                )
         return value
 
 
@@ -167,15 +171,15 @@ class RigFile(FileModel):
     description: str = ""
     turnaround_ms: NotNegative = 2.0
     sensors: SensorsSection
-    coils: list[CoilSection] = []
+    coils: list[CoilSection] = Field(default_factory=list)
     excitation: Annotated[list[ExcitationSection], Field(min_length=1, max_length=2)]
     table: TableSection | None = None
     container: ContainerSection
     medium: MediumSection
     noise: NoiseSection
     limits: LimitsSection
-    tank: dict[str, Any] = {}
-    bench: dict[str, Any] = {}
+    tank: dict[str, Any] = Field(default_factory=dict)
+    bench: dict[str, Any] = Field(default_factory=dict)
 
 
 class RigConfig:
@@ -234,8 +238,8 @@ class RigConfig:
         return tuple(
             RoundCoil(
                 name=c.name,
-                center=tuple(1e-3 * v for v in c.center_mm),
-                axis=c.axis,
+                center=1e-3 * np.array(c.center_mm),
+                axis=np.array(c.axis, dtype=float),
                 inner_radius=c.inner_radius_mm * 1e-3,
                 outer_radius=c.outer_radius_mm * 1e-3,
                 length=c.length_mm * 1e-3,
@@ -251,12 +255,12 @@ class RigConfig:
         return tuple(
             FlatCoil(
                 name=c.name,
-                center=tuple(1e-3 * v for v in c.center_mm),
-                axis=c.axis,
+                center=1e-3 * np.array(c.center_mm),
+                axis=np.array(c.axis, dtype=float),
                 length=c.length_mm * 1e-3,
                 width=c.width_mm * 1e-3,
                 height=c.height_mm * 1e-3,
-                width_direction=tuple(np.cross([0.0, 0.0, 1.0], c.axis)),
+                width_direction=np.cross([0.0, 0.0, 1.0], c.axis),
                 turns=c.turns,
             )
             for c in self.sections.excitation
@@ -264,7 +268,7 @@ class RigConfig:
 
     @cached_property
     def _table(self) -> FieldTable:
-        from lookup_tables import FieldTable, cached_table
+        from lookup_tables import FieldTable, TableError, cached_table
 
         section = self.sections.table
         if section is None:
@@ -273,19 +277,26 @@ class RigConfig:
             path = self.document.path.parent / section.file
             turn = np.radians(section.rotation_deg)
             rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
-            table = FieldTable.read(
-                path,
-                current=section.current_a,
-                origin=np.array(section.origin_mm) * 1e-3,
-                rotation=rotation,
-            )
+            try:
+                table = FieldTable.read(
+                    path,
+                    current=section.current_a,
+                    origin=np.array(section.origin_mm) * 1e-3,
+                    rotation=rotation,
+                )
+            except TableError as error:
+                raise ConfigError(str(error)) from error
             if self.coil_names and table.n_coils != len(self.coil_names):
-                message = f"{path.name} holds {table.n_coils} coils; this rig file lists {len(self.coil_names)} ({', '.join(self.coil_names)})."
+                ours = f"{len(self.coil_names)} ({', '.join(self.coil_names)})"
+                message = f"{path.name} holds {table.n_coils} coils; this rig file lists {ours}."
                 raise self.document.error([Fault(("table", "file"), message)])
             return table
-        assert section.x_mm and section.y_mm and section.z_mm  # checked by TableSection
-        axes = [mesh_axis(span, section.mesh_mm) for span in (section.x_mm, section.y_mm, section.z_mm)]
-        return cached_table(self.round_coils(), *axes)
+        spans = [span for span in (section.x_mm, section.y_mm, section.z_mm) if span is not None]
+        axes = [mesh_axis(span, section.mesh_mm) for span in spans]
+        try:
+            return cached_table(self.round_coils(), *axes)
+        except TableError as error:
+            raise self.document.error([Fault(("table",), str(error))]) from error
 
     def table(self) -> FieldTable:
         """Field table of the actuation coils: read, or built once and cached."""
@@ -318,5 +329,3 @@ def _world_faults(document: Document) -> list[Fault]:
     if not isinstance(world, str):
         return []
     return load_world(world, document).check(document)
-
-

@@ -1,12 +1,18 @@
-"""Rotations: unit quaternions, scalar first, that take body vectors to world vectors."""
+"""Rotations: unit quaternions, scalar first, that take body vectors to world vectors.
 
+Compiled, since a cycle of the loop makes dozens of them.
+"""
+
+# mypy: disable-error-code="untyped-decorator"
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from smolbot.arrays import FloatArray
 
 
+@njit(cache=True)
 def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
     """Rotation matrix of a unit quaternion (Eq. S18).
 
@@ -20,7 +26,7 @@ def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
     ndarray, shape (3, 3)
         Takes body vectors to world vectors.
     """
-    w, x, y, z = quaternion
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -30,36 +36,29 @@ def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
     )
 
 
+@njit(cache=True)
 def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
     """Unit quaternion (4,) with non-negative scalar part of a rotation matrix (3, 3)."""
     m = matrix
-    squares = 0.25 * np.array(
-        [
-            1 + m[0, 0] + m[1, 1] + m[2, 2],
-            1 + m[0, 0] - m[1, 1] - m[2, 2],
-            1 - m[0, 0] + m[1, 1] - m[2, 2],
-            1 - m[0, 0] - m[1, 1] + m[2, 2],
-        ]
-    )
-    products = 0.25 * np.array(
-        [
-            [0, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], 0, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 0, m[1, 2] + m[2, 1]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 0],
-        ]
-    )
-    largest = int(np.argmax(squares))
-    q = products[largest].copy()
-    q[largest] = squares[largest]
-    q /= np.linalg.norm(q)
+    xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
+    # the largest component is computed by a root, the others by division with it
+    if xx + yy + zz >= max(xx, yy, zz):
+        q = np.array([1.0 + xx + yy + zz, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    elif xx >= max(yy, zz):
+        q = np.array([m[2, 1] - m[1, 2], 1.0 + xx - yy - zz, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
+    elif yy >= zz:
+        q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1.0 - xx + yy - zz, m[1, 2] + m[2, 1]])
+    else:
+        q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1.0 - xx - yy + zz])
+    q /= np.sqrt(np.sum(q * q))
     return -q if q[0] < 0 else q
 
 
+@njit(cache=True)
 def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
     """Hamilton product: the rotation `b` followed by the rotation `a`; both shape (4,)."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
+    aw, ax, ay, az = a[0], a[1], a[2], a[3]
+    bw, bx, by, bz = b[0], b[1], b[2], b[3]
     return np.array(
         [
             aw * bw - ax * bx - ay * by - az * bz,
@@ -70,26 +69,29 @@ def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
+@njit(cache=True)
 def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
     """Unit quaternion exp(e) of a rotation vector `e`, shape (3,), in rad."""
-    angle = float(np.linalg.norm(vector))
+    angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     half = 0.5 * angle
     scale = 0.5 if angle < 1e-12 else np.sin(half) / angle
-    return np.concatenate(([np.cos(half)], scale * np.asarray(vector)))
+    return np.array([np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2]])
 
 
+@njit(cache=True)
 def rotation_vector(quaternion: FloatArray) -> FloatArray:
     """Rotation vector (3,), in rad, of at most pi, of a unit quaternion (4,)."""
-    q = -quaternion if quaternion[0] < 0 else quaternion
-    sine = float(np.linalg.norm(q[1:]))
-    if sine < 1e-12:
-        return 2.0 * np.array(q[1:])
-    return np.array(q[1:]) * (2.0 * np.arctan2(sine, q[0]) / sine)
+    q = -quaternion if quaternion[0] < 0 else 1.0 * quaternion
+    sine = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    scale = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, q[0]) / sine
+    return scale * q[1:]
 
 
+@njit(cache=True)
 def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     """World-frame error e (3,), in rad, with R_estimate = exp(e) R_true; both quaternions (4,)."""
-    return rotation_vector(quaternion_product(estimate, truth * np.array([1.0, -1.0, -1.0, -1.0])))
+    inverse = np.array([truth[0], -truth[1], -truth[2], -truth[3]])
+    return rotation_vector(quaternion_product(estimate, inverse))
 
 
 def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> FloatArray:

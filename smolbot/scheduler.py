@@ -9,6 +9,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Cycle
+from smolbot.excitation import drive
 from smolbot.limits import Limits
 from smolbot.poses import Pose
 from smolbot.sensing import Device
@@ -60,6 +61,8 @@ class Scheduler:
         Position (3,) in m to field (2, 3) in T per A of the excitation coils, as believed.
     clock : callable
         Earliest start of the next shot, in s.
+    inertia : float, in kg·m²
+        Of the magnet about the cantilever's rotation centre.
     patience : int
         Misses in a row that are borne before actuation stops.
     """
@@ -71,6 +74,7 @@ class Scheduler:
         device: Device,
         excitation_field: Callable[[FloatArray], FloatArray],
         clock: Callable[[], float],
+        inertia: float,
         patience: int = 3,
     ) -> None:
         self.cycle = cycle
@@ -81,6 +85,7 @@ class Scheduler:
         self.searched = 0
         self._excitation_field = excitation_field
         self._clock = clock
+        self._inertia = inertia
 
     def next(self, command: Command, tracker: Believed) -> Shot:
         """The next shot, for a command and what the tracker believes."""
@@ -110,27 +115,10 @@ class Scheduler:
             rounds = max(self.searched - 1, 0) // len(SEARCH_DIRECTIONS)
         longest = int(self.limits.max_excitation * self.device.frequency)
         cycles = min(self.cycle.excite_cycles * 2 ** min(rounds, 4), longest) if rounds else self.cycle.excite_cycles
+        most = self.cycle.excite_current
         if turn == 0 and pose is not None:
-            mix = excitation_mix(self._excitation_field(np.asarray(pose.position)), pose, self.device)
+            fields = self._excitation_field(np.asarray(pose.position))
+            currents = drive(fields, pose, self.device, self._inertia, cycles, most).currents
         else:
-            mix = np.array(SEARCH_DIRECTIONS[turn - 1])
-        currents = self.cycle.excite_current * mix
+            currents = most * np.array(SEARCH_DIRECTIONS[turn - 1])
         return Excite((float(currents[0]), float(currents[1])), self.device.frequency, cycles)
-
-
-def excitation_mix(fields: FloatArray, pose: Pose, device: Device) -> FloatArray:
-    """Shares (n_exc,) of the peak current that drive the device most, the largest being 1.
-
-    Only the torque about body y drives the oscillation: the field along y x m counts (Eq. S1). With
-    shares in proportion to each coil's field along it, the drive per unit of heat is greatest.
-
-    Parameters
-    ----------
-    fields : ndarray, shape (n_exc, 3), in T per A
-    """
-    useful = fields @ (pose.rotation @ device.drive_direction_in_body)
-    largest = float(np.max(np.abs(useful)))
-    if largest < 1e-12:
-        return np.eye(len(fields))[0]
-    mix: FloatArray = useful / largest
-    return mix

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import dataclasses
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,7 +15,7 @@ from smolbot.shots import Excite
 DampingModel = Literal["linear", "exponential"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SensorArray:
     """Single-axis magnetic sensors.
 
@@ -35,7 +36,9 @@ class SensorArray:
         positions = as_floats(self.positions, (None, 3), "SensorArray positions")
         axes = as_floats(self.axes, (None, 3), "SensorArray axes")
         if len(positions) != len(axes):
-            raise InputError(f"SensorArray has {len(positions)} positions but {len(axes)} axes; each sensor needs both.")
+            raise InputError(
+                f"SensorArray has {len(positions)} positions but {len(axes)} axes; each sensor needs both."
+            )
         lengths = np.linalg.norm(axes, axis=1)
         if np.any(lengths < 1e-9):
             raise InputError(f"SensorArray axis {int(np.argmin(lengths))} has no direction.")
@@ -48,7 +51,7 @@ class SensorArray:
         return len(self.positions)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Device:
     """A magnet on a resonant cantilever, as it is believed to be.
 
@@ -103,7 +106,7 @@ class Device:
         return bool(abs(self.moment_in_body[2]) > 1 - 1e-9)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """What the sensors heard in one listening window.
 
@@ -124,7 +127,7 @@ class Recording:
     field: FloatArray
     sample_rate: float
     time_since_drive: float
-    saturated: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    saturated: BoolArray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     drive: Excite | None = None
     clock: float = 0.0
 

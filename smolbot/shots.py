@@ -95,7 +95,9 @@ class Rotate:
         return self.turns / self.frequency
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
-        return f"rotate {self.turns:g} turns at {self.frequency:g} Hz about ({', '.join(f'{a:.2f}' for a in self.axis)})"
+        return (
+            f"rotate {self.turns:g} turns at {self.frequency:g} Hz about ({', '.join(f'{a:.2f}' for a in self.axis)})"
+        )
 
 
 @dataclass(frozen=True)
@@ -150,11 +152,15 @@ class Shot:
             raise InputError(f"Shot mode must be one of {', '.join(get_args(Mode))}; got {self.mode!r}.")
         for window in windows:
             if not 0 < window.duration < np.inf:
-                raise InputError(f"Window {window!r} lasts {window.duration} s; a duration must be positive and finite.")
+                raise InputError(
+                    f"Window {window!r} lasts {window.duration} s; a duration must be positive and finite."
+                )
         if sum(isinstance(w, Listen) for w in windows) > 1:
             raise InputError("A shot has at most one Listen window.")
         if any(isinstance(w, _ELECTRICAL) for w in windows) and any(isinstance(w, _MECHANICAL) for w in windows):
-            raise InputError("A shot is either electrical or mechanical; put Rotate and MoveMagnet into a shot of their own.")
+            raise InputError(
+                "A shot is either electrical or mechanical; put Rotate and MoveMagnet into a shot of their own."
+            )
 
     @property
     def duration(self) -> float:
@@ -191,7 +197,9 @@ class Shot:
 
     def timeline(self, coils: tuple[str, ...] = ()) -> str:
         """One line: the start of each window in ms, what it does, and the end."""
-        parts = [f"{at * 1e3:.1f}{' ms' if i == 0 else ''} {w.describe(coils)}" for i, (at, w) in enumerate(self.timed())]
+        parts = [
+            f"{at * 1e3:.1f}{' ms' if i == 0 else ''} {w.describe(coils)}" for i, (at, w) in enumerate(self.timed())
+        ]
         return " | ".join([*parts, f"{self.duration * 1e3:.1f}"])
 
     def __str__(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,12 @@ from smolbot.arrays import FloatArray
 from smolbot.motion.gradient import advance
 from smolbot.motion.robot import Robot
 from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
+from smolbot.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rotation_error,
+)
 from smolbot.sensing import Device
 from smolbot.shots import Actuate, Shot
 
@@ -29,6 +35,10 @@ MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3])
 
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
+
+
+_MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
+_EYE = np.eye(6)
 
 
 @dataclass(frozen=True)
@@ -128,7 +138,10 @@ class Tracker:
         self._candidate = pose
         if other is None or self.misses < 3:
             return
-        if np.linalg.norm(pose.position - other.position) < 2e-3 and np.dot(pose.orientation, other.orientation) ** 2 > 0.95:
+        if (
+            np.linalg.norm(pose.position - other.position) < 2e-3
+            and np.dot(pose.orientation, other.orientation) ** 2 > 0.95
+        ):
             self._begin(pose)
 
     def _predict(self, shot: Shot, time: float) -> None:
@@ -141,8 +154,8 @@ class Tracker:
                 continue
             if not self._table.contains(position[None, :])[0]:
                 continue
-            heading_vector = Pose(0.0, position, orientation, np.eye(6)).rotation @ self._device.moment_in_body
-            heading = float(np.arctan2(heading_vector[1], heading_vector[0]))
+            ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
+            heading = math.atan2(ahead[1], ahead[0])
             field, gradient = self._table.field_and_gradient(position[None, :])
             step, after = advance(
                 self._robot, field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
@@ -157,20 +170,24 @@ class Tracker:
     def _correct(self, pose: Pose) -> bool:
         state = self._state
         assert state is not None
-        innovation = np.concatenate([pose.position - state.position, rotation_error(pose.orientation, state.orientation)])
-        heard = self._surprise * pose.covariance + np.diag(MODEL_FLOOR**2)
-        total = state.covariance + heard
-        distance = float(innovation @ np.linalg.solve(total, innovation))
+        innovation = np.concatenate(
+            [pose.position - state.position, rotation_error(pose.orientation, state.orientation)]
+        )
+        heard = self._surprise * pose.covariance + _MODEL_FLOOR
+        inverse = np.linalg.inv(state.covariance + heard)
+        distance = float(innovation @ inverse @ innovation)
         if distance > GATE:
             return False
         surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / 6.0
         self._surprise = float(np.clip(surprise, 1.0, 25.0))
-        gain = np.linalg.solve(total, state.covariance).T
+        gain = state.covariance @ inverse
         change = gain @ innovation
-        left = np.eye(6) - gain
+        left = _EYE - gain
         covariance = left @ state.covariance @ left.T + gain @ heard @ gain.T
         orientation = quaternion_product(quaternion_from_rotation_vector(change[3:]), state.orientation)
-        self._state = _State(state.time, state.position + change[:3], orientation / np.linalg.norm(orientation), covariance)
+        self._state = _State(
+            state.time, state.position + change[:3], orientation / np.linalg.norm(orientation), covariance
+        )
         return True
 
     def _publish(self, pose: Pose | None, believed: bool) -> Pose:

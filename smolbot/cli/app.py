@@ -7,7 +7,6 @@ import sys
 from importlib.metadata import entry_points
 from typing import Any
 
-import click
 import typer
 from typer.core import TyperGroup
 
@@ -17,14 +16,14 @@ from smolbot.errors import InterlockError, PluginError, RigError, SmolbotError
 DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3
 
 
-class CommandGroup(TyperGroup):
+class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
     """Lists our own commands and those that entry points of ``smolbot.commands`` bring."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
+    def list_commands(self, ctx: Any) -> list[str]:
         own = super().list_commands(ctx)
         return own + sorted({p.name for p in entry_points(group="smolbot.commands")} - set(own))
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> Any:
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
         found = super().get_command(ctx, cmd_name)
         if found is not None:
             return found
@@ -45,7 +44,7 @@ class CommandGroup(TyperGroup):
         return command
 
 
-def _broken(name: str, message: str) -> click.Command:
+def _broken(name: str, message: str) -> Any:
     """A command that cannot be loaded says why when it is called, and does not hide the others."""
 
     def explain(**_: Any) -> None:

@@ -16,10 +16,15 @@ if TYPE_CHECKING:
     from smolbot.missionfile import Mission
     from smolbot.preview import Preview
 
-MissionArgument = Annotated[str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")]
-RigOption = Annotated[str | None, typer.Option("--rig", help="Rig to use instead of the mission's own, by name or path.")]
+MissionArgument = Annotated[
+    str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")
+]
+RigOption = Annotated[
+    str | None, typer.Option("--rig", help="Rig to use instead of the mission's own, by name or path.")
+]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="key=value laid over the mission file; rig.key=value over the rig file.")
+    list[str] | None,
+    typer.Option("--set", help="key=value laid over the mission file; rig.key=value over the rig file."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 

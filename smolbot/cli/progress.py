@@ -62,7 +62,7 @@ class Progress:
 
     def describe(self, record: CycleRecord) -> str:
         """Pose, error to the path as believed, loop rate, time left."""
-        parts = [record.shot.mode]
+        parts: list[str] = [record.shot.mode]
         pose = record.tracked
         if pose is not None:
             off = float(self._mission.path.project(pose.position[None, :])[1][0])

@@ -33,13 +33,15 @@ ComplexArray = npt.NDArray[np.complex128]
 
 def nodes() -> FloatArray:
     """Chebyshev nodes in theta / REFERENCE_ANGLE at which the field is evaluated, shape (DEGREE + 1,)."""
-    return 1.3 * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+    spread: FloatArray = 1.3 * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+    return spread
 
 
 @lru_cache(maxsize=1)
 def power_matrix() -> FloatArray:
     """Matrix (DEGREE + 1, DEGREE + 1) that turns values at the nodes into power series coefficients."""
-    return np.linalg.inv(np.vander(nodes(), DEGREE + 1, increasing=True))
+    inverse: FloatArray = np.linalg.inv(np.vander(nodes(), DEGREE + 1, increasing=True)).astype(np.float64)
+    return inverse
 
 
 def harmonic_weight(power: int, harmonic: int) -> float:
@@ -50,7 +52,9 @@ def harmonic_weight(power: int, harmonic: int) -> float:
     return weight if harmonic == 0 else 2.0 * weight
 
 
-def time_basis(device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float) -> ComplexArray:
+def time_basis(
+    device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float
+) -> ComplexArray:
     """Each D^k exp(i h w t) after the sensors' low pass and the chain.
 
     Parameters

@@ -13,6 +13,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.localization import kernels
+from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.problem import Fit, Problem
 
 TURNS = 12
@@ -41,8 +42,8 @@ def first_harmonic(problem: Problem) -> tuple[FloatArray, float]:
     amplitudes : ndarray, shape (n_differences,), in T per reference angle
     phase : float, in rad
     """
-    columns = [problem.basis[1, 1].real, -problem.basis[1, 1].imag]
-    columns += [problem.basis[2, 2].real, -problem.basis[2, 2].imag]
+    columns = [problem.model.basis[1, 1].real, -problem.model.basis[1, 1].imag]
+    columns += [problem.model.basis[2, 2].real, -problem.model.basis[2, 2].imag]
     design = np.stack(columns, axis=1)
     scale = np.linalg.norm(design, axis=0)
     solution = np.linalg.lstsq(design / scale, problem.data.T, rcond=None)[0] / scale[:, None]
@@ -63,7 +64,7 @@ def best_start(problem: Problem, volume: SearchVolume, keep: int = 5) -> Fit:
     grid = volume.grid()
     moments = np.zeros_like(grid)
     errors = kernels.grid_residuals(
-        amplitudes, problem.sensors.positions, problem.sensors.axes, problem.mixing, grid, moments
+        amplitudes, problem.model.sensors.positions, problem.model.sensors.axes, problem.model.mixing, grid, moments
     )
     places: list[int] = []
     for index in np.argsort(errors):
@@ -74,9 +75,10 @@ def best_start(problem: Problem, volume: SearchVolume, keep: int = 5) -> Fit:
     tries: list[Fit] = []
     for place in places:
         for orientation, sign_phase in _orientations(problem, moments[place], phase):
-            amplitude = np.linalg.norm(moments[place]) / problem.device.moment
-            amplitude = float(np.clip(amplitude, 0.1 * problem.amplitude_max, 0.95 * problem.amplitude_max))
-            center = grid[place] - problem.device.l0 * orientation[:, 2]
+            top = problem.model.amplitude_max
+            size = float(np.linalg.norm(moments[place])) / problem.model.device.moment / REFERENCE_ANGLE
+            amplitude = min(max(size, 0.1 * top), 0.95 * top)
+            center = grid[place] - problem.model.device.l0 * orientation[:, 2]
             tries.append(problem.fit(center, orientation, sign_phase, amplitude, iterations=4))
     tries.sort(key=lambda t: t.sse)
     finals = [problem.fit(t.position, t.rotation, t.phase, t.amplitude, iterations=60) for t in tries[:8]]
@@ -85,9 +87,9 @@ def best_start(problem: Problem, volume: SearchVolume, keep: int = 5) -> Fit:
 
 def _orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tuple[FloatArray, float]]:
     """Rotation matrices whose moment swings along `swing`, turned about it, and the phase that goes with each."""
-    body = np.array(problem.device.drive_direction_in_body)
+    body = np.array(problem.model.device.drive_direction_in_body)
     out: list[tuple[FloatArray, float]] = []
-    signs = (1.0,) if problem.device.along_cantilever else (1.0, -1.0)
+    signs = (1.0,) if problem.model.device.along_cantilever else (1.0, -1.0)
     for sign in signs:
         along = sign * swing / np.linalg.norm(swing)
         seed = np.eye(3)[int(np.argmin(np.abs(along)))]
@@ -102,5 +104,3 @@ def _orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tup
             frame_world = np.stack([along, turned, np.cross(along, turned)], axis=1)
             out.append((frame_world @ frame_body.T, phase if sign > 0 else phase + np.pi))
     return out
-
-

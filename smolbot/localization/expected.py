@@ -8,8 +8,8 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.localization import basis as time_functions
-from smolbot.localization.chain import Taps, difference_matrix, taps
-from smolbot.localization.problem import Problem, basis_for
+from smolbot.localization.chain import Taps
+from smolbot.localization.problem import chain_model
 from smolbot.poses import Pose
 from smolbot.sensing import Device, SensorArray
 
@@ -28,7 +28,7 @@ class NoiseLevels:
     mains : float, in T
         Peak of the uniform part at the mains frequency.
     mains_gradient : float, in T/m
-        Peak of its spatial gradient (root mean square element).
+        Peak of its change per metre, root mean square over directions.
     harmonics : mapping of int to float
         Order, and size relative to the first.
     """
@@ -67,20 +67,13 @@ def expected_covariance(
         Of (position in m, rotation e in rad), averaged over four phases of the oscillation.
     """
     n_samples = round(half_periods * sample_rate / (2.0 * device.frequency))
-    chain = taps(n_samples, sample_rate, device.frequency)
-    mixing = difference_matrix(sensors.axes, sensors.positions, np.ones(len(sensors), dtype=np.bool_))
-    problem = Problem(
-        sensors,
-        device,
-        np.zeros((len(mixing), len(chain.first))),
-        basis_for(device, sensors, n_samples, sample_rate, time_since_drive),
-        mixing,
-    )
+    everyone = np.ones(len(sensors), dtype=np.bool_).tobytes()
+    model = chain_model(sensors, device, everyone, n_samples, sample_rate, time_since_drive)
     size = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
-    parts = _noise_parts(sensors, noise, chain, sample_rate, mixing)
+    parts = _noise_parts(sensors, noise, model.chain, sample_rate, model.mixing)
     covariances = []
     for phase in np.pi * np.arange(4) / 4.0:
-        _, jacobian = problem.model(pose.position, pose.rotation, float(phase), size)
+        _, jacobian = model.response(pose.position, pose.rotation, float(phase), size)
         scale = np.sqrt(np.sum(jacobian**2, axis=(0, 1)))
         scaled = jacobian / scale
         gain = np.linalg.inv(np.einsum("qia,qib->ab", scaled, scaled))
@@ -100,11 +93,12 @@ def _noise_parts(
     alignment = sensors.axes @ sensors.axes.T
     uniform = noise.mains**2 / 3.0 * alignment
     place, axes = sensors.positions, sensors.axes
-    # isotropic symmetric trace-free gradient: <G_ab G_cd> = g² (δac δbd + δad δbc - 2/3 δab δcd) / 2 · 6/5
+    # isotropic symmetric trace-free G with Frobenius norm sqrt(3) g:
+    # <G_ab G_cd> = 0.3 g² (δac δbd + δad δbc - 2/3 δab δcd)
     along = np.einsum("ja,ka->jk", axes, axes) * (place @ place.T)
     crossed = (axes @ place.T) * (axes @ place.T).T
     own = np.einsum("ja,ja->j", axes, place)
-    gradient = 0.6 * noise.mains_gradient**2 * (along + crossed - 2.0 / 3.0 * np.outer(own, own))
+    gradient = 0.3 * noise.mains_gradient**2 * (along + crossed - 2.0 / 3.0 * np.outer(own, own))
     for order, relative in {1: 1.0, **noise.harmonics}.items():
         space = relative**2 * (uniform + gradient).reshape(n, n)
         wave = _response(chain, sample_rate, order * noise.mains_frequency)
@@ -119,8 +113,12 @@ def _response(chain: Taps, sample_rate: float, frequency: float) -> np.ndarray[t
 
 def _sensor_noise(noise: NoiseLevels, chain: Taps, sample_rate: float, bandwidth: float) -> FloatArray:
     """Covariance between output samples of one sensor's own noise."""
-    frequency = np.concatenate([np.geomspace(0.5, 50.0, 40), np.arange(55.0, min(4.0 * bandwidth, 0.45 * sample_rate), 10.0)])
-    density = (noise.floor**2 + noise.at_1hz**2 / frequency) / (1.0 + (frequency / bandwidth) ** 2)
+    frequency = np.concatenate(
+        [np.geomspace(0.5, 50.0, 40), np.arange(55.0, min(4.0 * bandwidth, 0.45 * sample_rate), 10.0)]
+    )
+    density = (noise.floor**2 + max(noise.at_1hz**2 - noise.floor**2, 0.0) / frequency) / (
+        1.0 + (frequency / bandwidth) ** 2
+    )
     width = np.gradient(frequency)
     time = (chain.first[:, None] + np.arange(chain.weights.shape[1])) / sample_rate
     total = np.zeros((len(chain.first), len(chain.first)))

@@ -4,7 +4,7 @@ Parameters of the fit, in this order: position (3) in m, world rotation e (3) in
 amplitude as a fraction of the reference angle.
 """
 
-# mypy: disable-error-code="no-untyped-call"
+# mypy: disable-error-code="no-untyped-call,no-untyped-def"
 from __future__ import annotations
 
 import numpy as np
@@ -15,7 +15,7 @@ _MU0_OVER_4PI = 1e-7
 
 
 @njit(cache=True, fastmath=False)
-def series(positions, axes, mixing, moment, l0, angles, powers, position, rotation, values, slopes):  # type: ignore[no-untyped-def]
+def series(positions, axes, mixing, moment, l0, angles, powers, position, rotation, values, slopes):
     """Power series in the deflection of each mixed channel, and its derivatives for position and rotation.
 
     `values` (n_mixed, K) and `slopes` (n_mixed, K, 6) are filled. `mixing` (n_mixed, n_sensors).
@@ -75,9 +75,9 @@ def series(positions, axes, mixing, moment, l0, angles, powers, position, rotati
 
 
 @njit(cache=True)
-def project(basis, phase, wave, wave_slope):  # type: ignore[no-untyped-def]
+def project(basis, phase, wave, wave_slope):
     """Fill the real time functions (K, n_out) of each power for one phase, and their phase derivatives."""
-    n_powers, n_harmonics, n_out = basis.shape
+    n_powers, n_out = basis.shape[0], basis.shape[2]
     wave[:] = 0.0
     wave_slope[:] = 0.0
     for k in range(1, n_powers):
@@ -90,7 +90,9 @@ def project(basis, phase, wave, wave_slope):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def model(basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian):  # type: ignore[no-untyped-def]
+def model(
+    basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
+):
     """Fill the model's output (n_mixed, n_out) and its Jacobian (n_mixed, n_out, 8)."""
     n_powers, n_out, n_mixed = basis.shape[0], basis.shape[2], mixing.shape[0]
     values = np.zeros((n_mixed, n_powers))
@@ -118,7 +120,7 @@ def model(basis, positions, axes, mixing, moment, l0, angles, powers, position, 
 
 
 @njit(cache=True)
-def solve_posdef(matrix, right, n):  # type: ignore[no-untyped-def]
+def solve_posdef(matrix, right, n):
     """Solve in place for a symmetric positive definite `matrix` by Cholesky; False where it is not."""
     for i in range(n):
         for j in range(i + 1):
@@ -146,7 +148,7 @@ def solve_posdef(matrix, right, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def rotate(rotation, e):  # type: ignore[no-untyped-def]
+def rotate(rotation, e):
     """exp(e) R for a world rotation vector `e`."""
     angle = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
     if angle < 1e-14:
@@ -170,7 +172,7 @@ def rotate(rotation, e):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def normal_equations(data, out, jacobian, normal, gradient):  # type: ignore[no-untyped-def]
+def normal_equations(data, out, jacobian, normal, gradient):
     """Fill J^T J and J^T r; return the sum squared error (Eq. S20)."""
     normal[:] = 0.0
     gradient[:] = 0.0
@@ -191,7 +193,24 @@ def normal_equations(data, out, jacobian, normal, gradient):  # type: ignore[no-
 
 
 @njit(cache=True)
-def fit(data, basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, phase, amplitude, amplitude_max, iterations, tolerance):  # type: ignore[no-untyped-def]
+def fit(
+    data,
+    basis,
+    positions,
+    axes,
+    mixing,
+    moment,
+    l0,
+    angles,
+    powers,
+    position,
+    rotation,
+    phase,
+    amplitude,
+    amplitude_max,
+    iterations,
+    tolerance,
+):
     """Unweighted Levenberg-Marquardt from one start.
 
     Returns position, rotation, phase, amplitude, sum squared error, J^T J (8, 8) and whether it converged.
@@ -202,7 +221,9 @@ def fit(data, basis, positions, axes, mixing, moment, l0, angles, powers, positi
     normal = np.zeros((8, 8))
     gradient = np.zeros(8)
     position, rotation = position.copy(), rotation.copy()
-    model(basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian)
+    model(
+        basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
+    )
     sse = normal_equations(data, out, jacobian, normal, gradient)
     damping = 1e-3
     converged = False
@@ -233,11 +254,32 @@ def fit(data, basis, positions, axes, mixing, moment, l0, angles, powers, positi
             new_position = position + step[:3]
             new_rotation = rotate(rotation, step[3:6])
             new_amplitude = min(max(amplitude + step[7], 0.02 * amplitude_max), amplitude_max)
-            model(basis, positions, axes, mixing, moment, l0, angles, powers, new_position, new_rotation, phase + step[6], new_amplitude, out, jacobian)
+            model(
+                basis,
+                positions,
+                axes,
+                mixing,
+                moment,
+                l0,
+                angles,
+                powers,
+                new_position,
+                new_rotation,
+                phase + step[6],
+                new_amplitude,
+                out,
+                jacobian,
+            )
             new_sse = normal_equations(data, out, jacobian, trial_normal, trial_gradient)
             if new_sse < sse:
                 gain = (sse - new_sse) / sse
-                position, rotation, phase, amplitude, sse = new_position, new_rotation, phase + step[6], new_amplitude, new_sse
+                position, rotation, phase, amplitude, sse = (
+                    new_position,
+                    new_rotation,
+                    phase + step[6],
+                    new_amplitude,
+                    new_sse,
+                )
                 normal[:] = trial_normal
                 gradient[:] = trial_gradient
                 damping = max(damping * 0.1, 1e-12)
@@ -256,7 +298,73 @@ def fit(data, basis, positions, axes, mixing, moment, l0, angles, powers, positi
 
 
 @njit(cache=True)
-def chain_output(field, first, weights, mixing):  # type: ignore[no-untyped-def]
+def linear_start(data, basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, guess):
+    """Phase and amplitude that fit `data` best at a fixed pose; exact for small amplitudes."""
+    first = np.zeros(data.shape)
+    second = np.zeros(data.shape)
+    jacobian = np.zeros((data.shape[0], data.shape[1], 8))
+    model(basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
+    model(
+        basis,
+        positions,
+        axes,
+        mixing,
+        moment,
+        l0,
+        angles,
+        powers,
+        position,
+        rotation,
+        -0.5 * np.pi,
+        guess,
+        second,
+        jacobian,
+    )
+    aa, ab, bb, ay, by = 0.0, 0.0, 0.0, 0.0, 0.0
+    for q in range(data.shape[0]):
+        for i in range(data.shape[1]):
+            a, b, y = first[q, i], second[q, i], data[q, i]
+            aa += a * a
+            ab += a * b
+            bb += b * b
+            ay += a * y
+            by += b * y
+    determinant = aa * bb - ab * ab
+    if determinant <= 1e-12 * aa * bb:
+        return 0.0, guess
+    u, v = (bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant
+    return np.arctan2(-v, u), guess * np.sqrt(u * u + v * v)
+
+
+@njit(cache=True)
+def covariance(normal, variance):
+    """Covariance (6, 6) of position and rotation, phase and amplitude free; infinite where undetermined."""
+    out = np.full((6, 6), np.inf)
+    scale = np.zeros(8)
+    for a in range(8):
+        if normal[a, a] <= 0.0:
+            return out
+        scale[a] = 1.0 / np.sqrt(normal[a, a])
+    system = np.zeros((8, 8))
+    inverse = np.eye(8)
+    for a in range(8):
+        for b in range(8):
+            system[a, b] = normal[a, b] * scale[a] * scale[b]
+    if not solve_posdef(system, inverse, 8):
+        return out
+    worst = 0.0
+    for a in range(8):
+        worst = max(worst, inverse[a, a])
+    if worst > 1e11:  # a direction with no information to speak of
+        return out
+    for a in range(6):
+        for b in range(6):
+            out[a, b] = variance * inverse[a, b] * scale[a] * scale[b]
+    return out
+
+
+@njit(cache=True)
+def chain_output(field, first, weights, mixing):
     """Chain's output (n_mixed, n_out) of raw samples (n_sensors, n)."""
     n_sensors, n_out, width = field.shape[0], weights.shape[0], weights.shape[1]
     mixed = np.zeros((mixing.shape[0], n_out))
@@ -279,7 +387,7 @@ def chain_output(field, first, weights, mixing):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def grid_residuals(amplitudes, positions, axes, mixing, grid, moments):  # type: ignore[no-untyped-def]
+def grid_residuals(amplitudes, positions, axes, mixing, grid, moments):
     """Sum squared error of the best oscillating moment at each grid position; moments (n_grid, 3) are filled."""
     n_grid, n_mixed, n_sensors = grid.shape[0], mixing.shape[0], positions.shape[0]
     errors = np.zeros(n_grid)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
+from smolbot.localization import kernels
 from smolbot.localization.chain import whole_half_periods
 from smolbot.localization.cold_start import SearchVolume, best_start
 from smolbot.localization.problem import Fit, Problem, prepare
@@ -82,8 +84,7 @@ class Localizer:
         if prior is None:
             best = best_start(problem, self.volume)
         else:
-            start = np.asarray(prior.position), prior.rotation
-            best = self._from_prior(problem, *start)
+            best = self._from_prior(problem, np.asarray(prior.position), prior.rotation)
         return self._pose(problem, best, recording, prior)
 
     def locate_segments(self, recording: Recording, half_periods: int) -> tuple[Pose, ...]:
@@ -91,13 +92,15 @@ class Localizer:
         n = recording.field.shape[1]
         total = whole_half_periods(n, recording.sample_rate, self.device.frequency)
         if not 1 <= half_periods <= total:
-            raise InputError(f"half_periods must lie within 1 to {total}, what the recording holds; got {half_periods}.")
+            raise InputError(
+                f"half_periods must lie within 1 to {total}, what the recording holds; got {half_periods}."
+            )
         edges = [
             min(n, round(i * half_periods * recording.sample_rate / (2.0 * self.device.frequency)))
             for i in range(total // half_periods + 1)
         ]
         poses: list[Pose] = []
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in pairwise(edges):
             offset = first / recording.sample_rate
             segment = replace(
                 recording,
@@ -111,7 +114,7 @@ class Localizer:
 
     def _from_prior(self, problem: Problem, position: FloatArray, rotation: FloatArray) -> Fit:
         """Fit from a known pose; phase and amplitude start from a linear solve at that pose."""
-        phase, amplitude = _phase_and_amplitude(problem, position, rotation)
+        phase, amplitude = problem.phase_and_amplitude(position, rotation)
         tries = [problem.fit(position, rotation, phase, amplitude)]
         if tries[0].sse > 0.3 * problem.total_sum_of_squares:
             tries.append(best_start(problem, self.volume))
@@ -128,12 +131,12 @@ class Localizer:
         n_data = problem.data.size
         variance = best.sse / max(n_data - 8, 1)
         r_squared = 1.0 - best.sse / problem.total_sum_of_squares if problem.total_sum_of_squares > 0 else 0.0
-        covariance = _covariance(best.normal, variance)
+        covariance = kernels.covariance(best.normal, variance)
         inside = all(
             low - 0.02 <= p <= high + 0.02
             for low, p, high in zip(self.volume.low, best.position, self.volume.high, strict=True)
         )
-        usable = bool(np.isfinite(covariance).all())
+        usable = bool(np.isfinite(covariance[0, 0]))
         return Pose(
             time=recording.middle,
             position=best.position,
@@ -152,7 +155,9 @@ class Localizer:
         position = best.position + self.device.l0 * (best.rotation[:, 2] - turned[:, 2])
         other = problem.fit(position, turned, best.phase + np.pi, best.amplitude)
         low, high = sorted((best, other), key=lambda t: t.sse)
-        same = np.linalg.norm(rotation_error(quaternion_from_matrix(low.rotation), quaternion_from_matrix(high.rotation)))
+        same = np.linalg.norm(
+            rotation_error(quaternion_from_matrix(low.rotation), quaternion_from_matrix(high.rotation))
+        )
         if same < 0.1:
             return low, 1e6
         return low, float(max(1.0, np.sqrt(high.sse / max(low.sse, 1e-300))))
@@ -164,26 +169,3 @@ def _nearer(rotation: FloatArray, prior: Pose | None) -> FloatArray:
         return rotation
     other = rotation @ _HALF_TURN_ABOUT_Z
     return rotation if np.trace(rotation @ prior.rotation.T) >= np.trace(other @ prior.rotation.T) else other
-
-
-def _phase_and_amplitude(problem: Problem, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
-    """Best phase and amplitude at a fixed pose, from the first harmonic (linear)."""
-    guess = 0.5 * problem.amplitude_max
-    in_phase, _ = problem.model(position, rotation, 0.0, guess)
-    quadrature, _ = problem.model(position, rotation, -0.5 * np.pi, guess)
-    design = np.stack([in_phase.ravel(), quadrature.ravel()], axis=1)
-    a, b = np.linalg.lstsq(design, problem.data.ravel(), rcond=None)[0]
-    size = float(np.hypot(a, b)) * guess
-    return float(np.arctan2(-b, a)), float(np.clip(size, 0.05 * problem.amplitude_max, 0.98 * problem.amplitude_max))
-
-
-def _covariance(normal: FloatArray, variance: float) -> FloatArray:
-    """Covariance (6, 6) of position and rotation with phase and amplitude free; inf where undetermined."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal * np.outer(scale, scale)
-    if np.linalg.cond(scaled) > 1e12:
-        return np.full((6, 6), np.inf)
-    inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
-    return variance * inverse[:6, :6]
-
-

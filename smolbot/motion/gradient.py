@@ -1,6 +1,6 @@
 """Overdamped motion of a gradient-pulled robot in the horizontal plane, as its controller believes it."""
 
-# mypy: disable-error-code="no-untyped-call"
+# mypy: disable-error-code="no-untyped-call,no-untyped-def"
 from __future__ import annotations
 
 import numpy as np
@@ -14,7 +14,7 @@ STEP = 2e-3
 
 
 @njit(cache=True)
-def _deflection(off, torque, stiffness, theta_max):  # type: ignore[no-untyped-def]
+def _deflection(off, torque, stiffness, theta_max):
     """Angle of the magnet toward a field `off` rad from the housing: k d = m B sin(off - d), up to the stop."""
     d = 0.0
     for _ in range(8):
@@ -24,7 +24,9 @@ def _deflection(off, torque, stiffness, theta_max):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def _advance(field, gradient, moment, drag, rotational_drag, stiffness, theta_max, magnet, center, heading, duration, steps):  # type: ignore[no-untyped-def]
+def _advance(
+    field, gradient, moment, drag, rotational_drag, stiffness, theta_max, magnet, center, heading, duration, steps
+):
     """Displacement (2,) of the rotation centre, and heading, after `duration`; the field varies linearly."""
     x = np.zeros(2)
     begin = heading
@@ -83,8 +85,8 @@ def advance(
     heading : float, in rad
         At the end of the window.
     """
-    total_field = np.ascontiguousarray(currents @ field)
-    total_gradient = np.ascontiguousarray(np.tensordot(currents, gradient, axes=1))
+    total_field = currents @ field
+    total_gradient = (currents @ gradient.reshape(len(currents), 9)).reshape(3, 3)
     steps = max(int(np.ceil(duration / STEP)), 1)
     return _advance(
         total_field,

@@ -16,6 +16,11 @@ MAGNET_DENSITY = 7500.0
 _MU0 = 4e-7 * np.pi
 
 
+def magnet_inertia(moment: float, l0: float) -> float:
+    """Inertia, in kg·m², of a magnet of `moment` A·m² about a rotation centre `l0` m away."""
+    return MAGNET_DENSITY * moment * _MU0 / REMANENCE * l0**2
+
+
 @dataclass(frozen=True)
 class Robot:
     """An overdamped swimmer. SI units.
@@ -61,13 +66,12 @@ class Robot:
 
         The cantilever's stiffness follows from its resonance: k = I (2 pi f)², I = m_magnet l0².
         """
-        mass = MAGNET_DENSITY * moment * _MU0 / REMANENCE
         return cls(
             kind="gradient",
             moment=moment,
             drag=6.0 * np.pi * viscosity * radius,
             rotational_drag=8.0 * np.pi * viscosity * radius**3,
-            stiffness=mass * l0**2 * (2.0 * np.pi * frequency) ** 2,
+            stiffness=magnet_inertia(moment, l0) * (2.0 * np.pi * frequency) ** 2,
             theta_max=theta_max,
             magnet_ahead=l0,
             center_ahead=center_ahead,

@@ -72,7 +72,9 @@ def _draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
     if len(truth):
         axes.plot(truth[:, 0], truth[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
         axes.plot(*truth[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
-        axes.annotate("put down", truth[0, :2], xytext=(6, -13), textcoords="offset points", color=TRUE, fontsize=10)
+        axes.annotate(
+            "put down", (truth[0, 0], truth[0, 1]), xytext=(6, -13), textcoords="offset points", color=TRUE, fontsize=10
+        )
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.set_xlabel("x in mm")
@@ -91,7 +93,7 @@ def _draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
         axes.text(1.0, mission.tolerance * 1e3, " arrival ", color="#777777", fontsize=9, va="bottom", ha="right",
                   transform=axes.get_yaxis_transform())  # fmt: skip
     else:
-        _nothing(axes, "no truth on this rig" if trace.moments and trace.moments[-1].truth is None else "path not reached")
+        _nothing(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -101,7 +103,9 @@ def _draw_localization(axes: Axes, trace: Trace) -> None:
     known = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
     if known:
         times = [m.truth.time for m in known if m.truth]
-        raw = [np.linalg.norm(m.cycle.pose.position - m.truth.position) * 1e3 for m in known if m.cycle.pose and m.truth]
+        raw = [
+            np.linalg.norm(m.cycle.pose.position - m.truth.position) * 1e3 for m in known if m.cycle.pose and m.truth
+        ]
         axes.plot(times, raw, ".", color=LOCATED, ms=3, alpha=0.6, label="each pose")
         both = [(m.truth.time, np.linalg.norm(m.cycle.tracked.position - m.truth.position) * 1e3)
                 for m in known if m.cycle.tracked and m.truth]  # fmt: skip
@@ -124,8 +128,8 @@ def _draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
     axes.set_title("Coil currents while actuating, in A", loc="left", fontsize=11)
     axes.set_xlabel("time in s")
     if len(starts):
-        axes.legend(loc="lower right", ncol=len(names), frameon=False, fontsize=9, markerscale=3, bbox_to_anchor=(1.0, 1.0),
-                    borderaxespad=0.0, handletextpad=0.1)  # fmt: skip
+        axes.legend(loc="lower right", ncol=len(names), frameon=False, fontsize=9, markerscale=3,
+                    bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0, handletextpad=0.1)  # fmt: skip
 
 
 def _nothing(axes: Axes, text: str) -> None:

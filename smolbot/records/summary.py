@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,7 @@ def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
 
 
 def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
-    """Angle between two orientations in rad; of the nearer twin where a half turn about the moment changes no signal."""
+    """Angle between two orientations, in rad; to the nearer twin where a half turn about the moment changes nothing."""
     error = float(np.linalg.norm(rotation_error(pose.orientation, truth.orientation)))
     if not along_cantilever:
         return error
@@ -123,7 +124,7 @@ def _compute(run: Run) -> dict[str, float | None]:
 
 
 def _statistics(values: FloatArray, *names: str) -> dict[str, float]:
-    functions = {
+    functions: dict[str, Callable[[FloatArray], Any]] = {
         "mean": np.mean,
         "std": np.std,
         "rms": lambda v: np.sqrt(np.mean(np.square(v))),

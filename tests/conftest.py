@@ -1,0 +1,83 @@
+"""Devices, sensors and recordings that several rooms of the tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smolbot.localization.forward import deflection, sensor_field
+from smolbot.missionfile import Mission, load_mission
+from smolbot.poses import Pose
+from smolbot.rigfile import load_rig
+from smolbot.rotations import quaternion_from_axes
+from smolbot.sensing import Device, Recording, SensorArray
+
+RATE = 50_000.0
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="session")
+def array() -> SensorArray:
+    """The shipped array with ideal sensors: nothing of a signal is lost in their low pass."""
+    return replace(load_rig("tank").sensors, bandwidth=np.inf)
+
+
+@pytest.fixture(scope="session")
+def along_device() -> Device:
+    """Moment along the cantilever, damped by glycerol: the gradient robot's."""
+    return Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, np.radians(17.8), 103.5, 31.7, "exponential")
+
+
+@pytest.fixture(scope="session")
+def across_device() -> Device:
+    """Moment across the cantilever, damped by solid friction: the paper's model."""
+    return Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, np.radians(30.0), 160.0, 1.1, "linear")
+
+
+@pytest.fixture
+def devices(along_device: Device, across_device: Device) -> dict[str, Device]:
+    return {"along": along_device, "across": across_device}
+
+
+@pytest.fixture(scope="session")
+def pose_at() -> Callable[..., Pose]:
+    """``pose_at((x, y, z) in mm, heading in degrees, order)``: body axes of `order` along heading and up."""
+
+    def make(place_mm: tuple[float, float, float], heading_deg: float = 0.0, order: str = "zy") -> Pose:
+        ahead = np.array([np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg)), 0.0])
+        return Pose(0.0, np.array(place_mm) * 1e-3, quaternion_from_axes(ahead, UP, order), np.eye(6) * 1e-8)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def hear() -> Callable[..., Recording]:
+    """What ideal sensors hear of a device: the forward model, sample by sample."""
+
+    def make(
+        sensors: SensorArray, device: Device, pose: Pose, half_periods: int = 2, *, phase: float = 0.4,
+        amplitude: float | None = None, since: float = 0.02, noise: np.ndarray | None = None,
+    ) -> Recording:  # fmt: skip
+        n = round(half_periods * RATE / (2.0 * device.frequency))
+        size = 0.8 * device.theta_max if amplitude is None else amplitude
+        theta = deflection(device, since + np.arange(n) / RATE, size, phase)
+        field = sensor_field(sensors, device, pose.position, pose.orientation, theta)
+        return Recording(field if noise is None else field + noise, RATE, since)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def line() -> Mission:
+    """The shipped mission `line`, loaded once."""
+    return load_mission("line")
+
+
+@pytest.fixture(scope="session")
+def missions() -> Path:
+    """Folder of the mission files that must not be flown."""
+    return Path(__file__).parent / "missions"

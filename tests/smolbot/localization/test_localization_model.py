@@ -1,0 +1,185 @@
+"""The signal of a swinging magnet, the chain that it passes through, and the model that the fit uses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import magpylib
+import numpy as np
+import pytest
+from scipy import signal
+
+from smolbot.errors import InputError
+from smolbot.localization import kernels
+from smolbot.localization.basis import REFERENCE_ANGLE
+from smolbot.localization.chain import difference_matrix, filtered, moving_mean, sample_points, taps, whole_half_periods
+from smolbot.localization.forward import deflection, envelope, sensor_field
+from smolbot.localization.problem import chain_model, prepare
+from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+from smolbot.sensing import SensorArray
+
+RATE = 50_000.0
+MU0 = 4e-7 * np.pi
+
+
+@pytest.fixture(params=["along", "across"])
+def device(request, devices):
+    return devices[request.param]
+
+
+@pytest.fixture
+def pose(pose_at):
+    return pose_at((4.0, -6.0, 80.0), 35.0)
+
+
+def model_of(array, device, n=967, since=0.02):
+    return chain_model(array, device, np.ones(len(array), dtype=bool).tobytes(), n, RATE, since)
+
+
+def turned(rotation, vector):
+    return matrix_from_quaternion(quaternion_from_rotation_vector(np.asarray(vector, dtype=float))) @ rotation
+
+
+def test_a_point_dipole_sounds_like_a_cylinder_magnet_of_1_mm_at_80_mm(array, device, pose):
+    volume = np.pi / 4 * 1e-3**3
+    magnet = magpylib.magnet.Cylinder((0, 0, MU0 * device.moment / volume), (1e-3, 1e-3))
+    theta = np.linspace(-device.theta_max, device.theta_max, 9)
+    heard = np.zeros((len(array), len(theta)))
+    for i, angle in enumerate(theta):
+        swing = magpylib_rotation(pose.rotation) * magpylib_rotation(about_y(angle))
+        upright = rotation_onto(device.moment_in_body)
+        magnet.position = pose.position + pose.rotation @ (device.l0 * np.array([np.sin(angle), 0, np.cos(angle)]))
+        magnet.orientation = swing * upright
+        heard[:, i] = np.sum(magnet.getB(array.positions) * array.axes, axis=1)
+    ours = sensor_field(array, device, pose.position, pose.orientation, theta)
+    assert np.abs(ours - heard).max() < 1e-3 * np.ptp(heard, axis=1).max()
+
+
+def about_y(angle):
+    return np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+
+
+def magpylib_rotation(matrix):
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(matrix)
+
+
+def rotation_onto(direction):
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.align_vectors([direction], [[0, 0, 1]])[0]
+
+
+def test_static_field_on_axis_at_80_mm_is_348_nT(along_device, pose_at):
+    pose = pose_at((0.0, 0.0, 80.0 - 1.5))  # the magnet is l0 further up
+    upright = replace(pose, orientation=np.array([1.0, 0, 0, 0]))
+    sensor = SensorArray(np.zeros((1, 3)), np.array([[0, 0, 1.0]]))
+    field = sensor_field(sensor, along_device, upright.position, upright.orientation, np.zeros(1))
+    assert abs(field[0, 0]) == pytest.approx(348e-9, rel=2e-3)
+
+
+def test_linear_damping_ends_and_exponential_damping_does_not(along_device, across_device):
+    time = np.array([0.0, 0.02, 0.1, 10.0])
+    assert envelope(across_device, time) == pytest.approx([1, 1 - 0.022, 1 - 0.11, 0.0])
+    assert envelope(along_device, time) == pytest.approx(np.exp(-31.7 * time))
+
+
+def test_swing_crosses_zero_twice_a_period(across_device):
+    time = np.arange(50_000) / RATE * 0.5
+    theta = deflection(across_device, time, 0.3, 0.0)
+    crossings = np.count_nonzero(np.diff(np.sign(theta)))
+    assert crossings == 2 * round(across_device.frequency * time[-1])
+
+
+def test_jacobian_of_the_model_matches_finite_differences(array, device, pose):
+    model, rotation, phase, amplitude = model_of(array, device), pose.rotation, 0.7, 0.4
+    _, jacobian = model.response(pose.position, rotation, phase, amplitude)
+    steps = [1e-6] * 3 + [1e-5] * 3 + [1e-5, 1e-5]
+    for p, h in enumerate(steps):
+        sides = []
+        for sign in (1, -1):
+            move = np.zeros(8)
+            move[p] = sign * h
+            place, angle = pose.position + move[:3], turned(rotation, move[3:6])
+            sides.append(model.response(place, angle, phase + move[6], amplitude + move[7])[0])
+        numeric = (sides[0] - sides[1]) / (2 * h)
+        assert np.abs(jacobian[..., p] - numeric).max() < 1e-6 * np.abs(jacobian[..., p]).max()
+
+
+@pytest.mark.parametrize("half_periods", [1, 2, 6, 20])
+def test_the_fast_model_equals_the_chain_applied_sample_by_sample(array, device, pose, hear, half_periods):
+    amplitude, phase = 0.8 * device.theta_max, 1.1
+    recording = hear(array, device, pose, half_periods, phase=phase, amplitude=amplitude)
+    problem = prepare(recording, array, device)
+    fast, _ = problem.model.response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
+    at = problem.model.chain.points.astype(int)
+    literal = filtered(problem.model.mixing @ recording.field, RATE)[:, at]
+    assert literal.shape == (len(problem.model.mixing), 4 * half_periods + 1)
+    assert np.abs(fast - literal).max() < 1e-5 * np.abs(literal).max()
+    assert np.abs(problem.data - literal).max() < 1e-9 * np.abs(literal).max()
+
+
+def test_sensors_of_1_khz_are_heard_as_a_first_order_low_pass(array, device, pose):
+    slow = replace(array, bandwidth=1000.0)
+    since, n, phase, amplitude, fine = 0.02, 967, 0.3, 0.25, 8
+    time = np.arange(round(since * RATE * fine) + n * fine) / (RATE * fine)
+    field = sensor_field(slow, device, pose.position, pose.orientation, deflection(device, time, amplitude, phase))
+    w = 2 * np.pi * slow.bandwidth
+    heard = np.array([signal.lsim(([w], [1.0, w]), row - row[0], time)[1] for row in field])
+    heard = heard[:, round(since * RATE * fine) :: fine]
+    model = model_of(slow, device, n, since)
+    expected = filtered(model.mixing @ heard, RATE)[:, model.chain.points.astype(int)]
+    fast, _ = model.response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
+    assert np.abs(fast - expected).max() < 1e-3 * np.abs(expected).max()
+    ideal, _ = model_of(array, device, n, since).response(
+        pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE
+    )
+    assert np.abs(ideal - expected).max() > 2e-2 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("n", [242, 483, 1450, 4831])
+def test_taps_do_what_the_filters_do(n, device):
+    noise = np.random.default_rng(3).normal(size=(4, n))
+    chain = taps(n, RATE, 103.5)
+    out = kernels.chain_output(noise, chain.first, chain.weights, np.eye(4))
+    assert out == pytest.approx(filtered(noise, RATE)[:, chain.points.astype(int)], rel=1e-6, abs=1e-6)
+
+
+def test_the_two_moving_means_together_shift_nothing_in_time():
+    ramp = np.arange(400.0)
+    smooth = moving_mean(moving_mean(ramp), later=True)
+    assert smooth[100:300] == pytest.approx(ramp[100:300])
+
+
+def test_a_constant_of_a_channel_does_not_pass_the_chain():
+    assert np.abs(filtered(np.full((1, 500), 3.0), RATE)).max() < 1e-9
+
+
+def test_4n_plus_1_samples_are_evenly_spread():
+    points = sample_points(4831, RATE, 103.5)
+    assert whole_half_periods(4831, RATE, 103.5) == 20
+    assert len(points) == 81
+    assert np.ptp(np.diff(points)) <= 1.0
+    assert points[0] >= 0
+    assert points[-1] <= 4830
+
+
+def test_same_axis_differences_are_deaf_to_a_uniform_field(array):
+    uniform = array.axes @ np.array([3.0, -2.0, 5.0])
+    mixing = difference_matrix(array.axes, array.positions, np.ones(len(array), dtype=bool))
+    assert len(mixing) == len(array) - 3
+    assert mixing @ uniform == pytest.approx(np.zeros(len(mixing)))
+
+
+def test_antiparallel_sensors_are_added():
+    axes = np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, 1.0]])
+    places = np.array([[0, 0, 0], [1, 0, 0], [5.0, 0, 0]])
+    mixing = difference_matrix(axes, places, np.ones(3, dtype=bool))
+    assert mixing @ axes[:, 2] == pytest.approx(np.zeros(2))
+    assert np.linalg.matrix_rank(mixing) == 2
+
+
+def test_less_than_half_a_period_holds_no_sample():
+    with pytest.raises(InputError, match=r"2\.00 ms.*4\.83 ms"):
+        sample_points(100, RATE, 103.5)
