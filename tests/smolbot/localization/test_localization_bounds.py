@@ -17,24 +17,24 @@ RATE = 50_000.0
 NOISE = NoiseLevels(6e-12, 20e-12, 50.0, 8e-9, 11.5e-9, {2: 0.1, 3: 0.3, 5: 0.1})
 
 
-def coloured(rng, noise, n_channels, n, length=2**16):
-    """Sensor noise of density floor² + at_1hz² / f in power, by shaping white noise in frequency."""
+def coloured(rng, noise, n_channels, n, length=2**13):
+    """Sensor noise from `at_1hz` at 1 Hz falling as 1/f in power to its floor, by shaping white noise."""
     f = np.fft.rfftfreq(length, 1 / RATE)
-    density = np.sqrt(noise.floor**2 + noise.at_1hz**2 / np.maximum(f, 0.5))
+    density = np.sqrt(noise.floor**2 + (noise.at_1hz**2 - noise.floor**2) / np.maximum(f, 0.5))
     density[f > 4000] = 0.0
     white = np.fft.rfft(rng.normal(size=(n_channels, length)) * np.sqrt(RATE / 2))
     return np.fft.irfft(white * density, length)[:, :n]
 
 
 def mains(rng, noise, sensors, time):
-    """Uniform part of random direction, symmetric trace-free gradient of random entries, random phase per line."""
+    """Lines of random direction and phase; over directions, the field's change per metre has the described peak."""
     out = np.zeros((len(sensors), len(time)))
     for order, size in {1: 1.0, **noise.harmonics}.items():
         uniform = rng.normal(size=3)
         uniform *= noise.mains / np.linalg.norm(uniform)
         a = rng.normal(size=(3, 3))
-        gradient = (a + a.T) / 2 - np.trace(a) / 3 * np.eye(3)  # variances: 1/2 off, 2/3 on the diagonal
-        gradient *= noise.mains_gradient * np.sqrt(0.6 / 0.5)
+        gradient = (a + a.T) / 2 - np.trace(a) / 3 * np.eye(3)
+        gradient *= np.sqrt(3) * noise.mains_gradient / np.linalg.norm(gradient)  # |G u|² averages to g² over u
         field = uniform + sensors.positions @ gradient
         wave = np.cos(2 * np.pi * order * noise.mains_frequency * time + rng.uniform(0, 2 * np.pi))
         out += size * np.sum(field * sensors.axes, axis=1)[:, None] * wave

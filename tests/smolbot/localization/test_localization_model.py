@@ -8,6 +8,7 @@ import magpylib
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.spatial.transform import Rotation
 
 from smolbot.errors import InputError
 from smolbot.localization import kernels
@@ -42,33 +43,17 @@ def turned(rotation, vector):
 
 def test_a_point_dipole_sounds_like_a_cylinder_magnet_of_1_mm_at_80_mm(array, device, pose):
     volume = np.pi / 4 * 1e-3**3
-    magnet = magpylib.magnet.Cylinder((0, 0, MU0 * device.moment / volume), (1e-3, 1e-3))
+    magnet = magpylib.magnet.Cylinder(polarization=(0, 0, MU0 * device.moment / volume), dimension=(1e-3, 1e-3))
     theta = np.linspace(-device.theta_max, device.theta_max, 9)
     heard = np.zeros((len(array), len(theta)))
     for i, angle in enumerate(theta):
-        swing = magpylib_rotation(pose.rotation) * magpylib_rotation(about_y(angle))
-        upright = rotation_onto(device.moment_in_body)
+        swing = Rotation.from_matrix(pose.rotation) * Rotation.from_rotvec([0.0, angle, 0.0])
+        upright = Rotation.align_vectors([device.moment_in_body], [[0, 0, 1]])[0]
         magnet.position = pose.position + pose.rotation @ (device.l0 * np.array([np.sin(angle), 0, np.cos(angle)]))
         magnet.orientation = swing * upright
         heard[:, i] = np.sum(magnet.getB(array.positions) * array.axes, axis=1)
     ours = sensor_field(array, device, pose.position, pose.orientation, theta)
     assert np.abs(ours - heard).max() < 1e-3 * np.ptp(heard, axis=1).max()
-
-
-def about_y(angle):
-    return np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-
-
-def magpylib_rotation(matrix):
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(matrix)
-
-
-def rotation_onto(direction):
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.align_vectors([direction], [[0, 0, 1]])[0]
 
 
 def test_static_field_on_axis_at_80_mm_is_348_nT(along_device, pose_at):

@@ -1,0 +1,55 @@
+# `make mission` and `make test` set everything up by themselves, in .venv.
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.set-up
+export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help setup mission test lint types imports slow benchmark system-deps clean
+
+help:
+	@echo "make mission    set up, then fly the R-path mission in the simulated tank"
+	@echo "make test       set up, then run the tests"
+	@echo "make lint types imports    style, types, import rules"
+	@echo "make slow       the long checks       make benchmark    speeds, as ratios"
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@python=$$(tools/find-python) && echo "Setting up $(VENV) with $$python" && "$$python" -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@echo "Compiling kernels and building field tables"
+	@$(BIN)/python -m sim.warm_up
+	@touch $@
+
+mission: setup
+	@$(BIN)/smolbot run r_small --json
+
+test: setup
+	$(BIN)/python -m pytest -n auto --dist loadfile
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/mypy
+
+imports: setup
+	$(BIN)/lint-imports
+
+slow: setup
+	$(BIN)/python -m pytest -n auto -m slow
+
+benchmark: setup
+	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -s
+
+# Debian packages that some tests need; the only target that touches the system.
+system-deps:
+	@packages=$$(grep -v '^#' tools/system-packages.txt || true); \
+	if [ -z "$$packages" ]; then echo "No system package is needed."; \
+	else apt-get update -q && apt-get install -y -q $$packages; fi
+
+clean:
+	rm -rf $(VENV) build *.egg-info

@@ -1,0 +1,17 @@
+"""Compiles every kernel and builds the shipped tables ahead of the first flight: ``python -m sim.warm_up``."""
+
+from __future__ import annotations
+
+
+def warm_up() -> None:
+    """Fly the first seconds of the shortest mission, and draw it; what that needs is compiled and cached."""
+    import tempfile
+
+    import smolbot
+
+    with tempfile.TemporaryDirectory() as folder:
+        smolbot.run("line", seed=0, out=f"{folder}/warm-up", stop__max_duration_s=2.0)
+
+
+if __name__ == "__main__":
+    warm_up()

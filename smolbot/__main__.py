@@ -1,0 +1,5 @@
+"""``python -m smolbot``."""
+
+from smolbot.cli.app import main
+
+main()
