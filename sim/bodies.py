@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.errors import RigError
+from smolbot.errors import InputError, RigError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 
@@ -53,7 +53,7 @@ class Bodies:
         import pybullet
 
         if gui and not os.environ.get("DISPLAY"):
-            raise RigError(
+            raise InputError(
                 "Bullet's window needs a display, and DISPLAY is not set; leave gui away to run without one."
             )
         self._bullet = pybullet

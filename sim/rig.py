@@ -60,7 +60,7 @@ class TankRig:
         self._excitation = NominalExcitation(rig)
         self._rate = rig.sample_rate
         self._turnaround = rig.turnaround
-        self._seed, self._ideal = seed, ideal
+        self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
         self._last_drive: tuple[Excite, float] | None = None
         self._open = True
 

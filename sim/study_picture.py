@@ -26,7 +26,7 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
     with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
         figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
         grid = figure.add_gridspec(
-            3, 2, width_ratios=[1.0, 1.1], wspace=0.22, hspace=0.5, left=0.06, right=0.97, top=0.86, bottom=0.09
+            3, 2, width_ratios=[1.0, 1.1], wspace=0.22, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09
         )
         _draw_trails(figure.add_subplot(grid[:, 0]), mission, flights)
         rows = [

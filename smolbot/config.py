@@ -42,7 +42,8 @@ class Document:
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         self.text = text
-        self.overridden = False
+        self.settings: dict[KeyPath, str] = {}
+        self.prefix = ""
         try:
             self.data: dict[str, Any] = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -68,8 +69,11 @@ class Document:
         return self._lines.get(key, 1)
 
     def spell(self, fault: Fault) -> str:
-        """``file:line: key: message``."""
+        """``file:line: key: message``, or the setting that was laid over the file."""
         name = ".".join(str(part) for part in fault.key)
+        for key, value in self.settings.items():
+            if fault.key[: len(key)] == key:
+                return f"--set {self.prefix}{'.'.join(str(part) for part in key)}={value}: {fault.message}"
         return f"{self.path}:{self.line(fault.key)}: {name + ': ' if name else ''}{fault.message}"
 
     def error(self, faults: list[Fault]) -> ConfigError:
@@ -77,10 +81,14 @@ class Document:
         ordered = sorted(faults, key=lambda f: self.line(f.key))
         return ConfigError("\n".join(dict.fromkeys(self.spell(f) for f in ordered)))
 
-    def override(self, settings: dict[str, str]) -> Document:
-        """The same document with ``key.path = value`` settings laid over it, values in TOML spelling."""
+    def override(self, settings: dict[str, str], prefix: str = "") -> Document:
+        """The same document with ``key.path = value`` settings laid over it, values in TOML spelling.
+
+        `prefix` is what the user put before the keys, for messages.
+        """
         changed = Document(self.path, self.text)
-        changed.overridden = bool(settings)
+        changed.prefix = prefix
+        changed.settings = {tuple(name.split(".")): value for name, value in settings.items()}
         for name, value in settings.items():
             parts = name.split(".")
             target = changed.data

@@ -51,7 +51,7 @@ def drive(fields: FloatArray, pose: Pose, device: Device, inertia: float, cycles
     mix = useful / largest
     per_ampere = float(useful @ mix)
     full = amplitude_after(max_current * per_ampere, device, inertia, cycles)
-    share = float(np.clip(device.theta_max / full, WEAKEST, 1.0))
+    share = min(max(device.theta_max / full, WEAKEST), 1.0)
     return Drive(max_current * share * mix, min(full, device.theta_max))
 
 

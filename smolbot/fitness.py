@@ -33,7 +33,7 @@ def _container_faults(mission: Mission) -> list[Fault]:
     margin = 0.5e3 * float(np.hypot(*sorted(mission.robot.size)[1:]))  # it may lie at any angle
     low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
     high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
-    room = f"the robot's centre can go from ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) mm"
+    room = f"the robot's centre can go from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) mm"
     faults = []
     for key, points in (("path", mission.path.points[:, :2] * 1e3), ("start", 1e3 * np.array([mission.start]))):
         outside = np.flatnonzero(np.any((points < low - 1e-9) | (points > high + 1e-9), axis=1))

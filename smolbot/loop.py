@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Controller
 from smolbot.errors import InputError, InterlockError, RigError

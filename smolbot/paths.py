@@ -58,10 +58,7 @@ class Curve:
         steps = steps / np.linalg.norm(steps, axis=1, keepdims=True)
         turns = np.arccos(np.clip(np.sum(steps[1:] * steps[:-1], axis=1), -1.0, 1.0))
         stops = np.concatenate([[0.0], self.arc[1:-1][turns > corner], [self.length]])
-        pieces = [
-            np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[1:]
-            for a, b in pairwise(stops)
-        ]
+        pieces = [np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[1:] for a, b in pairwise(stops)]
         return np.concatenate([[0.0], *pieces])
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

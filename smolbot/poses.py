@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from smolbot.arrays import FloatArray, as_floats, frozen
 from smolbot.errors import InputError
@@ -51,7 +52,7 @@ class Pose:
         covariance = as_floats(self.covariance, (6, 6), "Pose covariance", finite=False)
         object.__setattr__(self, "covariance", frozen(covariance))
 
-    @property
+    @cached_property
     def rotation(self) -> FloatArray:
         """Rotation matrix (3, 3) that takes body vectors to world vectors."""
         return matrix_from_quaternion(self.orientation)

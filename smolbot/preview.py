@@ -81,11 +81,14 @@ class _Rollout:
         self.controller.reset(self.mission.path, self._pose())
         best, nearest, since = 0.0, np.inf, 0
         while True:
+            if not self.setup.table.contains(self.position[None, :])[0]:
+                return f"the robot would leave the field table near {_mm(self.position)}."
             command = self.controller.command(self._pose())
             if command.done:
                 return None
-            if not self.setup.table.contains(self.position[None, :])[0]:
-                return f"the robot would leave the field table near {_mm(self.position)}."
+            broken = self.setup.limits.faults(Shot((command.window,))) if command.window else []
+            if broken:
+                return f"{self.mission.law} would break a limit near {_mm(self.position)}: {' '.join(broken)}"
             self._act(command.window)
             goal = self.mission.path.at(command.progress)
             away = float(np.linalg.norm(goal[:2] - self.position[:2]))

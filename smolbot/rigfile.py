@@ -313,7 +313,7 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
     """Read a shipped rig by name, or a user's by path. Every fault of the file is reported at once."""
     document = Document.read(find_file(name, "rigs"))
     if settings:
-        document = document.override(settings)
+        document = document.override(settings, "rig.")
     sections, faults = document.validate(RigFile)
     faults += _world_faults(document)
     if sections is None or faults:

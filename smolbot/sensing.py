@@ -98,7 +98,8 @@ class Device:
     @property
     def drive_direction_in_body(self) -> FloatArray:
         """Unit body vector y x m: only the field along it drives the oscillation (Eq. S1)."""
-        return np.cross([0.0, 1.0, 0.0], self.moment_in_body)
+        x, _, z = self.moment_in_body
+        return np.array([z, 0.0, -x])
 
     @property
     def along_cantilever(self) -> bool:

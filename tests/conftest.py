@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.missionfile import Mission, load_mission
@@ -15,6 +16,10 @@ from smolbot.poses import Pose
 from smolbot.rigfile import load_rig
 from smolbot.rotations import quaternion_from_axes
 from smolbot.sensing import Device, Recording, SensorArray
+
+# No test depends on the wall clock or on what was drawn before.
+settings.register_profile("smolbot", deadline=None, derandomize=True, database=None)
+settings.load_profile("smolbot")
 
 RATE = 50_000.0
 UP = np.array([0.0, 0.0, 1.0])

@@ -21,7 +21,8 @@ from smolbot.sensing import Device, Recording, SensorArray
 MIN_R_SQUARED = 0.7
 """Below this a fit explains too little of the signal to act on."""
 
-_HALF_TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
+MIN_AMPLITUDE = 0.05
+"""Share of the stop below which a swing is no better than the mains line next to it."""
 
 
 class Localizer:
@@ -122,12 +123,11 @@ class Localizer:
 
     def _pose(self, problem: Problem, best: Fit, recording: Recording, prior: Pose | None) -> Pose:
         flip_margin = 1.0
-        rotation = best.rotation
-        if self.device.along_cantilever:
-            rotation = _nearer(rotation, prior)
-        else:
+        if not self.device.along_cantilever:
             best, flip_margin = self._settle_flip(problem, best)
-            rotation = best.rotation
+        orientation = quaternion_from_matrix(best.rotation)
+        if self.device.along_cantilever:
+            orientation = _nearer(orientation, prior)
         n_data = problem.data.size
         variance = best.sse / max(n_data - 8, 1)
         r_squared = 1.0 - best.sse / problem.total_sum_of_squares if problem.total_sum_of_squares > 0 else 0.0
@@ -136,11 +136,11 @@ class Localizer:
             low - 0.02 <= p <= high + 0.02
             for low, p, high in zip(self.volume.low, best.position, self.volume.high, strict=True)
         )
-        usable = bool(np.isfinite(covariance[0, 0]))
+        usable = bool(np.isfinite(covariance[0, 0])) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
         return Pose(
             time=recording.middle,
             position=best.position,
-            orientation=quaternion_from_matrix(rotation),
+            orientation=orientation,
             covariance=covariance if usable else np.diag([1e-2] * 3 + [10.0] * 3),
             r_squared=float(r_squared),
             flip_margin=flip_margin,
@@ -163,9 +163,10 @@ class Localizer:
         return low, float(max(1.0, np.sqrt(high.sse / max(low.sse, 1e-300))))
 
 
-def _nearer(rotation: FloatArray, prior: Pose | None) -> FloatArray:
+def _nearer(orientation: FloatArray, prior: Pose | None) -> FloatArray:
     """Of the two orientations that sound the same when the moment lies along the cantilever, the nearer one."""
     if prior is None:
-        return rotation
-    other = rotation @ _HALF_TURN_ABOUT_Z
-    return rotation if np.trace(rotation @ prior.rotation.T) >= np.trace(other @ prior.rotation.T) else other
+        return orientation
+    w, x, y, z = orientation
+    other = np.array([-z, y, -x, w])  # turned by 180 degrees about body z
+    return orientation if abs(orientation @ prior.orientation) >= abs(other @ prior.orientation) else other

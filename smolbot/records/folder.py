@@ -25,12 +25,9 @@ class RunFolder:
     """Written as the run goes on; whatever was flushed before a kill is readable after it."""
 
     def __init__(self, path: Path) -> None:
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            taken = any(path.iterdir())
-        except OSError as error:
-            raise InputError(f"{path}: the run folder cannot be made: {error}.") from error
-        if taken:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file; name a folder for the run.")
+        if path.is_dir() and any(path.iterdir()):
             raise InputError(f"{path}: is not empty; name a new folder, so that no run is lost.")
         self.path = path
         self._file: TextIO | None = None
@@ -38,7 +35,11 @@ class RunFolder:
         self._rows = 0
 
     def begin(self, mission: Mission, seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> None:
-        """Write what the run starts from."""
+        """Make the folder and write what the run starts from."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{self.path}: the run folder cannot be made: {error}.") from error
         for name, document in (
             ("mission.toml", mission.document),
             ("rig.toml", mission.rig.document),
@@ -110,7 +111,7 @@ def _commit() -> str | None:
 
 def as_used(document: Document) -> str:
     """Text of a file with its settings applied; the user's own text where nothing was set."""
-    return document.text if not document.overridden else f"# as used, with settings applied\n{toml_text(document.data)}"
+    return document.text if not document.settings else f"# as used, with settings applied\n{toml_text(document.data)}"
 
 
 def toml_text(data: Mapping[str, Any], prefix: str = "") -> str:

@@ -30,7 +30,7 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
         figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.0, 1.25], height_ratios=[1.0, 1.0, 1.0], wspace=0.2, hspace=0.28,
-            left=0.06, right=0.975, top=0.86, bottom=0.085,
+            left=0.06, right=0.975, top=0.845, bottom=0.085,
         )  # fmt: skip
         _draw_path(figure.add_subplot(grid[:, 0]), mission, trace)
         errors = figure.add_subplot(grid[0, 1])

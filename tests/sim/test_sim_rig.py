@@ -210,5 +210,5 @@ def test_faults_of_the_tank_section_are_told_by_line_and_key(tmp_path):
 
 def test_a_window_needs_a_display(rig, robot, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(RigError, match="DISPLAY"):
+    with pytest.raises(InputError, match="DISPLAY"):
         TankWorld.open(rig, robot, (0, 0), 1, gui=True)

@@ -219,16 +219,16 @@ def test_a_channel_that_is_not_finite_is_left_out(array, along_device, pose_at, 
 def test_what_cannot_be_located_is_refused_and_named(array, along_device, pose_at, hear):
     localizer = Localizer(array, along_device)
     good = hear(array, along_device, pose_at((0, 0, 80)))
-    with pytest.raises(InputError, match="9 channels.*10 sensors"):
+    with pytest.raises(InputError, match=r"9 channels.*10 sensors"):
         localizer.locate(Recording(good.field[:9], RATE, 0.02))
     with pytest.raises(InputError, match="0, 1, 2, 3, 4, 5, 6, 7, 8, 9"):
         localizer.locate(replace(good, saturated=np.ones(10, dtype=bool)))
-    with pytest.raises(InputError, match="half-period of 103.5 Hz"):
+    with pytest.raises(InputError, match=r"half-period of 103\.5 Hz"):
         localizer.locate(replace(good, field=good.field[:, :200]))
     for never in (np.inf, np.nan, -0.1):
         with pytest.raises(InputError, match="time_since_drive"):
             localizer.locate(replace(good, time_since_drive=never))
-    with pytest.raises(InputError, match="'paper'.*'best'"):
+    with pytest.raises(InputError, match=r"'paper'.*'best'"):
         Localizer(array, along_device, "best")
 
 
