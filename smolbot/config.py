@@ -128,6 +128,11 @@ def _fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
         close = _nearest(str(location[-1]), known)
         if close:
             message += f" Did you mean {close}?"
+    elif kind == "missing" and isinstance(location[-1], int):
+        message, location = (
+            f"entry {location[-1] + 1} is missing; got {json.dumps(item['input'], default=str)[:60]}.",
+            location[:-1],
+        )
     elif kind == "missing":
         message = (
             f"this key is missing; the section needs {', '.join(_fields_at(model, location[:-1], required=True))}."

@@ -9,6 +9,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.config import Fault
 from smolbot.errors import ConfigError
+from smolbot.localization.chain import WINDOW
 from smolbot.localization.expected import NoiseLevels, expected_covariance
 from smolbot.poses import Pose
 from smolbot.rotations import quaternion_from_axes
@@ -17,6 +18,9 @@ from smolbot.shots import Excite, Listen, RingDown, Shot
 if TYPE_CHECKING:
     from smolbot.missionfile import Mission
 
+LEAST_DIFFERENCES = 6
+"""Fewest same-axis differences that can hold the eight unknowns of a fit over a few samples."""
+
 
 def fitness_faults(mission: Mission) -> list[Fault]:
     """Every reason why the mission cannot be flown as its files say; empty if there is none."""
@@ -24,7 +28,7 @@ def fitness_faults(mission: Mission) -> list[Fault]:
         *_container_faults(mission),
         *_table_faults(mission),
         *_limit_faults(mission),
-        *_tolerance_faults(mission),
+        *(_sensor_faults(mission) or _tolerance_faults(mission)),
     ]
 
 
@@ -78,6 +82,23 @@ def _limit_faults(mission: Mission) -> list[Fault]:
         )
     )
     return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
+
+
+def _sensor_faults(mission: Mission) -> list[Fault]:
+    axes, frequency = mission.rig.sensors.axes, mission.robot.device.frequency
+    parallel = np.abs(axes @ axes.T) > np.cos(np.radians(2.0))
+    differences = int(np.sum(np.tril(parallel, -1).any(axis=1)))  # each with an earlier sensor of its direction
+    faults = []
+    if differences < LEAST_DIFFERENCES:
+        message = f"its {len(axes)} sensors form {differences} same-axis differences; a pose needs {LEAST_DIFFERENCES}."
+        faults.append(Fault(("rig",), message))
+    least = 2.0 * frequency * WINDOW
+    if mission.rig.sample_rate < least:
+        message = (
+            f"it samples at {mission.rig.sample_rate:g} Hz; a device of {frequency:g} Hz needs {least:g} Hz or more."
+        )
+        faults.append(Fault(("rig",), message))
+    return faults
 
 
 def _tolerance_faults(mission: Mission) -> list[Fault]:

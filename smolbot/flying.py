@@ -13,18 +13,15 @@ import numpy as np
 
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
-from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.loop import CycleRecord, Listener, Loop, Run, StopRules
+from smolbot.loop import CycleRecord, Listener, Loop, Quiet, Run, StopRules
 from smolbot.missionfile import Mission, load_mission
 from smolbot.motion.robot import magnet_inertia
 from smolbot.plugins import load, load_world
 from smolbot.records.folder import RunFolder
 from smolbot.records.summary import summarise
 from smolbot.records.trace import Trace
-from smolbot.rotations import quaternion_from_axes
 from smolbot.scheduler import Scheduler
-from smolbot.sensing import Recording
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
@@ -117,7 +114,6 @@ def _fly_on(
 
     extra = listeners(mission) if listeners else ()
     loop = make_loop(rig, mission, (write, *extra))
-    warm_up(loop, mission.rig.sample_rate)
     gc.collect()
     gc.freeze()
     try:
@@ -145,24 +141,12 @@ def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) 
     tracker = Tracker(setup.robot, setup.device, setup.table)
     inertia = magnet_inertia(setup.device.moment, setup.device.l0)
     scheduler = Scheduler(setup.cycle, rig.limits, setup.device, rig.excitation_field, rig.now, inertia)
-    localizer = Localizer(rig.sensors, setup.device, mission.sections.localization.estimator, search_volume(mission))
+    listening = mission.sections.localization
+    localizer = Localizer(rig.sensors, setup.device, estimator=listening.estimator, volume=search_volume(mission))
+    quiet = Quiet(listening.quiet_s if listening.estimator == "whitened" else 0.0, mission.rig.sample_rate)
     stop = mission.sections.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
-    return Loop(rig, mission.path, scheduler, localizer, tracker, controller, rules, listeners)
-
-
-def warm_up(loop: Loop, rate: float) -> None:
-    """Use every compiled kernel once, on a made-up recording, so that the first cycles are as quick as the rest."""
-    localizer, cycle = loop.localizer, loop.scheduler.cycle
-    device = localizer.device
-    position = np.array(loop.path.points[0])
-    orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
-    samples = round(cycle.half_periods * rate / (2.0 * device.frequency))
-    time = cycle.ring_down + np.arange(samples) / rate
-    theta = deflection(device, time, 0.5 * device.theta_max, 0.3)
-    field = sensor_field(localizer.sensors, device, position, orientation, theta)
-    recording = Recording(field, rate, cycle.ring_down)
-    localizer.locate(recording, localizer.locate(recording))
+    return Loop(rig, mission.path, scheduler, localizer, tracker, controller, rules, quiet, listeners)
 
 
 def search_volume(mission: Mission) -> SearchVolume:

@@ -7,14 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+import numpy as np
+
 from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Controller
 from smolbot.errors import InputError, InterlockError, RigError
+from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
+from smolbot.localization.noise import NoiseModel
 from smolbot.paths import Curve
 from smolbot.poses import Pose
+from smolbot.rotations import quaternion_from_axes
 from smolbot.scheduler import Scheduler
+from smolbot.sensing import Recording
 from smolbot.shots import Shot
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
@@ -33,9 +39,20 @@ class CycleRecord:
     compute: float
 
 
+@dataclass(frozen=True)
+class Event:
+    """Something that changed what is believed, at a time on the rig's clock in s."""
+
+    time: float
+    what: str
+    detail: dict[str, object] = field(default_factory=dict)
+
+
 @dataclass
 class Run:
-    """A flown mission: how it ended, every cycle, and (once summarised) its figures and folder.
+    """A flown mission: how it ended, every cycle and event, and (once summarised) its figures and folder.
+
+    `begun` is when the first cycle started, after the noise was learned; `duration` counts from the start.
 
     `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only.
     """
@@ -44,6 +61,8 @@ class Run:
     stop_reason: str = ""
     duration: float = 0.0
     wall: float = 0.0
+    begun: float = 0.0
+    events: list[Event] = field(default_factory=list)
     cycles: list[CycleRecord] = field(default_factory=list)
     summary: dict[str, object] = field(default_factory=dict)
     folder: str | None = None
@@ -64,6 +83,14 @@ class StopRules:
     lost_shots: int
 
 
+@dataclass(frozen=True)
+class Quiet:
+    """How long to listen to the noise alone before the first drive, in s (0: not at all), and the sample rate in Hz."""
+
+    duration: float
+    sample_rate: float
+
+
 class Loop:
     """Flies one path with a rig, a localizer, a tracker and a controller."""
 
@@ -76,6 +103,7 @@ class Loop:
         tracker: Tracker,
         controller: Controller,
         rules: StopRules,
+        quiet: Quiet,
         listeners: tuple[Listener, ...] = (),
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
@@ -86,6 +114,8 @@ class Loop:
         self.tracker = tracker
         self.controller = controller
         self.rules = rules
+        self.quiet = quiet
+        self.events: list[Event] = []
         self.listeners = listeners
         self._clock = clock
         self._begun = False
@@ -95,6 +125,9 @@ class Loop:
         run = Run()
         begin, command = self._clock(), Command(None, note="no pose yet")
         try:
+            self._learn_noise()
+            self._warm_up()
+            run.begun = self.rig.now()
             while True:
                 record = self._cycle(command)
                 run.cycles.append(record)
@@ -112,8 +145,30 @@ class Loop:
         finally:
             self.rig.stop()
         run.duration = self.rig.now()
+        run.events = self.events
         run.wall = self._clock() - begin
         return run
+
+    def _learn_noise(self) -> None:
+        """Listen to the noise alone, and let the localizer know it."""
+        if self.quiet.duration <= 0.0:
+            return
+        heard = [self.rig.play(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
+        noise = NoiseModel.learn([recording for recording in heard if recording is not None])
+        self.localizer = self.localizer.with_noise(noise)
+        lines = [round(float(f), 3) for f in noise.line_frequencies]
+        self.events.append(Event(self.rig.now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines}))
+
+    def _warm_up(self) -> None:
+        """Use every compiled kernel once, on a made-up recording, so that the first cycles are as quick as the rest."""
+        device, cycle, rate = self.localizer.device, self.scheduler.cycle, self.quiet.sample_rate
+        orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
+        samples = round(cycle.half_periods * rate / (2.0 * device.frequency))
+        time_ = cycle.ring_down + np.arange(samples) / rate
+        theta = deflection(device, time_, 0.5 * device.theta_max, 0.3)
+        heard = sensor_field(self.localizer.sensors, device, np.array(self.path.points[0]), orientation, theta)
+        recording = Recording(heard, rate, cycle.ring_down)
+        self.localizer.locate(recording, self.localizer.locate(recording))
 
     def _cycle(self, command: Command) -> CycleRecord:
         begin = self._clock()

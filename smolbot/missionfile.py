@@ -74,7 +74,8 @@ class CycleSection(FileModel):
 class LocalizationSection(FileModel):
     """How poses are found."""
 
-    estimator: Literal["paper"] = "paper"
+    estimator: Literal["whitened", "paper"] = "whitened"
+    quiet_s: Annotated[float, Field(ge=0)] = 10.0
 
 
 class VerdictSection(FileModel):

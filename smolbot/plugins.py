@@ -70,15 +70,13 @@ def _load(point: EntryPoint) -> Any:
 
 
 def _explain(package: str, point: EntryPoint, error: Exception) -> str:
-    import importlib
+    from importlib.util import find_spec
 
     message = f"'{point.name}' ({point.value}) cannot be loaded: {error}."
     if package not in _OURS:
         return message
-    try:
-        where = getattr(importlib.import_module(package), "__file__", None)
-    except ImportError:
-        return message
+    found = find_spec(package)
+    where = found.origin if found is not None else "not there"
     return (
         f"{message} The package '{package}' that Python finds is {where}; if it is not smolbot's, "
         "it shadows ours: run from another directory, or rename it."

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from smolbot.arrays import FloatArray
 from smolbot.config import Document, Fault, FileModel
@@ -24,11 +24,20 @@ Vector = tuple[float, float, float]
 Range = tuple[float, float]
 
 
+def _points_somewhere(value: Vector) -> Vector:
+    if not any(value):
+        raise ValueError("must have a direction; got three zeros.")
+    return value
+
+
+Direction = Annotated[Vector, AfterValidator(_points_somewhere)]
+
+
 class SensorsSection(FileModel):
     """Single-axis magnetometers and the converter behind them."""
 
     positions_mm: Annotated[list[Vector], Field(min_length=1)]
-    axes: list[Literal["x", "y", "z"] | Vector]
+    axes: list[Literal["x", "y", "z"] | Direction]
     sample_rate_hz: Positive = 50_000.0
     bandwidth_hz: Positive = 1000.0
     range_ut: Positive = 10.0
@@ -50,7 +59,7 @@ class CoilSection(FileModel):
 
     name: str
     center_mm: Vector
-    axis: Vector
+    axis: Direction
     inner_radius_mm: Positive
     outer_radius_mm: Positive
     length_mm: Positive
@@ -70,7 +79,7 @@ class ExcitationSection(FileModel):
 
     name: Literal["x", "y"]
     center_mm: Vector
-    axis: Vector
+    axis: Direction
     length_mm: Positive
     width_mm: Positive
     height_mm: Positive

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from smolbot.config import Document, FileModel
 from smolbot.library import find_file
@@ -36,6 +36,13 @@ class DeviceSection(FileModel):
     frequency_hz: Positive
     damping_per_s: Annotated[float, Field(ge=0)]
     damping_model: Literal["linear", "exponential"]
+
+    @field_validator("moment_in_body")
+    @classmethod
+    def _in_the_plane_of_swing(cls, value: Vector) -> Vector:
+        if value[1] != 0 or not any(value):
+            raise ValueError(f"must point somewhere in the plane of oscillation (body x, z); got {list(value)}.")
+        return value
 
 
 class RobotFile(FileModel):

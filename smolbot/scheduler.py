@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -86,6 +86,15 @@ class Scheduler:
         self._excitation_field = excitation_field
         self._clock = clock
         self._inertia = inertia
+
+    def quiet_shots(self, duration: float) -> Iterator[Shot]:
+        """Shots of about a second that only listen, `duration` s in all."""
+        frequency = self.device.frequency
+        longest = min(1.0, self.limits.max_listen)
+        count = max(round(duration / longest), 1)
+        half_periods = max(int(2.0 * frequency * min(duration / count, longest)), 1)
+        for _ in range(count):
+            yield Shot((Listen(half_periods, frequency),), "quiet", self._clock())
 
     def next(self, command: Command, tracker: Believed) -> Shot:
         """The next shot, for a command and what the tracker believes."""

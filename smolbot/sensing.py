@@ -68,6 +68,8 @@ class Device:
     damping : float, in 1/s
     damping_model : {"linear", "exponential"}
         Envelope of the free oscillation: Eq. S3 or Eq. S4.
+    amplitude, amplitude_std : float or None, in rad
+        What is known of the amplitude at the end of a drive; without it, anything up to the stop is likely.
     """
 
     moment: float
@@ -77,6 +79,8 @@ class Device:
     frequency: float
     damping: float
     damping_model: DampingModel = "exponential"
+    amplitude: float | None = None
+    amplitude_std: float | None = None
 
     def __post_init__(self) -> None:
         direction = as_floats(self.moment_in_body, (3,), "Device moment_in_body")
@@ -94,6 +98,13 @@ class Device:
             raise InputError(f"Device damping_model must be 'linear' or 'exponential'; got {self.damping_model!r}.")
         if abs(self.moment_in_body[1]) > 1e-6:
             raise InputError("Device moment_in_body must lie in the plane of oscillation (body x, z).")
+
+    @property
+    def amplitude_prior(self) -> tuple[float, float]:
+        """Mean and standard deviation of the amplitude at the end of a drive, in rad."""
+        if self.amplitude is not None and self.amplitude_std is not None:
+            return self.amplitude, self.amplitude_std
+        return 0.75 * self.theta_max, 0.3 * self.theta_max
 
     @property
     def drive_direction_in_body(self) -> FloatArray:

@@ -10,7 +10,10 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-import smolbot
+# Small matrices gain nothing from a linear algebra library's threads, and stall when cores are shared.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import smolbot  # noqa: E402
 from smolbot.errors import InterlockError, PluginError, RigError, SmolbotError
 
 DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3
@@ -52,7 +55,8 @@ def _broken(name: str, message: str) -> Any:
         raise typer.Exit(BAD_INPUT)
 
     app = typer.Typer(add_completion=False)
-    app.command(name, help="Cannot be loaded; call it to see why.")(lambda: explain())
+    whatever = {"ignore_unknown_options": True, "allow_extra_args": True}
+    app.command(name, help="Cannot be loaded; call it to see why.", context_settings=whatever)(lambda: explain())
     return typer.main.get_command(app)
 
 

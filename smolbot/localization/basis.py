@@ -85,3 +85,15 @@ def time_basis(
             lag = 1.0 + (1j * h * omega - k * np.where(damping > 0, rate, 0.0)) / (2.0 * np.pi * bandwidth)
             out[k, h] = harmonic_weight(k, h) * np.sum(chain.weights * damped * wave**h / lag, axis=1)
     return out
+
+
+def labels() -> npt.NDArray[np.int64]:
+    """Every real time function as (power, harmonic, 0 for the real part or 1 for the imaginary), powers ascending."""
+    return np.array(
+        [(k, h, part) for k in range(1, DEGREE + 1) for h in range(k % 2, k + 1, 2) for part in ((0, 1) if h else (0,))]
+    )
+
+
+def real_functions(basis: ComplexArray) -> FloatArray:
+    """The time basis (K, K, n_out) as real functions (n_functions, n_out), in the order of `labels`."""
+    return np.array([basis[k, h].imag if part else basis[k, h].real for k, h, part in labels()])

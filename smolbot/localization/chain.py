@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from smolbot.arrays import BoolArray, FloatArray
+from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
 
 WINDOW = 50
@@ -122,7 +122,7 @@ def taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
     return Taps(points, first, weights)
 
 
-def difference_matrix(axes: FloatArray, positions: FloatArray, usable: BoolArray) -> FloatArray:
+def difference_matrix(axes: FloatArray, positions: FloatArray) -> FloatArray:
     """Same-axis difference as a matrix: each sensor minus the reference of its own direction.
 
     The reference of a group of parallel sensors is the one nearest to the group's middle: noise
@@ -131,8 +131,6 @@ def difference_matrix(axes: FloatArray, positions: FloatArray, usable: BoolArray
     Parameters
     ----------
     axes, positions : ndarray, shape (n, 3)
-    usable : ndarray of bool, shape (n,)
-        Sensors that may take part.
 
     Returns
     -------
@@ -140,7 +138,7 @@ def difference_matrix(axes: FloatArray, positions: FloatArray, usable: BoolArray
         Antiparallel sensors are added instead of subtracted.
     """
     rows: list[FloatArray] = []
-    left = [i for i in range(len(axes)) if usable[i]]
+    left = list(range(len(axes)))
     while left:
         lead = left[0]
         group = [i for i in left if abs(axes[i] @ axes[lead]) > np.cos(np.radians(2.0))]

@@ -13,11 +13,14 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.localization import kernels
-from smolbot.localization.basis import REFERENCE_ANGLE
+from smolbot.localization.basis import labels
 from smolbot.localization.problem import Fit, Problem
 
 TURNS = 12
 """Orientations tried about the direction of swing."""
+
+FINALS = 10
+"""Fits that are followed to their end."""
 
 
 @dataclass(frozen=True)
@@ -34,55 +37,57 @@ class SearchVolume:
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def first_harmonic(problem: Problem) -> tuple[FloatArray, float]:
-    """Signed size of the first harmonic in each difference, and the common phase.
+@dataclass(frozen=True)
+class Start:
+    """Where the magnet may be (3,), which way its moment swings (3,) in A·m² per reference angle, and the phase."""
 
-    Returns
-    -------
-    amplitudes : ndarray, shape (n_differences,), in T per reference angle
-    phase : float, in rad
-    """
-    columns = [problem.model.basis[1, 1].real, -problem.model.basis[1, 1].imag]
-    columns += [problem.model.basis[2, 2].real, -problem.model.basis[2, 2].imag]
-    design = np.stack(columns, axis=1)
-    scale = np.linalg.norm(design, axis=0)
-    solution = np.linalg.lstsq(design / scale, problem.data.T, rcond=None)[0] / scale[:, None]
-    phasor = solution[0] + 1j * solution[1]
-    phase = 0.5 * float(np.angle(np.sum(phasor**2)))
-    return np.real(phasor * np.exp(-1j * phase)), phase
+    magnet: FloatArray
+    swing: FloatArray
+    phase: float
 
 
-def best_start(problem: Problem, volume: SearchVolume, keep: int = 5) -> Fit:
-    """Fit from the most promising starts; the one with the least error.
-
-    Parameters
-    ----------
-    keep : int
-        Grid positions, at least two spacings apart, that are followed up.
-    """
-    amplitudes, phase = first_harmonic(problem)
+def likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Start]:
+    """Grid positions, at least two spacings apart, that explain most of the first harmonic."""
+    model = problem.model
+    real, imaginary = (int(np.flatnonzero((labels() == (1, 1, part)).all(axis=1))[0]) for part in (0, 1))
+    design = np.concatenate([model.matrix[:, real], -model.matrix[:, imaginary]], axis=1)
     grid = volume.grid()
-    moments = np.zeros_like(grid)
-    errors = kernels.grid_residuals(
-        amplitudes, problem.model.sensors.positions, problem.model.sensors.axes, problem.model.mixing, grid, moments
-    )
-    places: list[int] = []
-    for index in np.argsort(errors):
-        if all(np.linalg.norm(grid[index] - grid[i]) > 2.0 * volume.spacing for i in places):
-            places.append(int(index))
-        if len(places) == keep:
+    moments = np.zeros((len(grid), 6))
+    gains = kernels.grid_moments(design.T @ design, design.T @ problem.data, model.positions, model.axes, grid, moments)
+    starts: list[Start] = []
+    for index in np.argsort(-gains):
+        if all(np.linalg.norm(grid[index] - s.magnet) > 2.0 * volume.spacing for s in starts):
+            phasor = moments[index, :3] + 1j * moments[index, 3:]
+            phase = 0.5 * float(np.angle(np.sum(phasor**2)))
+            starts.append(Start(grid[index], np.real(phasor * np.exp(-1j * phase)), phase))
+        if len(starts) == keep:
             break
+    return starts
+
+
+def best_fits(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Fit]:
+    """Distinct fits from the most promising starts, the best first."""
     tries: list[Fit] = []
-    for place in places:
-        for orientation, sign_phase in _orientations(problem, moments[place], phase):
-            top = problem.model.amplitude_max
-            size = float(np.linalg.norm(moments[place])) / problem.model.device.moment / REFERENCE_ANGLE
-            amplitude = min(max(size, 0.1 * top), 0.95 * top)
-            center = grid[place] - problem.model.device.l0 * orientation[:, 2]
-            tries.append(problem.fit(center, orientation, sign_phase, amplitude, iterations=4))
+    top = problem.model.amplitude_max
+    for start in likely_starts(problem, volume, keep):
+        size = float(np.linalg.norm(start.swing)) / problem.model.device.moment
+        amplitude = min(max(size, 0.1 * top), 0.95 * top)
+        for rotation, phase in _orientations(problem, start.swing, start.phase):
+            center = start.magnet - problem.model.device.l0 * rotation[:, 2]
+            tries.append(problem.fit(center, rotation, phase, amplitude, iterations=4))
     tries.sort(key=lambda t: t.sse)
-    finals = [problem.fit(t.position, t.rotation, t.phase, t.amplitude, iterations=60) for t in tries[:8]]
-    return min(finals, key=lambda t: t.sse)
+    finals = [problem.fit(t.position, t.rotation, t.phase, t.amplitude, iterations=60) for t in tries[:FINALS]]
+    finals.sort(key=lambda t: t.sse)
+    distinct: list[Fit] = []
+    for fit in finals:
+        if all(not _alike(fit, other) for other in distinct):
+            distinct.append(fit)
+    return distinct
+
+
+def _alike(a: Fit, b: Fit) -> bool:
+    near = float(np.linalg.norm(a.position - b.position)) < 1e-3
+    return near and float(np.trace(a.rotation.T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(5.0))
 
 
 def _orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tuple[FloatArray, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.localization import basis as time_functions
 from smolbot.localization.chain import Taps
-from smolbot.localization.problem import chain_model
+from smolbot.localization.problem import paper_model
 from smolbot.poses import Pose
 from smolbot.sensing import Device, SensorArray
 
@@ -68,14 +68,14 @@ def expected_covariance(
     """
     n_samples = round(half_periods * sample_rate / (2.0 * device.frequency))
     everyone = np.ones(len(sensors), dtype=np.bool_).tobytes()
-    model = chain_model(sensors, device, everyone, n_samples, sample_rate, time_since_drive)
+    model = paper_model(sensors, device, everyone, n_samples, sample_rate, time_since_drive)
     size = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
     parts = _noise_parts(sensors, noise, model.chain, sample_rate, model.mixing)
     covariances = []
     for phase in np.pi * np.arange(4) / 4.0:
         _, jacobian = model.response(pose.position, pose.rotation, float(phase), size)
-        scale = np.sqrt(np.sum(jacobian**2, axis=(0, 1)))
-        scaled = jacobian / scale
+        scale = np.sqrt(np.sum(jacobian**2, axis=0))
+        scaled = (jacobian / scale).reshape(len(model.mixing), -1, 8)
         gain = np.linalg.inv(np.einsum("qia,qib->ab", scaled, scaled))
         middle = np.zeros((8, 8))
         for space, time in parts:

@@ -14,13 +14,13 @@ N_PARAMETERS = 8
 _MU0_OVER_4PI = 1e-7
 
 
-@njit(cache=True, fastmath=False)
-def series(positions, axes, mixing, moment, l0, angles, powers, position, rotation, values, slopes):
-    """Power series in the deflection of each mixed channel, and its derivatives for position and rotation.
+@njit(cache=True)
+def series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes):
+    """Power series in the deflection of each channel, and its derivatives for position and rotation.
 
-    `values` (n_mixed, K) and `slopes` (n_mixed, K, 6) are filled. `mixing` (n_mixed, n_sensors).
+    `values` (n_channels, K) and `slopes` (n_channels, K, 6) are filled.
     """
-    n_sensors, n_nodes, n_mixed = positions.shape[0], angles.shape[0], mixing.shape[0]
+    n_sensors, n_nodes = positions.shape[0], angles.shape[0]
     raw = np.zeros((n_sensors, n_nodes, 7))
     m = np.empty(3)
     r2 = np.empty(3)
@@ -54,69 +54,66 @@ def series(positions, axes, mixing, moment, l0, angles, powers, position, rotati
             raw[j, node, 4] = -(r2[1] * gz - r2[2] * gy) + (m[1] * hz - m[2] * hy)
             raw[j, node, 5] = -(r2[2] * gx - r2[0] * gz) + (m[2] * hx - m[0] * hz)
             raw[j, node, 6] = -(r2[0] * gy - r2[1] * gx) + (m[0] * hy - m[1] * hx)
-    mixed = np.zeros((n_nodes, 7))
-    for q in range(n_mixed):
-        mixed[:] = 0.0
-        for j in range(n_sensors):
-            weight = mixing[q, j]
-            if weight != 0.0:
-                for node in range(n_nodes):
-                    for p in range(7):
-                        mixed[node, p] += weight * raw[j, node, p]
+    for j in range(n_sensors):
         for k in range(n_nodes):
             for p in range(7):
                 total = 0.0
                 for node in range(n_nodes):
-                    total += powers[k, node] * mixed[node, p]
+                    total += powers[k, node] * raw[j, node, p]
                 if p == 0:
-                    values[q, k] = total
+                    values[j, k] = total
                 else:
-                    slopes[q, k, p - 1] = total
-
-
-@njit(cache=True)
-def project(basis, phase, wave, wave_slope):
-    """Fill the real time functions (K, n_out) of each power for one phase, and their phase derivatives."""
-    n_powers, n_out = basis.shape[0], basis.shape[2]
-    wave[:] = 0.0
-    wave_slope[:] = 0.0
-    for k in range(1, n_powers):
-        for h in range(k % 2, k + 1, 2):
-            c, s = np.cos(h * phase), np.sin(h * phase)
-            for i in range(n_out):
-                re, im = basis[k, h, i].real, basis[k, h, i].imag
-                wave[k, i] += re * c - im * s
-                wave_slope[k, i] -= h * (re * s + im * c)
+                    slopes[j, k, p - 1] = total
 
 
 @njit(cache=True)
 def model(
-    basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
+    matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
 ):
-    """Fill the model's output (n_mixed, n_out) and its Jacobian (n_mixed, n_out, 8)."""
-    n_powers, n_out, n_mixed = basis.shape[0], basis.shape[2], mixing.shape[0]
-    values = np.zeros((n_mixed, n_powers))
-    slopes = np.zeros((n_mixed, n_powers, 6))
-    wave = np.zeros((n_powers, n_out))
-    wave_slope = np.zeros((n_powers, n_out))
-    series(positions, axes, mixing, moment, l0, angles, powers, position, rotation, values, slopes)
-    project(basis, phase, wave, wave_slope)
-    for q in range(n_mixed):
-        for i in range(n_out):
-            out[q, i] = 0.0
-            for p in range(8):
-                jacobian[q, i, p] = 0.0
-        scale = 1.0
+    """Fill the model's output (n_out,) and its Jacobian (n_out, 8).
+
+    `matrix` (n_out, n_functions, n_channels) is the linear chain's answer to each time function in each
+    channel; `labels` (n_functions, 3) are a function's power, harmonic, and 0 for cosine or 1 for sine.
+    """
+    n_out, n_functions, n_channels = matrix.shape
+    n_powers = angles.shape[0]
+    values = np.zeros((n_channels, n_powers))
+    slopes = np.zeros((n_channels, n_powers, 6))
+    series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes)
+    size = np.ones(n_powers)
+    for k in range(1, n_powers):
+        size[k] = size[k - 1] * amplitude
+    turn = np.zeros((n_functions, 2))
+    for f in range(n_functions):
+        h = labels[f, 1]
+        if labels[f, 2] == 0:
+            turn[f, 0], turn[f, 1] = np.cos(h * phase), -h * np.sin(h * phase)
+        else:
+            turn[f, 0], turn[f, 1] = -np.sin(h * phase), -h * np.cos(h * phase)
+    now = np.zeros(n_channels)
+    ahead = np.zeros(n_channels)
+    for i in range(n_out):
+        total = 0.0
+        for p in range(8):
+            jacobian[i, p] = 0.0
+        f = 0
         for k in range(1, n_powers):
-            slope_scale = k * scale
-            scale *= amplitude
-            for i in range(n_out):
-                w = scale * wave[k, i]
-                out[q, i] += values[q, k] * w
+            for j in range(n_channels):
+                now[j] = 0.0
+                ahead[j] = 0.0
+            while f < n_functions and labels[f, 0] == k:
+                for j in range(n_channels):
+                    now[j] += turn[f, 0] * matrix[i, f, j]
+                    ahead[j] += turn[f, 1] * matrix[i, f, j]
+                f += 1
+            for j in range(n_channels):
+                w = now[j] * size[k]
+                total += values[j, k] * w
                 for p in range(6):
-                    jacobian[q, i, p] += slopes[q, k, p] * w
-                jacobian[q, i, 6] += values[q, k] * scale * wave_slope[k, i]
-                jacobian[q, i, 7] += values[q, k] * slope_scale * wave[k, i]
+                    jacobian[i, p] += slopes[j, k, p] * w
+                jacobian[i, 6] += values[j, k] * size[k] * ahead[j]
+                jacobian[i, 7] += k * values[j, k] * size[k - 1] * now[j]
+        out[i] = total
 
 
 @njit(cache=True)
@@ -172,59 +169,50 @@ def rotate(rotation, e):
 
 
 @njit(cache=True)
-def normal_equations(data, out, jacobian, normal, gradient):
-    """Fill J^T J and J^T r; return the sum squared error (Eq. S20)."""
+def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
+    """Fill J^T J and J^T r, the belief in the amplitude included; return the cost and the sum squared error (S20).
+
+    `belief`: mean of the amplitude, and the inverse of its variance (0 without one).
+    """
     normal[:] = 0.0
     gradient[:] = 0.0
     sse = 0.0
-    for q in range(data.shape[0]):
-        for i in range(data.shape[1]):
-            r = data[q, i] - out[q, i]
-            sse += r * r
-            for a in range(8):
-                ja = jacobian[q, i, a]
-                gradient[a] += ja * r
-                for b in range(a + 1):
-                    normal[a, b] += ja * jacobian[q, i, b]
+    for i in range(data.shape[0]):
+        r = data[i] - out[i]
+        sse += r * r
+        for a in range(8):
+            ja = jacobian[i, a]
+            gradient[a] += ja * r
+            for b in range(a + 1):
+                normal[a, b] += ja * jacobian[i, b]
     for a in range(8):
         for b in range(a):
             normal[b, a] = normal[a, b]
-    return sse
+    off = belief[0] - amplitude
+    normal[7, 7] += belief[1]
+    gradient[7] += belief[1] * off
+    return sse + belief[1] * off * off, sse
 
 
 @njit(cache=True)
 def fit(
-    data,
-    basis,
-    positions,
-    axes,
-    mixing,
-    moment,
-    l0,
-    angles,
-    powers,
-    position,
-    rotation,
-    phase,
-    amplitude,
-    amplitude_max,
-    iterations,
-    tolerance,
-):
-    """Unweighted Levenberg-Marquardt from one start.
+    data, matrix, labels, positions, axes, moment, l0, angles, powers,
+    position, rotation, phase, amplitude, amplitude_max, belief, iterations, tolerance,
+):  # fmt: skip
+    """Levenberg-Marquardt from one start.
 
     Returns position, rotation, phase, amplitude, sum squared error, J^T J (8, 8) and whether it converged.
     """
-    n_mixed, n_out = data.shape
-    out = np.zeros((n_mixed, n_out))
-    jacobian = np.zeros((n_mixed, n_out, 8))
+    n_out = data.shape[0]
+    out = np.zeros(n_out)
+    jacobian = np.zeros((n_out, 8))
     normal = np.zeros((8, 8))
     gradient = np.zeros(8)
     position, rotation = position.copy(), rotation.copy()
     model(
-        basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
+        matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
     )
-    sse = normal_equations(data, out, jacobian, normal, gradient)
+    cost, sse = normal_equations(data, out, jacobian, amplitude, belief, normal, gradient)
     damping = 1e-3
     converged = False
     trial_normal = np.zeros((8, 8))
@@ -248,38 +236,24 @@ def fit(
                 continue
             step = right[:, 0].copy()
             length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-            turn = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-            shrink = min(1.0, 0.02 / (length + 1e-30), 0.7 / (turn + 1e-30))
+            turned = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+            shrink = min(1.0, 0.02 / (length + 1e-30), 0.7 / (turned + 1e-30))
             step *= shrink
             new_position = position + step[:3]
             new_rotation = rotate(rotation, step[3:6])
+            new_phase = phase + step[6]
             new_amplitude = min(max(amplitude + step[7], 0.02 * amplitude_max), amplitude_max)
             model(
-                basis,
-                positions,
-                axes,
-                mixing,
-                moment,
-                l0,
-                angles,
-                powers,
-                new_position,
-                new_rotation,
-                phase + step[6],
-                new_amplitude,
-                out,
-                jacobian,
+                matrix, labels, positions, axes, moment, l0, angles, powers,
+                new_position, new_rotation, new_phase, new_amplitude, out, jacobian,
+            )  # fmt: skip
+            new_cost, new_sse = normal_equations(
+                data, out, jacobian, new_amplitude, belief, trial_normal, trial_gradient
             )
-            new_sse = normal_equations(data, out, jacobian, trial_normal, trial_gradient)
-            if new_sse < sse:
-                gain = (sse - new_sse) / sse
-                position, rotation, phase, amplitude, sse = (
-                    new_position,
-                    new_rotation,
-                    phase + step[6],
-                    new_amplitude,
-                    new_sse,
-                )
+            if new_cost < cost:
+                gain = (cost - new_cost) / cost
+                position, rotation, phase, amplitude = new_position, new_rotation, new_phase, new_amplitude
+                cost, sse = new_cost, new_sse
                 normal[:] = trial_normal
                 gradient[:] = trial_gradient
                 damping = max(damping * 0.1, 1e-12)
@@ -287,7 +261,7 @@ def fit(
                 if gain < tolerance and shrink == 1.0:
                     converged = True
                 break
-            if length < 1e-9 and turn < 1e-8:
+            if length < 1e-9 and turned < 1e-8:
                 converged = True
                 break
             damping = max(damping, 1e-9) * 10.0
@@ -298,17 +272,18 @@ def fit(
 
 
 @njit(cache=True)
-def linear_start(data, basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, guess):
+def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, guess):
     """Phase and amplitude that fit `data` best at a fixed pose; exact for small amplitudes."""
-    first = np.zeros(data.shape)
-    second = np.zeros(data.shape)
-    jacobian = np.zeros((data.shape[0], data.shape[1], 8))
-    model(basis, positions, axes, mixing, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
+    n_out = data.shape[0]
+    first = np.zeros(n_out)
+    second = np.zeros(n_out)
+    jacobian = np.zeros((n_out, 8))
+    model(matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
     model(
-        basis,
+        matrix,
+        labels,
         positions,
         axes,
-        mixing,
         moment,
         l0,
         angles,
@@ -321,14 +296,12 @@ def linear_start(data, basis, positions, axes, mixing, moment, l0, angles, power
         jacobian,
     )
     aa, ab, bb, ay, by = 0.0, 0.0, 0.0, 0.0, 0.0
-    for q in range(data.shape[0]):
-        for i in range(data.shape[1]):
-            a, b, y = first[q, i], second[q, i], data[q, i]
-            aa += a * a
-            ab += a * b
-            bb += b * b
-            ay += a * y
-            by += b * y
+    for i in range(n_out):
+        aa += first[i] * first[i]
+        ab += first[i] * second[i]
+        bb += second[i] * second[i]
+        ay += first[i] * data[i]
+        by += second[i] * data[i]
     determinant = aa * bb - ab * ab
     if determinant <= 1e-12 * aa * bb:
         return 0.0, guess
@@ -338,8 +311,8 @@ def linear_start(data, basis, positions, axes, mixing, moment, l0, angles, power
 
 @njit(cache=True)
 def covariance(normal, variance):
-    """Covariance (6, 6) of position and rotation, phase and amplitude free; infinite where undetermined."""
-    out = np.full((6, 6), np.inf)
+    """Covariance (8, 8) of position, rotation, phase and amplitude; infinite where undetermined."""
+    out = np.full((8, 8), np.inf)
     scale = np.zeros(8)
     for a in range(8):
         if normal[a, a] <= 0.0:
@@ -357,47 +330,66 @@ def covariance(normal, variance):
         worst = max(worst, inverse[a, a])
     if worst > 1e11:  # a direction with no information to speak of
         return out
-    for a in range(6):
-        for b in range(6):
+    for a in range(8):
+        for b in range(8):
             out[a, b] = variance * inverse[a, b] * scale[a] * scale[b]
     return out
 
 
 @njit(cache=True)
-def chain_output(field, first, weights, mixing):
-    """Chain's output (n_mixed, n_out) of raw samples (n_sensors, n)."""
+def tapped(field, first, weights):
+    """Weighted sums (n_sensors, n_out) of raw samples (n_sensors, n), each row less its own first sample.
+
+    The first sample is taken off so that a large constant costs no precision.
+    """
     n_sensors, n_out, width = field.shape[0], weights.shape[0], weights.shape[1]
-    mixed = np.zeros((mixing.shape[0], n_out))
+    out = np.zeros((n_sensors, n_out))
     for j in range(n_sensors):
-        used = False
-        for q in range(mixing.shape[0]):
-            if mixing[q, j] != 0.0:
-                used = True
-        if not used:
-            continue
         base = field[j, 0]
         for i in range(n_out):
             total = 0.0
             start = first[i]
             for w in range(width):
                 total += weights[i, w] * (field[j, start + w] - base)
-            for q in range(mixing.shape[0]):
-                mixed[q, i] += mixing[q, j] * total
-    return mixed
+            out[j, i] = total
+    return out
 
 
 @njit(cache=True)
-def grid_residuals(amplitudes, positions, axes, mixing, grid, moments):
-    """Sum squared error of the best oscillating moment at each grid position; moments (n_grid, 3) are filled."""
-    n_grid, n_mixed, n_sensors = grid.shape[0], mixing.shape[0], positions.shape[0]
-    errors = np.zeros(n_grid)
-    lead = np.zeros((n_sensors, 3))
-    mixed = np.zeros((n_mixed, 3))
-    normal = np.zeros((3, 3))
-    right = np.zeros((3, 1))
-    energy = np.sum(amplitudes * amplitudes)
-    for g in range(n_grid):
-        for j in range(n_sensors):
+def mixed(mixing, samples):
+    """`mixing` (n_rows, n) times `samples` (n, m), row by row in one vector; no threads of a linear algebra library."""
+    n_rows, n, m = mixing.shape[0], samples.shape[0], samples.shape[1]
+    out = np.zeros(n_rows * m)
+    for q in range(n_rows):
+        if m == 1:
+            total = 0.0
+            for j in range(n):
+                total += mixing[q, j] * samples[j, 0]
+            out[q] = total
+        else:
+            for j in range(n):
+                weight = mixing[q, j]
+                if weight != 0.0:
+                    for i in range(m):
+                        out[q * m + i] += weight * samples[j, i]
+    return out
+
+
+@njit(cache=True)
+def grid_moments(gram, right, positions, axes, grid, moments):
+    """Fit of an oscillating moment at each grid position; returns how much of the data each explains.
+
+    `gram` (2n, 2n) and `right` (2n,) are the normal equations of the first harmonic, in-phase part of all
+    n channels first, then quadrature; `moments` (n_grid, 6) are filled likewise.
+    """
+    n = positions.shape[0]
+    lead = np.zeros((n, 3))
+    half = np.zeros((2 * n, 6))
+    normal = np.zeros((6, 6))
+    solution = np.zeros((6, 1))
+    gains = np.zeros(grid.shape[0])
+    for g in range(grid.shape[0]):
+        for j in range(n):
             dx, dy, dz = positions[j, 0] - grid[g, 0], positions[j, 1] - grid[g, 1], positions[j, 2] - grid[g, 2]
             inverse = 1.0 / (dx * dx + dy * dy + dz * dz)
             f3 = _MU0_OVER_4PI * inverse * np.sqrt(inverse)
@@ -405,28 +397,32 @@ def grid_residuals(amplitudes, positions, axes, mixing, grid, moments):
             lead[j, 0] = f3 * (da * dx - axes[j, 0])
             lead[j, 1] = f3 * (da * dy - axes[j, 1])
             lead[j, 2] = f3 * (da * dz - axes[j, 2])
-        mixed[:] = 0.0
-        for q in range(n_mixed):
-            for j in range(n_sensors):
-                if mixing[q, j] != 0.0:
-                    for i in range(3):
-                        mixed[q, i] += mixing[q, j] * lead[j, i]
-        for i in range(3):
-            right[i, 0] = 0.0
-            for k in range(3):
-                normal[i, k] = 0.0
-        for q in range(n_mixed):
+        for row in range(2 * n):
+            for part in range(2):
+                for i in range(3):
+                    total = 0.0
+                    for j in range(n):
+                        total += gram[row, part * n + j] * lead[j, i]
+                    half[row, 3 * part + i] = total
+        for part in range(2):
             for i in range(3):
-                right[i, 0] += mixed[q, i] * amplitudes[q]
-                for k in range(3):
-                    normal[i, k] += mixed[q, i] * mixed[q, k]
-        saved = right.copy()
-        if solve_posdef(normal, right, 3):
-            explained = 0.0
-            for i in range(3):
-                explained += saved[i, 0] * right[i, 0]
-                moments[g, i] = right[i, 0]
-            errors[g] = energy - explained
-        else:
-            errors[g] = energy
-    return errors
+                total = 0.0
+                for j in range(n):
+                    total += right[part * n + j] * lead[j, i]
+                solution[3 * part + i, 0] = total
+                for k in range(6):
+                    total = 0.0
+                    for j in range(n):
+                        total += half[part * n + j, k] * lead[j, i]
+                    normal[3 * part + i, k] = total
+        trace = 0.0
+        for i in range(6):
+            trace += normal[i, i]
+        for i in range(6):
+            normal[i, i] += 1e-9 * trace
+        saved = solution.copy()
+        if solve_posdef(normal, solution, 6):
+            for i in range(6):
+                gains[g] += saved[i, 0] * solution[i, 0]
+                moments[g, i] = solution[i, 0]
+    return gains

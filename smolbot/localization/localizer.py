@@ -2,27 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
+from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.chain import whole_half_periods
-from smolbot.localization.cold_start import SearchVolume, best_start
-from smolbot.localization.problem import Fit, Problem, prepare
+from smolbot.localization.cold_start import SearchVolume, best_fits
+from smolbot.localization.noise import NoiseModel
+from smolbot.localization.problem import Fit, Problem, prepare_paper
+from smolbot.localization.whitening import prepare_whitened
 from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_matrix, rotation_error
+from smolbot.rotations import quaternion_from_matrix
 from smolbot.sensing import Device, Recording, SensorArray
+
+Estimator = Literal["whitened", "paper"]
 
 MIN_R_SQUARED = 0.7
 """Below this a fit explains too little of the signal to act on."""
 
 MIN_AMPLITUDE = 0.05
 """Share of the stop below which a swing is no better than the mains line next to it."""
+
+MIN_ODDS = 12.0
+"""A cold start is trusted if every other solution is worse by this much in chi-square (odds of 400 to 1)."""
+
+MAX_SIGMA = (3e-3, 0.2)
+"""Standard deviations, in m and rad, beyond which a pose is not worth acting on."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Amplitude at the end of the drive and its standard deviation, in rad, and the phase there, in rad."""
+
+    amplitude: float
+    amplitude_std: float
+    phase: float
 
 
 class Localizer:
@@ -36,7 +56,10 @@ class Localizer:
     sensors : SensorArray
     device : Device
         As it is believed to be; replaced, not changed, when it is learned anew.
-    estimator : {"paper"}
+    noise : NoiseModel, optional
+        Learned from quiet recordings; without it a plausible one is assumed. Only ``whitened`` uses it.
+    estimator : {"whitened", "paper"}
+        ``whitened``: generalised least squares under the noise model, all channels, a free constant in each.
         ``paper``: the paper's chain with an unweighted Levenberg-Marquardt fit (Eqs. S2 to S8, S20 to S23).
     volume : SearchVolume
         Where a cold start looks, and where a trusted pose may lie.
@@ -51,15 +74,25 @@ class Localizer:
         self,
         sensors: SensorArray,
         device: Device,
-        estimator: Literal["paper"] = "paper",
+        noise: NoiseModel | None = None,
+        estimator: Estimator = "whitened",
         volume: SearchVolume | None = None,
     ) -> None:
-        if estimator != "paper":
-            raise InputError(f"estimator must be 'paper'; got {estimator!r}.")
+        if estimator not in get_args(Estimator):
+            raise InputError(f"estimator must be 'whitened' or 'paper'; got {estimator!r}.")
         self.sensors = sensors
         self.device = device
+        self.noise = noise or NoiseModel.assumed(sensors)
         self.estimator = estimator
         self.volume = volume or SearchVolume()
+
+    def with_noise(self, noise: NoiseModel) -> Localizer:
+        """The same localizer under another noise model."""
+        return Localizer(self.sensors, self.device, noise, self.estimator, self.volume)
+
+    def with_device(self, device: Device) -> Localizer:
+        """The same localizer for a device that was learned anew."""
+        return Localizer(self.sensors, device, self.noise, self.estimator, self.volume)
 
     def locate(self, recording: Recording, prior: Pose | None = None) -> Pose:
         """Pose at the middle of the recording, from all of it.
@@ -68,25 +101,30 @@ class Localizer:
         ----------
         recording : Recording
         prior : Pose, optional
-            Start of the fit, and what decides between poses that no sensor can tell apart. Its
+            Start of the fit, and what decides between poses that sensors can hardly tell apart. Its
             covariance is not used: fusing is the tracker's work. Without it the fit starts cold.
 
         Returns
         -------
         Pose
-            `trusted` is false where the fit explains too little, or ends outside the search volume.
+            `trusted` is false where the fit explains too little, another pose explains it as well, or
+            it ends outside the search volume.
 
         Raises
         ------
         InputError
             If the recording does not fit the sensors, or holds no half-period; says which channel.
         """
-        problem = prepare(recording, self.sensors, self.device)
+        return self.locate_swing(recording, prior)[0]
+
+    def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, Swing]:
+        """`locate`, and what was learned of the oscillation along with the pose."""
+        problem = self.prepare(recording)
         if prior is None:
-            best = best_start(problem, self.volume)
+            found = best_fits(problem, self.volume)
         else:
-            best = self._from_prior(problem, np.asarray(prior.position), prior.rotation)
-        return self._pose(problem, best, recording, prior)
+            found = self._from_prior(problem, np.asarray(prior.position), prior.rotation)
+        return self._pose(problem, found, recording, prior)
 
     def locate_segments(self, recording: Recording, half_periods: int) -> tuple[Pose, ...]:
         """Poses of consecutive segments of `half_periods` each (superfast mode); the rest is left out."""
@@ -113,54 +151,87 @@ class Localizer:
             poses.append(self.locate(segment, trusted[-1] if trusted else None))
         return tuple(poses)
 
-    def _from_prior(self, problem: Problem, position: FloatArray, rotation: FloatArray) -> Fit:
+    def prepare(self, recording: Recording) -> Problem:
+        """The recording as the estimator sees it, ready to be fitted."""
+        if self.estimator == "paper":
+            return prepare_paper(recording, self.sensors, self.device)
+        return prepare_whitened(recording, self.sensors, self.device, self.noise)
+
+    def _from_prior(self, problem: Problem, position: FloatArray, rotation: FloatArray) -> list[Fit]:
         """Fit from a known pose; phase and amplitude start from a linear solve at that pose."""
         phase, amplitude = problem.phase_and_amplitude(position, rotation)
-        tries = [problem.fit(position, rotation, phase, amplitude)]
-        if tries[0].sse > 0.3 * problem.total_sum_of_squares:
-            tries.append(best_start(problem, self.volume))
-        return min(tries, key=lambda t: t.sse)
+        first = problem.fit(position, rotation, phase, amplitude)
+        if first.sse > 0.3 * problem.total_sum_of_squares:
+            return sorted([first, *best_fits(problem, self.volume)], key=lambda t: t.sse)
+        return [first]
 
-    def _pose(self, problem: Problem, best: Fit, recording: Recording, prior: Pose | None) -> Pose:
-        flip_margin = 1.0
-        if not self.device.along_cantilever:
-            best, flip_margin = self._settle_flip(problem, best)
+    def _pose(self, problem: Problem, found: list[Fit], recording: Recording, prior: Pose | None) -> tuple[Pose, Swing]:
+        best, flip_margin, odds = found[0], 1.0, np.inf
+        along = self.device.along_cantilever
+        variance = 1.0 if problem.model.white else best.sse / max(problem.data.size - 8, 1)
+        if not along:
+            best, other = self._both_twins(problem, best)
+            flip_margin = float(max(1.0, np.sqrt(other.sse / max(best.sse, 1e-300))))
+            odds = (other.sse - best.sse) / variance
+        rivals = [f for f in found[1:] if not (along and _is_twin(f, best)) and not _same(f, best)]
+        if rivals:
+            odds = min(odds, (min(f.sse for f in rivals) - best.sse) / variance)
         orientation = quaternion_from_matrix(best.rotation)
-        if self.device.along_cantilever:
+        if along:
             orientation = _nearer(orientation, prior)
-        n_data = problem.data.size
-        variance = best.sse / max(n_data - 8, 1)
-        r_squared = 1.0 - best.sse / problem.total_sum_of_squares if problem.total_sum_of_squares > 0 else 0.0
-        covariance = kernels.covariance(best.normal, variance)
-        inside = all(
-            low - 0.02 <= p <= high + 0.02
-            for low, p, high in zip(self.volume.low, best.position, self.volume.high, strict=True)
+        variance = _inflated(problem, best) if problem.model.white else best.sse / max(problem.data.size - 8, 1)
+        total = problem.total_sum_of_squares
+        r_squared = 1.0 - best.sse / total if total > 0 else 0.0
+        spread = kernels.covariance(best.normal, variance)
+        covariance = spread[:6, :6]
+        usable = bool(np.isfinite(spread[0, 0])) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
+        certain = usable and bool(
+            np.sqrt(np.diag(covariance)[:3].max()) < MAX_SIGMA[0]
+            and np.sqrt(np.diag(covariance)[3:].max()) < MAX_SIGMA[1]
         )
-        usable = bool(np.isfinite(covariance[0, 0])) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
-        return Pose(
+        clear = prior is not None or odds > MIN_ODDS
+        pose = Pose(
             time=recording.middle,
             position=best.position,
             orientation=orientation,
             covariance=covariance if usable else np.diag([1e-2] * 3 + [10.0] * 3),
             r_squared=float(r_squared),
             flip_margin=flip_margin,
-            trusted=bool(best.converged and inside and usable and r_squared >= MIN_R_SQUARED),
+            trusted=bool(best.converged and certain and clear and self._inside(best) and r_squared >= MIN_R_SQUARED),
         )
+        std = float(np.sqrt(spread[7, 7])) if usable else np.inf
+        return pose, Swing(best.amplitude * REFERENCE_ANGLE, std * REFERENCE_ANGLE, float(best.phase))
 
-    def _settle_flip(self, problem: Problem, best: Fit) -> tuple[Fit, float]:
-        """Fit the other member of the two-fold ambiguity as well; keep the better, return their ratio."""
+    def _inside(self, fit: Fit) -> bool:
+        bounds = zip(self.volume.low, fit.position, self.volume.high, strict=True)
+        return all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
+
+    def _both_twins(self, problem: Problem, best: Fit) -> tuple[Fit, Fit]:
+        """Fit the other member of the two-fold ambiguity as well; the better one first."""
         moment = best.rotation @ self.device.moment_in_body
-        half_turn = 2.0 * np.outer(moment, moment) - np.eye(3)
-        turned = half_turn @ best.rotation
+        turned = (2.0 * np.outer(moment, moment) - np.eye(3)) @ best.rotation
         position = best.position + self.device.l0 * (best.rotation[:, 2] - turned[:, 2])
-        other = problem.fit(position, turned, best.phase + np.pi, best.amplitude)
+        other = problem.fit(position, turned, best.phase + np.pi, best.amplitude, iterations=8, tolerance=1e-3)
         low, high = sorted((best, other), key=lambda t: t.sse)
-        same = np.linalg.norm(
-            rotation_error(quaternion_from_matrix(low.rotation), quaternion_from_matrix(high.rotation))
-        )
-        if same < 0.1:
-            return low, 1e6
-        return low, float(max(1.0, np.sqrt(high.sse / max(low.sse, 1e-300))))
+        return low, high
+
+
+def _inflated(problem: Problem, fit: Fit) -> float:
+    """Variance of whitened residuals: one, unless they are larger than chance makes them."""
+    freedom = max(problem.data.size - 8, 1)
+    variance = fit.sse / freedom
+    return variance if variance > 1.0 + 4.0 * np.sqrt(2.0 / freedom) else 1.0
+
+
+def _same(a: Fit, b: Fit) -> bool:
+    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
+    return near and float(np.trace(a.rotation.T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
+
+
+def _is_twin(a: Fit, b: Fit) -> bool:
+    half_turn = np.array([-1.0, -1.0, 1.0])
+    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
+    return near and float(np.trace((a.rotation * half_turn).T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
 
 
 def _nearer(orientation: FloatArray, prior: Pose | None) -> FloatArray:

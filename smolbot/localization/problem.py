@@ -1,4 +1,7 @@
-"""One fit made ready: a recording's data, the time basis and the sensors that take part."""
+"""One fit made ready: a recording brought to a vector, and the linear map from time functions to it.
+
+Both estimators are of this form; they differ in the linear chain alone.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,6 @@ from smolbot.sensing import Device, Recording, SensorArray
 
 _kernels: Any = compiled  # the type of a compiled function says nothing of its arguments
 
-MIN_CHANNELS = 6
-"""Fewest differences that can hold the eight unknowns of a fit over a few samples."""
-
 
 class Fit(NamedTuple):
     """Outcome of one Levenberg-Marquardt fit. `normal` is J^T J for (position, e, phase, amplitude)."""
@@ -33,22 +33,36 @@ class Fit(NamedTuple):
     converged: bool
 
 
-@dataclass(frozen=True)
-class ChainModel:
-    """What stays the same from one recording to the next like it: chain, time basis, sensors that take part.
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """What stays the same from one recording to the next like it.
 
     Attributes
     ----------
-    mixing : ndarray, shape (n_differences, n_sensors)
+    device : Device
+    positions, axes : ndarray, shape (n_channels, 3)
+        Of the sensors that take part.
     chain : Taps
-    basis : ndarray of complex, shape (K, K, n_out)
+        Brings raw samples to fewer ones, channel by channel.
+    mixing : ndarray, shape (n_rows, n_channels * n_taps) or (n_differences, n_channels)
+        Brings those to the data vector; see `separable`.
+    matrix : ndarray, shape (n_out, n_functions, n_channels)
+        The data vector's answer to each time function in each channel.
+    separable : bool
+        True where `mixing` acts on channels alone, for every tap alike.
+    white : bool
+        True where the data vector's noise is white and of unit size.
     """
 
-    sensors: SensorArray
     device: Device
-    mixing: FloatArray
+    positions: FloatArray
+    axes: FloatArray
+    used: BoolArray
     chain: Taps
-    basis: time_functions.ComplexArray
+    mixing: FloatArray
+    matrix: FloatArray
+    separable: bool
+    white: bool
 
     @property
     def amplitude_max(self) -> float:
@@ -56,35 +70,51 @@ class ChainModel:
         return 1.1 * self.device.theta_max / time_functions.REFERENCE_ANGLE
 
     @cached_property
+    def belief(self) -> FloatArray:
+        """Mean of the amplitude's prior, and the inverse of its variance; no prior where the noise is not scaled."""
+        scale = time_functions.REFERENCE_ANGLE
+        mean, std = self.device.amplitude_prior
+        return np.array([mean / scale, (scale / std) ** 2 if self.white else 0.0])
+
+    @cached_property
     def constants(self) -> tuple[Any, ...]:
         """Arguments that every kernel of the fit begins with."""
         return (
-            self.basis,
-            self.sensors.positions,
-            self.sensors.axes,
-            self.mixing,
+            self.matrix,
+            time_functions.labels(),
+            self.positions,
+            self.axes,
             self.device.moment * self.device.moment_in_body,
             self.device.l0,
             time_functions.nodes() * time_functions.REFERENCE_ANGLE,
             time_functions.power_matrix(),
         )
 
+    def vector(self, field: FloatArray) -> FloatArray:
+        """Data vector (n_out,) of raw samples (n_channels, n) in T."""
+        tapped = _kernels.tapped(field, self.chain.first, self.chain.weights)
+        return _kernels.mixed(self.mixing, tapped if self.separable else tapped.reshape(-1, 1))
+
     def response(
         self, position: FloatArray, rotation: FloatArray, phase: float, amplitude: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Model (n_differences, n_out) and its Jacobian (n_differences, n_out, 8) at one set of parameters."""
-        out = np.zeros((len(self.mixing), len(self.chain.first)))
-        jacobian = np.zeros((*out.shape, compiled.N_PARAMETERS))
+        """Model (n_out,) and its Jacobian (n_out, 8) at one set of parameters.
+
+        Parameters are position (3,) in m, rotation matrix (3, 3), phase in rad, and amplitude as a
+        fraction of the reference angle; derivatives for the rotation are for e in exp(e) R.
+        """
+        out = np.zeros(len(self.matrix))
+        jacobian = np.zeros((len(out), compiled.N_PARAMETERS))
         place = (np.ascontiguousarray(position, dtype=float), np.ascontiguousarray(rotation))
         _kernels.model(*self.constants, *place, float(phase), float(amplitude), out, jacobian)
         return out, jacobian
 
 
 @lru_cache(maxsize=64)
-def chain_model(
+def paper_model(
     sensors: SensorArray, device: Device, usable: bytes, n_samples: int, sample_rate: float, since: float
-) -> ChainModel:
-    """Chain and time basis for recordings of one kind, kept for the next one like it.
+) -> LinearModel:
+    """The paper's chain for recordings of one kind, kept for the next one like it.
 
     Parameters
     ----------
@@ -93,30 +123,36 @@ def chain_model(
     since : float, in s
         From the end of the drive to the first sample.
     """
-    mixing = difference_matrix(sensors.axes, sensors.positions, np.frombuffer(usable, dtype=np.bool_))
+    used = np.frombuffer(usable, dtype=np.bool_)
+    mixing = difference_matrix(sensors.axes[used], sensors.positions[used])
     chain = taps(n_samples, sample_rate, device.frequency)
     basis = time_functions.time_basis(device, chain, sample_rate, since, sensors.bandwidth)
-    return ChainModel(sensors, device, mixing, chain, basis)
+    functions = time_functions.real_functions(basis)
+    matrix = np.einsum("qj,fi->qifj", mixing, functions).reshape(-1, len(functions), int(used.sum()))
+    return LinearModel(
+        device=device,
+        positions=np.ascontiguousarray(sensors.positions[used]),
+        axes=np.ascontiguousarray(sensors.axes[used]),
+        used=used,
+        chain=chain,
+        mixing=mixing,
+        matrix=np.ascontiguousarray(matrix),
+        separable=True,
+        white=False,
+    )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """One fit made ready.
+    """One fit made ready: a linear model and the data vector (n_out,)."""
 
-    Attributes
-    ----------
-    model : ChainModel
-    data : ndarray, shape (n_differences, n_out), in T/s
-        Output of the signal chain.
-    """
-
-    model: ChainModel
+    model: LinearModel
     data: FloatArray
 
     @cached_property
     def total_sum_of_squares(self) -> float:
-        """Eq. S21."""
-        off = self.data - self.data.mean()
+        """Eq. S21; of whitened data about zero, since their mean has no meaning."""
+        off = self.data if self.model.white else self.data - self.data.mean()
         return float(np.vdot(off, off))
 
     def fit(
@@ -127,11 +163,11 @@ class Problem:
         amplitude: float,
         *,
         iterations: int = 40,
-        tolerance: float = 1e-7,
+        tolerance: float = 1e-6,
     ) -> Fit:
         """Levenberg-Marquardt from one start; amplitudes are fractions of the reference angle."""
         start = (np.ascontiguousarray(position), np.ascontiguousarray(rotation), float(phase), float(amplitude))
-        limits = (self.model.amplitude_max, iterations, tolerance)
+        limits = (self.model.amplitude_max, self.model.belief, iterations, tolerance)
         return Fit(*_kernels.fit(self.data, *self.model.constants, *start, *limits))
 
     def phase_and_amplitude(self, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
@@ -142,24 +178,42 @@ class Problem:
         return phase, min(max(size, 0.05 * top), 0.98 * top)
 
 
+MIN_OUTPUTS = 6
+"""Fewest differences, or channels, that can hold the eight unknowns of a fit."""
+
+
 def usable_channels(recording: Recording, sensors: SensorArray) -> BoolArray:
     """Channels that take part: not saturated, finite.
 
     Raises
     ------
     InputError
-        If the recording does not fit the sensors, or too few channels can be used; names them.
+        If the recording does not fit the sensors, or no drive preceded it.
     """
-    if len(recording.field) != len(sensors):
+    heard = len(recording.field)
+    if heard != len(sensors):
+        raise InputError(f"The recording has {heard} channels; the sensor array has {len(sensors)} sensors.")
+    if not np.isfinite(recording.time_since_drive) or recording.time_since_drive < 0:
         raise InputError(
-            f"The recording has {len(recording.field)} channels; the sensor array has {len(sensors)} sensors."
+            "A pose needs a recording after a drive, with time_since_drive of at least 0 s; "
+            f"got {recording.time_since_drive}."
         )
     finite = np.isfinite(recording.field.sum(axis=1))  # a sum with nan or infinity is neither
     usable: BoolArray = finite & ~recording.saturated
     return usable
 
 
-def prepare(recording: Recording, sensors: SensorArray, device: Device) -> Problem:
+def require_enough(count: int, what: str, usable: BoolArray) -> None:
+    """Raise `InputError`, naming the channels left out, if too few are left."""
+    if count < MIN_OUTPUTS:
+        bad = ", ".join(str(i) for i in np.flatnonzero(~usable)) or "none"
+        raise InputError(
+            f"Only {count} {what} can be used; at least {MIN_OUTPUTS} are needed. "
+            f"Channels saturated, silent or not finite: {bad}."
+        )
+
+
+def prepare_paper(recording: Recording, sensors: SensorArray, device: Device) -> Problem:
     """Pass a recording through the paper's chain and make its fit ready.
 
     Raises
@@ -169,18 +223,14 @@ def prepare(recording: Recording, sensors: SensorArray, device: Device) -> Probl
         half-period, or no drive preceded it.
     """
     usable = usable_channels(recording, sensors)
-    if not np.isfinite(recording.time_since_drive) or recording.time_since_drive < 0:
-        raise InputError(
-            "A pose needs a recording after a drive, with time_since_drive of at least 0 s; "
-            f"got {recording.time_since_drive}."
-        )
-    n_samples = recording.field.shape[1]
-    model = chain_model(sensors, device, usable.tobytes(), n_samples, recording.sample_rate, recording.time_since_drive)
-    if len(model.mixing) < MIN_CHANNELS:
-        bad = ", ".join(str(i) for i in np.flatnonzero(~usable)) or "none"
-        raise InputError(
-            f"Only {len(model.mixing)} same-axis differences can be formed; at least {MIN_CHANNELS} are needed. "
-            f"Channels saturated or not finite: {bad}."
-        )
-    data = _kernels.chain_output(recording.field, model.chain.first, model.chain.weights, model.mixing)
-    return Problem(model, data)
+    model = paper_model(
+        sensors,
+        device,
+        usable.tobytes(),
+        recording.field.shape[1],
+        recording.sample_rate,
+        recording.time_since_drive,
+    )
+    require_enough(len(model.mixing), "same-axis differences", usable)
+    field = recording.field if usable.all() else np.ascontiguousarray(recording.field[usable])
+    return Problem(model, model.vector(field))

@@ -28,6 +28,7 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     cycles = run.cycles
     played = sum(c.shot.duration for c in cycles)
     duration = run.duration
+    cycling = duration - run.begun
     poses = [c.pose for c in cycles if c.pose is not None and c.pose.trusted]
     out: dict[str, Any] = {
         "mission": mission.name,
@@ -36,12 +37,13 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
         "stop_reason": run.stop_reason,
         "cycles": len(cycles),
         "duration_s": duration,
-        "loop_rate_hz": len(cycles) / duration if duration else 0.0,
+        "loop_rate_hz": len(cycles) / cycling if cycling > 0 else 0.0,
         "timeline_limit_hz": len(cycles) / played if played else 0.0,
         "turnaround_ms": mission.rig.turnaround * 1e3,
         "compute_ms": _compute(run),
         "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
         "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles),
+        "events": [{"time_s": e.time, "what": e.what, **e.detail} for e in run.events],
         "coil_energy_j": coil_energy(mission, run),
         "path_length_mm": mission.path.length * 1e3,
         "progress_mm": max((c.command.progress for c in cycles), default=0.0) * 1e3,

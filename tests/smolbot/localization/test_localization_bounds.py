@@ -9,7 +9,7 @@ import pytest
 
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.expected import NoiseLevels, expected_covariance
-from smolbot.localization.problem import prepare
+from smolbot.localization.problem import prepare_paper
 from smolbot.rotations import quaternion_from_matrix, rotation_error
 from smolbot.sensing import Recording
 
@@ -44,13 +44,13 @@ def mains(rng, noise, sensors, time):
 def scatter_of_fits(sensors, device, noise, pose, half_periods, repeats, amplitude):
     n = round(half_periods * RATE / (2 * device.frequency))
     rng, errors = np.random.default_rng(8), []
-    silent = prepare(Recording(np.zeros((len(sensors), n)), RATE, 0.02), sensors, device)
+    silent = prepare_paper(Recording(np.zeros((len(sensors), n)), RATE, 0.02), sensors, device)
     time, size = np.arange(n) / RATE, amplitude / REFERENCE_ANGLE
     for i in range(repeats):
         phase = np.pi * (i % 4) / 4
         clean, _ = silent.model.response(pose.position, pose.rotation, phase, size)
         field = coloured(rng, noise, len(sensors), n) + mains(rng, noise, sensors, time)
-        heard = prepare(Recording(field, RATE, 0.02), sensors, device)
+        heard = prepare_paper(Recording(field, RATE, 0.02), sensors, device)
         fit = replace(heard, data=heard.data + clean).fit(pose.position, pose.rotation, phase, size)
         turn = rotation_error(quaternion_from_matrix(fit.rotation), pose.orientation)
         errors.append([*(fit.position - pose.position), *turn])

@@ -1,0 +1,202 @@
+"""How good measurements are: the paper's statistics, linear and circular (Eqs. S20 to S30).
+
+Everywhere `measured` d and `truth` f have k values along the first axis and n datasets along the
+second; an array of shape (k,) is one dataset. Units are those of the data; circular data are in rad.
+
+Where the print is wrong or leaves a choice: S26 divides by kn - 1, although n means are taken out of
+the data (the paper's choice, kept); S27 takes the modulus of a difference that may lie anywhere on the
+circle, so the difference is first wrapped to (-pi, pi]; S29 needs the factor 1/(kn), or S28 is the
+root of a negative number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from smolbot.arrays import FloatArray
+from smolbot.errors import InputError
+
+
+def sum_squared_error(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
+    """SSE = sum (d - f)²  (Eq. S20).
+
+    Examples
+    --------
+    >>> sum_squared_error([1.0, 2.0, 4.0], [1.0, 2.0, 3.0])
+    1.0
+    """
+    d, f = _pair(measured, fitted)
+    return float(np.sum((d - f) ** 2))
+
+
+def total_sum_of_squares(measured: npt.ArrayLike) -> float:
+    """TSS = sum (d - mean d)²  (Eqs. S21, S22), over all values as one dataset."""
+    d = _datasets(measured, "measured")
+    return float(np.sum((d - d.mean()) ** 2))
+
+
+def coefficient_of_determination(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
+    """R² = 1 - SSE / TSS  (Eq. S23): 1 for a perfect fit, 0 for one no better than the mean, below that for worse.
+
+    Raises
+    ------
+    InputError
+        If all measured values are the same: R² has no meaning then.
+
+    Examples
+    --------
+    >>> coefficient_of_determination([1.0, 2.0, 3.0], [1.0, 2.0, 2.0])
+    0.5
+    """
+    total = total_sum_of_squares(measured)
+    if total == 0.0:
+        raise InputError("R² needs measured values that differ from each other; all of them are the same.")
+    return 1.0 - sum_squared_error(measured, fitted) / total
+
+
+def mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLike) -> float:
+    """MAE = 1/(kn) sum |d - f|  (Eq. S24).
+
+    Examples
+    --------
+    >>> mean_absolute_error([[1.0, 2.0], [3.0, 5.0]], [[1.0, 1.0], [3.0, 3.0]])
+    0.75
+    """
+    d, f = _pair(measured, truth)
+    return float(np.mean(np.abs(d - f)))
+
+
+def differential_mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """MAE of differences from a reference place (Eq. S25).
+
+        MAE_diff = 1/(kn) sum |d - (f + mean d_ref)|
+
+    Parameters
+    ----------
+    measured : array_like, shape (k,) or (k, n)
+    truth : array_like, shape (k,) or (k, n)
+        True differences from the reference place, such as a stage's readings.
+    reference : array_like, any shape
+        Values measured at the reference place.
+
+    Examples
+    --------
+    >>> differential_mean_absolute_error([11.0, 12.5], [1.0, 2.0], [9.0, 11.0])
+    0.25
+    """
+    d, f = _pair(measured, truth)
+    return float(np.mean(np.abs(d - (f + _datasets(reference, "reference").mean()))))
+
+
+def standard_deviation(measured: npt.ArrayLike) -> float:
+    """Standard deviation about each dataset's own mean (Eq. S26).
+
+        sigma = sqrt(1/(kn - 1) sum_j sum_i (mean d_j - d_ij)²)
+
+    Raises
+    ------
+    InputError
+        For fewer than two values.
+
+    Examples
+    --------
+    >>> round(standard_deviation([[0.0, 10.0], [2.0, 12.0]]), 4)  # two datasets that scatter alike
+    1.1547
+    """
+    d = _datasets(measured, "measured")
+    if d.size < 2:
+        raise InputError(f"A standard deviation needs at least two values; got {d.size}.")
+    return float(np.sqrt(np.sum((d - d.mean(axis=0)) ** 2) / (d.size - 1)))
+
+
+def circular_mean(angles: npt.ArrayLike) -> float:
+    """Direction of the mean, arg(sum exp(i d)), in (-pi, pi] (Eq. S30); over all values as one dataset.
+
+    Raises
+    ------
+    InputError
+        If the directions cancel, so that none is their mean.
+
+    Examples
+    --------
+    >>> round(float(np.degrees(circular_mean(np.radians([350.0, 10.0, 30.0])))), 9)
+    10.0
+    """
+    total = np.sum(np.exp(1j * _datasets(angles, "angles"))) / np.size(angles)
+    if abs(total) < 1e-12:
+        raise InputError("These directions cancel each other; they have no mean.")
+    return float(np.angle(total))
+
+
+def differential_circular_mean_absolute_error(
+    measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike
+) -> float:
+    """MAE of turns from a reference direction, in rad, within 0 to pi (Eq. S27).
+
+        MAE = arg(sum exp(i |w(d - (f + mean d_ref))|)),   w: wrapped to (-pi, pi]
+
+    Without w, an error of -1 deg that is written 359 deg would count as -1 deg and cancel one of +1 deg.
+
+    Parameters
+    ----------
+    measured, truth : array_like, shape (k,) or (k, n), in rad
+    reference : array_like, in rad
+        Directions measured at the reference place; their circular mean counts (Eq. S30).
+
+    Examples
+    --------
+    >>> turns = np.radians([1.0, 91.0, 179.0, 271.0])
+    >>> error = differential_circular_mean_absolute_error(turns, np.radians([0, 90, 180, 270]), [0.0])
+    >>> round(float(np.degrees(error)), 9)
+    1.0
+    """
+    d, f = _pair(measured, truth)
+    off = wrapped(d - (f + circular_mean(reference)))
+    return float(np.angle(np.sum(np.exp(1j * np.abs(off)))))
+
+
+def circular_standard_deviation(angles: npt.ArrayLike) -> float:
+    """Standard deviation of directions about each dataset's own circular mean, in rad (Eqs. S28, S29).
+
+        sigma = sqrt(-2 ln R),   R = 1/(kn) |sum_j sum_i exp(i (mean d_j - d_ij))|
+
+    Infinite where R is 0: directions without any preference.
+
+    Examples
+    --------
+    >>> round(float(np.degrees(circular_standard_deviation(np.radians([358.0, 0.0, 2.0])))), 3)
+    1.633
+    """
+    d = _datasets(angles, "angles")
+    means = np.array([circular_mean(column) for column in d.T])
+    length = min(float(np.abs(np.mean(np.exp(1j * (means - d))))), 1.0)
+    return float(np.sqrt(-2.0 * np.log(length))) if length > 0.0 else np.inf
+
+
+def wrapped(angles: npt.ArrayLike) -> FloatArray:
+    """The same directions within (-pi, pi], any shape, in rad."""
+    turned: FloatArray = np.pi - np.mod(np.pi - np.asarray(angles, dtype=np.float64), 2.0 * np.pi)
+    return turned
+
+
+def _datasets(values: npt.ArrayLike, name: str) -> FloatArray:
+    """Values as (k, n), finite, at least one."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be numbers; got {values!r}.") from error
+    if array.ndim > 2 or array.size == 0:
+        raise InputError(f"{name} must have shape (k,) or (k, n) with at least one value; got {array.shape}.")
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{name} must be finite; entry {where} is {array[where]}.")
+    return array.reshape(len(array), -1) if array.ndim else array.reshape(1, 1)
+
+
+def _pair(measured: npt.ArrayLike, truth: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Both as (k, n); one dataset of truth serves all datasets of measured values."""
+    d, f = _datasets(measured, "measured"), _datasets(truth, "truth")
+    if len(f) != len(d) or f.shape[1] not in (1, d.shape[1]):
+        raise InputError(f"measured has shape {d.shape} and truth {f.shape}; they must match, or truth be (k,).")
+    return d, f

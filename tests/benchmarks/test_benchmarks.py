@@ -1,0 +1,87 @@
+"""Speeds, as ratios measured in one run: printed by ``make benchmark``, never asserted."""
+
+from __future__ import annotations
+
+import time
+from statistics import median
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from smolbot.flying import fly
+from smolbot.localization.chain import filtered
+from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.localizer import Localizer
+from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
+
+RATE = 50_000.0
+
+
+def seconds(action, repeats: int) -> float:
+    """Median time of one call, after one to warm up."""
+    action()
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - begin)
+    return median(times)
+
+
+def numpy_fit(sensors, device, recording, prior):
+    """The same fit as `locate`, written down plainly: numpy, and scipy's Levenberg-Marquardt."""
+    n = recording.field.shape[1]
+    time_ = recording.time_since_drive + np.arange(n) / RATE
+    points = np.round(np.linspace(25, n - 26, 9)).astype(int)
+    groups = [np.flatnonzero(np.all(np.isclose(sensors.axes, axis), axis=1)) for axis in np.eye(3)]
+
+    def chain(field):
+        return np.concatenate([filtered(field[g[1:]] - field[g[0]], RATE)[:, points].ravel() for g in groups if len(g) > 1])
+
+    data = chain(recording.field)
+    scale = np.array([1e-3] * 3 + [0.1] * 5)
+
+    def residual(x):
+        move = x * scale
+        q = quaternion_product(quaternion_from_rotation_vector(move[3:6]), prior.orientation)
+        theta = deflection(device, time_, 0.7 * device.theta_max + move[7], 0.4 + move[6])
+        return (chain(sensor_field(sensors, device, prior.position + move[:3], q, theta)) - data) * 1e5
+
+    return least_squares(residual, np.zeros(8), method="lm")
+
+
+@pytest.mark.benchmark(group="locate")
+@pytest.mark.parametrize("half_periods", [1, 2, 20])
+def test_locate_warm(benchmark, array, along_device, pose_at, hear, half_periods):
+    truth = pose_at((4, -6, 80), 35)
+    recording = hear(array, along_device, truth, half_periods)
+    localizer = Localizer(array, along_device, estimator="paper")
+    pose = benchmark(localizer.locate, recording, truth)
+    assert np.linalg.norm(pose.position - truth.position) < 1e-5
+
+
+@pytest.mark.benchmark(group="ratios")
+def test_locate_against_the_same_fit_by_numpy_and_scipy(benchmark, array, along_device, pose_at, hear):
+    truth = pose_at((4, -6, 80), 35)
+    noise = 1e-10 * np.random.default_rng(0).normal(size=(10, 483))
+    recording = hear(array, along_device, truth, noise=noise)
+    localizer = Localizer(array, along_device, estimator="paper")
+    found = benchmark.pedantic(lambda: numpy_fit(array, along_device, recording, truth), rounds=3, iterations=1)
+    ours = localizer.locate(recording, truth)
+    assert np.linalg.norm(1e-3 * found.x[:3] - (ours.position - truth.position)) < 1e-3
+    plain = seconds(lambda: numpy_fit(array, along_device, recording, truth), 5)
+    fast = seconds(lambda: localizer.locate(recording, truth), 200)
+    print(f"\nlocate, N = 2, warm: {fast * 1e3:.3f} ms; numpy and scipy {plain * 1e3:.1f} ms: {plain / fast:.0f} times")
+
+
+@pytest.mark.benchmark(group="ratios")
+def test_real_time_factor_of_the_tank_and_the_share_of_localization(benchmark, line):
+    fly(line, 1)
+    run = benchmark.pedantic(fly, (line, 2), rounds=1, iterations=1)
+    computing = sum(c.compute for c in run.cycles)
+    print(
+        f"\ntank: {run.duration / run.wall:.0f} times real time over {run.duration:.1f} s; "
+        f"localization, tracking and control take {computing / run.wall:.0%} of the time, the world the rest"
+    )
+    assert run.status == "completed"

@@ -1,0 +1,187 @@
+"""The tracker: believes motion that windows cause, averages noise, gates outliers, survives gaps, begins anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smolbot.missionfile import load_mission
+from smolbot.motion.gradient import advance
+from smolbot.poses import Pose
+from smolbot.rotations import quaternion_from_axes
+from smolbot.shots import Actuate, Listen, RingDown, Shot
+from smolbot.tracking import Tracker
+
+UP = np.array([0.0, 0.0, 1.0])
+SETUP = load_mission("line").setup()
+SIGMA = np.array([2e-4] * 3 + [2e-2] * 3)
+LISTEN = (RingDown(0.02), Listen(2, 103.5))
+
+
+def tracker(table=SETUP.table) -> Tracker:
+    return Tracker(SETUP.robot, SETUP.device, table)
+
+
+def pose(time, place_mm, heading=0.0, sigma=SIGMA, trusted=True) -> Pose:
+    q = quaternion_from_axes(np.array([np.cos(heading), np.sin(heading), 0.0]), UP, "zy")
+    return Pose(time, np.array([*place_mm, 60.0])[:3] * 1e-3, q, np.diag(sigma**2), trusted=trusted)
+
+
+def quiet(start=0.0):
+    return Shot(LISTEN, start=start)
+
+
+def settled(count=5, place=(0.0, 0.0), dt=0.1) -> Tracker:
+    track = tracker()
+    for i in range(count):
+        track.update(quiet(i * dt), pose(i * dt + 0.02, place))
+    return track
+
+
+def test_before_the_first_pose_there_is_nothing_to_believe():
+    track = tracker()
+    assert track.pose is None
+    assert not track.confirmed
+    with pytest.raises(ValueError, match="no pose yet"):
+        track.pose_at(1.0)
+    assert track.update(quiet(), None) is None
+    assert track.update(quiet(), pose(0.1, (0, 0), trusted=False)) is None
+    assert track.misses == 2
+
+
+def test_one_pose_begins_a_track_and_a_second_that_agrees_confirms_it():
+    track = tracker()
+    track.update(quiet(), pose(0.02, (1, 2)))
+    assert track.pose.position[:2] == pytest.approx([1e-3, 2e-3])
+    assert not track.confirmed
+    track.update(quiet(0.1), pose(0.12, (1, 2)))
+    assert track.confirmed
+    assert track.misses == 0
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.6])
+def test_a_window_moves_the_track_as_the_motion_model_does(heading):
+    track = tracker()
+    for i in range(6):
+        track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (1.0, 0.5), heading))
+    before, currents = track.pose, (8.0, 0.0, 4.0, 0.0)
+    pull = Shot((Actuate(currents, 0.08), *LISTEN), start=1.0)
+    after = track.update(pull, None)
+    field, gradient = SETUP.table.field_and_gradient(before.position[None, :])
+    step, turned = advance(SETUP.robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.08)
+    assert np.linalg.norm(step) > 5e-5
+    assert after.position[:2] - before.position[:2] == pytest.approx(step, rel=1e-2, abs=1e-6)
+    ahead = after.body_axis("z")
+    assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(turned, abs=1e-2)
+    assert np.all(np.linalg.eigvalsh(after.covariance - before.covariance) > -1e-15)
+    assert after.covariance[0, 0] > before.covariance[0, 0]
+
+
+def test_a_robot_that_is_pulled_is_followed_more_closely_than_by_its_poses_alone():
+    rng, track, errors, raw = np.random.default_rng(1), tracker(), [], []
+    place, heading, clock = np.array([-4e-3, 0.0, 0.06]), 0.0, 0.0
+    currents = (8.0, 0.0, 2.0, 0.0)
+    for i in range(80):
+        shot = Shot((Actuate(currents, 0.03), *LISTEN), start=clock)
+        if i:
+            field, gradient = SETUP.table.field_and_gradient(place[None, :])
+            step, heading = advance(SETUP.robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.03)
+            place = place + [*(1.1 * step), 0.0]  # 10 % less drag than believed
+        clock = shot.end
+        noisy = pose(clock - 5e-3, (1e3 * place + rng.normal(0, 0.2, 3))[:2], heading + rng.normal(0, 0.02))
+        track.update(shot if i else quiet(), noisy)
+        if i > 5:
+            errors.append(track.pose.position[:2] - place[:2])
+            raw.append(noisy.position[:2] - place[:2])
+    assert np.std(raw) == pytest.approx(2e-4, rel=0.2)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.6 * np.sqrt(np.mean(np.square(raw)))
+    assert place[0] > -3e-3  # it did move
+
+
+def test_averaging_shrinks_noise_on_a_resting_robot_and_the_covariance_says_by_how_much():
+    track, rng, errors, claimed = tracker(), np.random.default_rng(2), [], []
+    for i in range(400):
+        found = pose(0.1 * i + 0.02, rng.normal(0, 0.2, 2))
+        track.update(quiet(0.1 * i), found)
+        if i > 50:
+            errors.append(track.pose.position[:2])
+            claimed.append(np.sqrt(track.pose.covariance[0, 0]))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5 * 2e-4
+    assert np.sqrt(np.mean(np.square(errors))) < 1.5 * np.mean(claimed)
+
+
+def test_an_outlier_is_gated_and_moves_nothing():
+    track = settled()
+    before = track.pose.position.copy()
+    track.update(quiet(1.0), pose(1.02, (15.0, -10.0)))
+    assert track.pose.position == pytest.approx(before, abs=1e-12)
+    assert not track.pose.trusted
+    assert track.misses == 1
+    track.update(quiet(1.1), pose(1.12, (0, 0)))
+    assert track.misses == 0
+    assert track.pose.trusted
+
+
+def test_missed_windows_are_survived_while_uncertainty_grows():
+    track = settled()
+    before = track.pose
+    for i in range(5):
+        track.update(quiet(1.0 + 0.1 * i), None)
+    assert track.misses == 5
+    assert track.pose.position == pytest.approx(before.position, abs=1e-12)
+    assert np.all(np.diag(track.pose.covariance) > np.diag(before.covariance))
+    track.update(quiet(2.0), pose(2.02, (0.1, 0)))
+    assert track.misses == 0
+
+
+def test_outliers_that_agree_with_each_other_are_believed_in_the_end():
+    track = settled()
+    for i in range(6):
+        track.update(quiet(1.0 + 0.1 * i), pose(1.02 + 0.1 * i, (12.0, 9.0)))
+        if track.misses == 0:
+            break
+    assert 2 <= i < 5
+    assert track.pose.position[:2] == pytest.approx([12e-3, 9e-3], abs=1e-4)
+    assert not track.confirmed  # it has to agree once more before anything is driven
+    track.update(quiet(2.0), pose(2.02, (12.0, 9.0)))
+    assert track.confirmed
+
+
+def test_outliers_that_disagree_with_each_other_are_never_believed():
+    track, rng = settled(), np.random.default_rng(3)
+    for i in range(12):
+        track.update(quiet(1.0 + 0.1 * i), pose(1.02 + 0.1 * i, rng.choice([-1, 1], 2) * (8 + 3 * (i % 4))))
+    assert track.misses == 12
+    assert np.linalg.norm(track.pose.position[:2]) < 1e-4
+
+
+def test_carrying_a_pose_on_in_time_moves_nothing_and_forgets_a_little():
+    track = settled()
+    now = track.pose
+    later = track.pose_at(now.time + 2.0)
+    assert later.time == pytest.approx(now.time + 2.0)
+    assert np.array_equal(later.position, now.position)
+    assert np.array_equal(later.orientation, now.orientation)
+    assert np.all(np.diag(later.covariance) > np.diag(now.covariance))
+    assert track.pose.time == now.time  # asking changes nothing
+
+
+def test_without_a_table_windows_are_taken_to_cause_no_motion():
+    track = tracker(table=None)
+    for i in range(4):
+        track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (1.0, 0.5)))
+    before = track.pose.position.copy()
+    track.update(Shot((Actuate((8.0, 0, 0, 0), 0.08), *LISTEN), start=1.0), None)
+    assert np.array_equal(track.pose.position, before)
+
+
+def test_the_track_stays_a_pose_whatever_it_hears():
+    track, rng = tracker(), np.random.default_rng(4)
+    for i in range(300):
+        found = pose(0.1 * i + 0.02, rng.normal(0, 3, 2), rng.uniform(-np.pi, np.pi))
+        track.update(quiet(0.1 * i), replace(found, trusted=bool(rng.random() < 0.8)) if rng.random() < 0.9 else None)
+        if track.pose is not None:
+            assert np.linalg.norm(track.pose.orientation) == pytest.approx(1.0)
+            assert np.all(np.linalg.eigvalsh(track.pose.covariance) > 0)
