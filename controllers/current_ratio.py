@@ -14,6 +14,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.errors import InputError
 from smolbot.paths import Curve
 from smolbot.poses import Pose
 from smolbot.scheduler import stretched_actuation
@@ -93,8 +94,12 @@ class CurrentRatio:
     def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
         self.setup = setup
         values = complete_gains(self.gains, gains, "current_ratio")
-        self._i_min = values["i_min_a"]
-        self._i_max = min(values["i_max_a"], setup.limits.max_current)
+        if values["i_min_a"] > values["i_max_a"]:
+            raise InputError(
+                f"i_min_a must not exceed i_max_a of current_ratio; got {values['i_min_a']:g} and {values['i_max_a']:g}."
+            )
+        self._i_min, self._i_max = values["i_min_a"], values["i_max_a"]
+        self._most = min(self._i_max, setup.limits.max_current)
         self._threshold = values["p_thr_mm"] * 1e-3
         self._t_min, self._t_max = values["t_min_ms"] * 1e-3, values["t_max_ms"] * 1e-3
         self._sharp = float(np.radians(values["sharp_deg"]))
@@ -146,14 +151,14 @@ class CurrentRatio:
 
     def _currents(self, position: FloatArray, direction: FloatArray, distance: float) -> tuple[FloatArray, bool, str]:
         wanted = self._i_min + (self._i_max - self._i_min) * distance / self._threshold  # Eq. S12
-        size = min(wanted, self._i_max)
+        size = min(wanted, self._most)
         fields = self.setup.table.field(position[None, :])[:, 0, :2]
         currents = np.zeros(len(fields))
         pair = best_pair(fields, direction)
         if pair is None:
             return currents, True, "no pair of coils can point along the way"
         currents[pair.j], currents[pair.k] = size * pair.share_j, size * pair.share_k
-        return currents, wanted > self._i_max, ""
+        return currents, wanted > self._most, ""
 
 
 def aligned_force(table: FieldTable, currents: FloatArray, position: FloatArray, moment: float) -> FloatArray:

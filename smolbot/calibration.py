@@ -85,7 +85,7 @@ class Plan:
         The sweep reaches so far to both sides of the believed frequency.
     sweep_points : int
     repeats : int
-        Shots from which damping comes, and repeats of each current near the stops.
+        Shots from which damping comes; each current near the stops is played half as often, at least twice.
     max_current : float, in A, optional
         Most that an excitation coil gets; the rig's limit if not given.
     height_std : float, in m
@@ -288,7 +288,7 @@ class _Calibrator:
             return coarse, False
         knee = max(coarse, key=lambda d: d.amplitude).current
         fine = [
-            self.drive_point(c, self.plan.repeats)
+            self.drive_point(c, max(self.plan.repeats // 2, 2))
             for c in np.minimum(knee * np.linspace(0.84, 1.24, 11), self.max_current)
         ]
         return coarse[:1] + fine, True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
@@ -29,7 +30,7 @@ def stretched_actuation(turn: float, t_min: float, t_max: float, sharp: float) -
     """
     if abs(turn) <= sharp:
         return t_min
-    return t_min + (t_max - t_min) * abs(turn) / np.pi
+    return t_min + (t_max - t_min) * abs(float(turn)) / math.pi
 
 
 class Believed(Protocol):

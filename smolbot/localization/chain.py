@@ -151,4 +151,4 @@ def difference_matrix(axes: FloatArray, positions: FloatArray) -> FloatArray:
                 row[i] = 1.0
                 row[reference] = -float(np.sign(axes[i] @ axes[reference]))
                 rows.append(row)
-    return np.array(rows).reshape(-1, len(axes))
+    return np.array(rows).reshape(len(rows), len(axes))

@@ -223,6 +223,7 @@ def prepare_paper(recording: Recording, sensors: SensorArray, device: Device) ->
         half-period, or no drive preceded it.
     """
     usable = usable_channels(recording, sensors)
+    require_enough(int(usable.sum()), "channels", usable)
     model = paper_model(
         sensors,
         device,

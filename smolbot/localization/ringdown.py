@@ -115,7 +115,7 @@ class Thinned:
             lag = 1.0 + slope / corner
             out[row] = _block_mean(slope * self.step, self.block) / lag * turn**h
             if linear:
-                fall = k * device.damping / (corner * lag)
+                fall = k * device.damping / corner / lag
                 out[row] *= np.where(damping > 0, damping**k + fall * damping ** (k - 1), 0.0)
             else:
                 out[row] *= damping**k

@@ -133,7 +133,6 @@ def test_beyond_the_threshold_current_is_clipped_and_says_so():
     assert command.saturated
 
 
-@pytest.mark.xfail(strict=True, reason="i_max is capped by the rig but i_min is not: Eq. S12 turns negative")
 def test_the_rig_may_allow_less_than_the_gains_ask_for():
     weak = replace(SETUP, limits=replace(SETUP.limits, max_current=2.0))
     control = CurrentRatio(weak, {})
@@ -143,7 +142,6 @@ def test_the_rig_may_allow_less_than_the_gains_ask_for():
     assert command.saturated
 
 
-@pytest.mark.xfail(strict=True, reason="i_min above i_max is not refused: far away Eq. S12 turns negative")
 def test_a_least_current_above_the_greatest_is_refused_or_harmless():
     try:
         command = commanded((0, 0), (15.0, 0.0), i_min_a=8.0, i_max_a=3.0, p_thr_mm=3.0)
