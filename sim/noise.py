@@ -68,6 +68,11 @@ class FieldNoise:
             heard = np.einsum("ij,ij->i", axes, first * direction + second * (positions @ gradient))
             self._amplitudes[k] = level * heard / (1 + 1j * self.frequencies[k] / bandwidth)
 
+    @property
+    def amplitudes(self) -> npt.NDArray[np.complex128]:
+        """Peak phasors (n_lines, n_sensors) in T at clock 0, as the sensors hear them."""
+        return self._amplitudes
+
     def add(self, signal: FloatArray, clock: float, sample_rate: float) -> None:
         """Add the noise heard from `clock` s on to `signal`, shape (n_sensors, n), in T."""
         cycles = np.fmod(self.frequencies * clock, 1.0)
@@ -103,6 +108,11 @@ class SensorNoise:
         self._deviations = level * np.sqrt(variance)
         self._state = rng.standard_normal((len(self._corners), n_sensors))
         self._clock = 0.0
+
+    @property
+    def processes(self) -> tuple[FloatArray, FloatArray]:
+        """Corners in Hz and standard deviations in T of the first-order processes that each sensor's noise is."""
+        return self._corners, self._deviations
 
     def add(self, signal: FloatArray, clock: float) -> None:
         """Add the noise heard from `clock` s on to `signal`, shape (n_sensors, n), in T."""

@@ -54,6 +54,11 @@ class TrueSensors:
         )
         self.sensor_noise = SensorNoise(noise, len(nominal), nominal.bandwidth, self.rate, truth.noise, sensor_rng)
 
+    @property
+    def converter_step(self) -> float:
+        """Least step of the converter, in T."""
+        return self._step
+
     def hear(
         self,
         clock: float,
@@ -85,10 +90,20 @@ class TrueSensors:
         saturated : ndarray of bool, shape (n_sensors,)
         """
         field = self.clean(clock, n, device, coupling, trace_times, trace, pose_times, poses)
+        return field, self.measure(field, clock)
+
+    def measure(self, field: FloatArray, clock: float) -> BoolArray:
+        """Make readings of a clean `field` (n_sensors, n) in T, in place: noise, constants, range, converter.
+
+        Returns
+        -------
+        ndarray of bool, shape (n_sensors,)
+            Which sensors were saturated.
+        """
         self.field_noise.add(field, clock, self.rate)
         self.sensor_noise.add(field, clock)
         constants = self._constant * self._constants.standard_normal(len(field))
-        return field, _convert(field, constants, self._range, self._full_scale, self._step)
+        return _convert(field, constants, self._range, self._full_scale, self._step)
 
     def clean(
         self,

@@ -10,7 +10,7 @@ def warm_up() -> None:
     import smolbot
 
     with tempfile.TemporaryDirectory() as folder:
-        smolbot.run("line", seed=0, out=f"{folder}/warm-up", stop__max_duration_s=2.0)
+        smolbot.run("line", seed=0, out=f"{folder}/warm-up", stop__max_duration_s=2.0, localization__quiet_s=1.0)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +35,7 @@ def fitness_faults(mission: Mission) -> list[Fault]:
 
 def _container_faults(mission: Mission) -> list[Fault]:
     box = mission.rig.sections.container
-    margin = 0.5e3 * float(np.hypot(*sorted(mission.robot.size)[1:]))  # it may lie at any angle
+    margin = 0.5e3 * math.hypot(*sorted(mission.robot.size)[1:])  # it may lie at any angle
     low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
     high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
     room = f"the robot's centre can go from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) mm"

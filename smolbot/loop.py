@@ -14,10 +14,11 @@ from smolbot.arrays import FloatArray
 from smolbot.control import Command, Controller
 from smolbot.errors import InputError, InterlockError, RigError
 from smolbot.localization.forward import deflection, sensor_field
-from smolbot.localization.localizer import Localizer
+from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise import NoiseModel
 from smolbot.paths import Curve
 from smolbot.poses import Pose
+from smolbot.resonance import Resonance
 from smolbot.rotations import quaternion_from_axes
 from smolbot.scheduler import Scheduler
 from smolbot.sensing import Recording
@@ -77,7 +78,7 @@ class Listener(Protocol):
 
 @dataclass(frozen=True)
 class StopRules:
-    """When to give up: mission time in s, and shots in a row without a pose."""
+    """When to give up: time in s since the noise was learned, and shots in a row without a pose."""
 
     max_duration: float
     lost_shots: int
@@ -116,9 +117,11 @@ class Loop:
         self.rules = rules
         self.quiet = quiet
         self.events: list[Event] = []
+        self.resonance = Resonance(localizer.device)
         self.listeners = listeners
         self._clock = clock
         self._begun = False
+        self._started = 0.0
 
     def fly(self) -> Run:
         """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards."""
@@ -127,7 +130,7 @@ class Loop:
         try:
             self._learn_noise()
             self._warm_up()
-            run.begun = self.rig.now()
+            run.begun = self._started = self.rig.now()
             while True:
                 record = self._cycle(command)
                 run.cycles.append(record)
@@ -176,18 +179,30 @@ class Loop:
         planned = self._clock()
         recording = self.rig.play(shot)
         heard = self._clock()
-        pose = None
+        pose = swing = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
             prior = None if shot.mode in ("search", "lost") else self.tracker.pose
             try:
-                pose = self.localizer.locate(recording, prior)
+                pose, swing = self.localizer.locate_swing(recording, prior)
             except InputError:  # too few usable channels: a missed window, counted by the tracker
-                pose = None
-        tracked = self.tracker.update(shot, pose)
+                pose = swing = None
+        tracked = self.tracker.update(shot, pose, swing)
+        if swing is not None and tracked is not None and tracked.trusted:
+            self._follow_resonance(tracked.time, swing)
         answer = self._command(shot)
         done = self._clock()
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard))
+
+    def _follow_resonance(self, time: float, swing: Swing) -> None:
+        device = self.resonance.update(time, swing.resonance, swing.resonance_covariance)
+        if device is None:
+            return
+        self.localizer = self.localizer.with_device(device)
+        self.scheduler.device = device
+        self.events.append(
+            Event(time, "device retuned", {"frequency_hz": device.frequency, "damping_per_s": device.damping})
+        )
 
     def _command(self, shot: Shot) -> Command:
         if self.tracker.pose is None:
@@ -206,6 +221,7 @@ class Loop:
         if self.tracker.misses >= self.rules.lost_shots:
             seen = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
             return "lost", f"{seen}: {self.tracker.misses} shots in a row gave no pose that can be believed"
-        if self.rig.now() >= self.rules.max_duration:
-            return "timeout", f"max_duration_s reached after {self.rig.now():.0f} s"
+        flown = self.rig.now() - self._started
+        if flown >= self.rules.max_duration:
+            return "timeout", f"max_duration_s reached after {flown:.0f} s"
         return None

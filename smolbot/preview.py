@@ -70,7 +70,9 @@ class _Rollout:
         self.position = np.array([*mission.start, mission.rig.surface_z])
         first = mission.path.points[0] - self.position
         self.heading = float(np.arctan2(first[1], first[0]))
-        self.clock = 2.0 * self.rest  # one shot to find the signal, one to confirm it
+        listening = mission.sections.localization
+        self.quiet = listening.quiet_s if listening.estimator == "whitened" else 0.0
+        self.clock = self.quiet + 2.0 * self.rest  # one shot to find the signal, one to confirm it
         self.cycles = 2
         self.windows: list[Actuate] = []
         self.trail = [self.position.copy()]
@@ -104,7 +106,7 @@ class _Rollout:
                     f"the force of {self.mission.law} does not point where it should there."
                 )
             limit = self.mission.sections.stop.max_duration_s
-            if self.clock > limit:
+            if self.clock - self.quiet > limit:
                 return f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
 
     def _act(self, window: object) -> None:
@@ -142,11 +144,12 @@ def preview(mission: Mission) -> Preview:
     """Time a mission on paper and fly it once on the controller's own model, without noise."""
     rollout = _Rollout(mission)
     reason = rollout.fly()
-    played = rollout.clock - rollout.cycles * mission.rig.turnaround
+    cycling = rollout.clock - rollout.quiet
+    played = cycling - rollout.cycles * mission.rig.turnaround
     return Preview(
         shot=rollout.typical_shot(),
         rate_limit=rollout.cycles / played,
-        rate=rollout.cycles / rollout.clock,
+        rate=rollout.cycles / cycling,
         length=mission.path.length,
         duration=float("nan") if reason else rollout.clock,
         cycles=rollout.cycles,

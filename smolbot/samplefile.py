@@ -146,9 +146,8 @@ def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
         said = []
         for name, bad in (("saturated", saturated), ("dead (constant)", dead)):
             if bad.any():
-                said.append(
-                    f"left out: {name} channel{'s' * (bad.sum() > 1)} {', '.join(map(str, np.flatnonzero(bad)))}"
-                )
+                which = ", ".join(str(i) for i in np.flatnonzero(bad))
+                said.append(f"left out: {name} channel{'s' if bad.sum() > 1 else ''} {which}")
         recordings.append(
             Recording(
                 field[shot], samples.sample_rate, float(samples.time_since_drive[shot]), saturated | dead,

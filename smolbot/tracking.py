@@ -23,6 +23,7 @@ from smolbot.shots import Actuate, Shot
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
+    from smolbot.localization.localizer import Swing
 
 GATE = 33.1
 """Squared Mahalanobis distance beyond which a pose is an outlier: chi-square of 6 degrees at 1e-5."""
@@ -30,15 +31,22 @@ GATE = 33.1
 MOTION_ERROR = 0.3
 """Share of a believed motion that is taken as its standard deviation: drag, gain, alignment."""
 
-MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3])
-"""What sensors slightly out of place leave in every pose, per axis (m, rad); noise does not show it."""
+MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
+"""What sensors slightly out of place leave in every pose, per axis (m, rad, share of the amplitude)."""
 
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
 
+AMPLITUDE_WANDER = 0.02
+"""Share by which the amplitude of the drive varies from one shot to the next."""
 
+DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
+"""Steady drift that is thought likely (m/s), and how fast it may change (m/s per square root of a second)."""
+
+_P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
+_SIZE = 10
 _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
-_EYE = np.eye(6)
+_EYE = np.eye(_SIZE)
 
 
 @dataclass(frozen=True)
@@ -46,11 +54,13 @@ class _State:
     time: float
     position: FloatArray
     orientation: FloatArray
+    amplitude: float
+    drift: FloatArray
     covariance: FloatArray
 
 
 class Tracker:
-    """A Kalman filter on position and orientation.
+    """A Kalman filter on position, orientation, amplitude of the swing, and drift.
 
     Prediction moves the believed pose through a shot's windows by the controller's motion model.
     Correction weighs a pose by its covariance, scaled by how surprising poses have been of late,
@@ -86,6 +96,19 @@ class Tracker:
         """True once two poses have agreed."""
         return self._accepted >= 2
 
+    @property
+    def amplitude(self) -> tuple[float, float] | None:
+        """Amplitude at the end of a drive and its standard deviation, in rad; None before it was heard."""
+        if self._state is None or not np.isfinite(self._state.amplitude):
+            return None
+        top = self._device.theta_max
+        return self._state.amplitude * top, math.sqrt(self._state.covariance[_A, _A]) * top
+
+    @property
+    def drift(self) -> FloatArray:
+        """Steady motion (3,), in m/s, that no window explains."""
+        return np.zeros(3) if self._state is None else self._state.drift.copy()
+
     def pose_at(self, time: float) -> Pose:
         """The tracked pose carried on to `time` s, with nothing driven in between.
 
@@ -97,11 +120,17 @@ class Tracker:
         if self._last is None or self._state is None:
             raise ValueError("There is no pose yet to carry on.")
         wait = max(time - self._state.time, 0.0)
-        covariance = self._state.covariance + np.diag(WANDER**2 * wait)
-        return replace(self._last, time=time, covariance=covariance)
+        covariance = self._state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
+        position = self._state.position + wait * self._state.drift
+        return replace(self._last, time=time, position=position, covariance=covariance)
 
-    def update(self, shot: Shot, pose: Pose | None) -> Pose | None:
+    def update(self, shot: Shot, pose: Pose | None, swing: Swing | None = None) -> Pose | None:
         """Predict through a shot, then correct by the pose that it gave, if any.
+
+        Parameters
+        ----------
+        swing : Swing, optional
+            What was learned of the oscillation along with the pose; its amplitude is correlated with the height.
 
         Returns
         -------
@@ -115,7 +144,7 @@ class Tracker:
                 self.misses += 1
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
-        believed = pose is not None and pose.trusted and self._correct(pose)
+        believed = pose is not None and pose.trusted and self._correct(pose, swing)
         if believed:
             self.misses = 0
             self._accepted += 1
@@ -127,8 +156,12 @@ class Tracker:
         return self._publish(pose, believed)
 
     def _begin(self, pose: Pose) -> None:
-        covariance = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
-        self._state = _State(pose.time, np.array(pose.position), np.array(pose.orientation), covariance)
+        covariance = np.zeros((_SIZE, _SIZE))
+        covariance[:6, :6] = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
+        covariance[_A, _A] = 0.3**2
+        covariance[_V, _V] = DRIFT_START**2 * np.eye(3)
+        place = np.array(pose.position), np.array(pose.orientation)
+        self._state = _State(pose.time, *place, 0.75, np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
         self._publish(pose, True)
 
@@ -138,17 +171,19 @@ class Tracker:
         self._candidate = pose
         if other is None or self.misses < 3:
             return
-        if (
-            np.linalg.norm(pose.position - other.position) < 2e-3
-            and np.dot(pose.orientation, other.orientation) ** 2 > 0.95
-        ):
+        near = np.linalg.norm(pose.position - other.position) < 2e-3
+        if near and np.dot(pose.orientation, other.orientation) ** 2 > 0.95:
             self._begin(pose)
 
     def _predict(self, shot: Shot, time: float) -> None:
         state = self._state
         assert state is not None
-        position, orientation = state.position.copy(), state.orientation
-        noise = WANDER**2 * max(time - state.time, 0.0)
+        wait = max(time - state.time, 0.0)
+        position, orientation = state.position + wait * state.drift, state.orientation
+        noise = np.zeros(_SIZE)
+        noise[:6] = WANDER**2 * wait
+        noise[_A] = AMPLITUDE_WANDER**2
+        noise[_V] = DRIFT_WANDER**2 * wait
         for window in shot.windows:
             if not isinstance(window, Actuate) or self._table is None or not any(window.currents):
                 continue
@@ -165,28 +200,46 @@ class Tracker:
             orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
             noise[:2] += (MOTION_ERROR * np.linalg.norm(step)) ** 2
             noise[5] += (MOTION_ERROR * turn) ** 2
-        self._state = _State(time, position, orientation, state.covariance + np.diag(noise))
+        covariance = state.covariance.copy()
+        covariance[_P] += wait * state.covariance[_V]
+        covariance[:, _P] += wait * covariance[:, _V]
+        covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
+        self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
 
-    def _correct(self, pose: Pose) -> bool:
+    def _correct(self, pose: Pose, swing: Swing | None) -> bool:
         state = self._state
         assert state is not None
-        innovation = np.concatenate(
-            [pose.position - state.position, rotation_error(pose.orientation, state.orientation)]
-        )
-        heard = self._surprise * pose.covariance + _MODEL_FLOOR
-        inverse = np.linalg.inv(state.covariance + heard)
+        turned = rotation_error(pose.orientation, state.orientation)
+        if swing is None:
+            innovation = np.concatenate([pose.position - state.position, turned])
+            heard = self._surprise * pose.covariance + _MODEL_FLOOR[:6, :6]
+        else:
+            top = self._device.theta_max
+            innovation = np.concatenate(
+                [pose.position - state.position, turned, [swing.amplitude / top - state.amplitude]]
+            )
+            scale = np.array([1.0] * 6 + [1.0 / top])
+            heard = self._surprise * swing.covariance * np.outer(scale, scale) + _MODEL_FLOOR
+        m = len(innovation)
+        inverse = np.linalg.inv(state.covariance[:m, :m] + heard)
         distance = float(innovation @ inverse @ innovation)
-        if distance > GATE:
+        if distance > GATE + 2.0 * (m - 6):
             return False
-        surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / 6.0
-        self._surprise = float(np.clip(surprise, 1.0, 25.0))
-        gain = state.covariance @ inverse
+        surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
+        self._surprise = min(max(surprise, 1.0), 25.0)
+        gain = state.covariance[:, :m] @ inverse
         change = gain @ innovation
-        left = _EYE - gain
+        left = _EYE.copy()
+        left[:, :m] -= gain
         covariance = left @ state.covariance @ left.T + gain @ heard @ gain.T
-        orientation = quaternion_product(quaternion_from_rotation_vector(change[3:]), state.orientation)
+        orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
         self._state = _State(
-            state.time, state.position + change[:3], orientation / np.linalg.norm(orientation), covariance
+            state.time,
+            state.position + change[_P],
+            orientation / math.sqrt(orientation @ orientation),
+            state.amplitude + float(change[_A]),
+            state.drift + change[_V],
+            covariance,
         )
         return True
 
@@ -197,7 +250,7 @@ class Tracker:
             time=state.time,
             position=state.position,
             orientation=state.orientation,
-            covariance=state.covariance,
+            covariance=state.covariance[:6, :6],
             r_squared=pose.r_squared if pose is not None else 0.0,
             flip_margin=pose.flip_margin if pose is not None else 1.0,
             trusted=believed,

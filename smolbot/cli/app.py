@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 # Small matrices gain nothing from a linear algebra library's threads, and stall when cores are shared.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import smolbot  # noqa: E402
+import smolbot
 from smolbot.errors import InterlockError, PluginError, RigError, SmolbotError
 
 DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3

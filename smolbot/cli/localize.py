@@ -175,7 +175,10 @@ def _row(number: int, segment: int, pose: Pose, said: str) -> Row:
         number, segment, pose.time, *(1e3 * pose.position), *pose.orientation, *(1e3 * spread[:3]),
         *np.degrees(spread[3:]), pose.r_squared, pose.flip_margin, int(pose.trusted),
     ]  # fmt: skip
-    note = "; ".join(filter(None, [said, "" if pose.trusted else f"not trusted: R² {pose.r_squared:.3f}"]))
+    doubt = (
+        f"not trusted: R² {pose.r_squared:.3f}, flip margin {pose.flip_margin:.2f}, σ {1e3 * spread[:3].max():.2g} mm"
+    )
+    note = "; ".join(filter(None, [said, "" if pose.trusted else doubt]))
     return dict(zip(COLUMNS, [v if isinstance(v, int) else float(v) for v in values] + [note], strict=True))
 
 

@@ -11,6 +11,7 @@ and amplitude turn out to be. The fit then costs one field evaluation per sensor
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from math import comb
 
@@ -97,3 +98,19 @@ def labels() -> npt.NDArray[np.int64]:
 def real_functions(basis: ComplexArray) -> FloatArray:
     """The time basis (K, K, n_out) as real functions (n_functions, n_out), in the order of `labels`."""
     return np.array([basis[k, h].imag if part else basis[k, h].real for k, h, part in labels()])
+
+
+def functions_and_slopes(
+    device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Real time functions (n_functions, n_out), and their change per Hz of frequency and per 1/s of damping."""
+
+    def of(frequency: float, damping: float) -> FloatArray:
+        changed = replace(device, frequency=frequency, damping=damping)
+        return real_functions(time_basis(changed, chain, sample_rate, time_since_drive, bandwidth))
+
+    df, dd = 0.02, 0.02
+    f, d = device.frequency, max(device.damping, dd)
+    by_frequency = (of(f + df, device.damping) - of(f - df, device.damping)) / (2.0 * df)
+    by_damping = (of(f, d + dd) - of(f, d - dd)) / (2.0 * dd)
+    return of(f, device.damping), (by_frequency, by_damping)

@@ -9,6 +9,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.localization import basis as time_functions
 from smolbot.localization.chain import Taps
+from smolbot.localization.noise import NoiseModel, field_covariance
 from smolbot.localization.problem import paper_model
 from smolbot.poses import Pose
 from smolbot.sensing import Device, SensorArray
@@ -39,6 +40,23 @@ class NoiseLevels:
     mains: float
     mains_gradient: float
     harmonics: dict[int, float] = field(default_factory=dict)
+
+    def model(self, sensors: SensorArray, top: float = 5000.0) -> NoiseModel:
+        """The same as a `NoiseModel` up to `top` Hz: directions and gradients of the lines as likely one way as another."""
+        orders = np.array([1, *self.harmonics])
+        sizes = np.array([1.0, *self.harmonics.values()])
+        frequencies = np.concatenate([[0.0], np.geomspace(1.0, top, 200)])
+        density = self.floor**2 + max(self.at_1hz**2 - self.floor**2, 0.0) / np.maximum(frequencies, 1.0)
+        lines = self.mains_frequency * orders
+        space = field_covariance(sensors, self.mains, self.mains_gradient).astype(np.complex128)
+        power = sizes**2 / (1.0 + (lines / sensors.bandwidth) ** 2)
+        return NoiseModel(
+            line_frequencies=lines,
+            lines=power[:, None, None] * space,
+            frequencies=frequencies,
+            spectrum=(density / (1.0 + (frequencies / sensors.bandwidth) ** 2))[:, None, None] * np.eye(len(sensors)),
+            block=0.0,
+        )
 
 
 def expected_covariance(

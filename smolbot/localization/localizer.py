@@ -38,11 +38,24 @@ MAX_SIGMA = (3e-3, 0.2)
 
 @dataclass(frozen=True)
 class Swing:
-    """Amplitude at the end of the drive and its standard deviation, in rad, and the phase there, in rad."""
+    """What one recording says of the oscillation.
+
+    Attributes
+    ----------
+    amplitude, phase : float, in rad
+        At the end of the drive.
+    covariance : ndarray, shape (7, 7)
+        Of (position in m, rotation e in rad, amplitude in rad); its first six are the pose's.
+    resonance : ndarray, shape (2,)
+        By how much frequency (Hz) and damping (1/s) seem to differ from the device's.
+    resonance_covariance : ndarray, shape (2, 2)
+    """
 
     amplitude: float
-    amplitude_std: float
     phase: float
+    covariance: FloatArray
+    resonance: FloatArray
+    resonance_covariance: FloatArray
 
 
 class Localizer:
@@ -199,8 +212,11 @@ class Localizer:
             flip_margin=flip_margin,
             trusted=bool(best.converged and certain and clear and self._inside(best) and r_squared >= MIN_R_SQUARED),
         )
-        std = float(np.sqrt(spread[7, 7])) if usable else np.inf
-        return pose, Swing(best.amplitude * REFERENCE_ANGLE, std * REFERENCE_ANGLE, float(best.phase))
+        joint = np.delete(np.delete(spread, 6, axis=0), 6, axis=1) if usable else np.full((7, 7), np.inf)
+        joint[6] *= REFERENCE_ANGLE
+        joint[:, 6] *= REFERENCE_ANGLE
+        resonance, uncertainty = problem.resonance(best, variance)
+        return pose, Swing(best.amplitude * REFERENCE_ANGLE, float(best.phase), joint, resonance, uncertainty)
 
     def _inside(self, fit: Fit) -> bool:
         bounds = zip(self.volume.low, fit.position, self.volume.high, strict=True)

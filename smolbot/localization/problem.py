@@ -48,6 +48,8 @@ class LinearModel:
         Brings those to the data vector; see `separable`.
     matrix : ndarray, shape (n_out, n_functions, n_channels)
         The data vector's answer to each time function in each channel.
+    slopes : ndarray, shape (2, n_out, n_functions, n_channels)
+        Change of `matrix` per Hz of the resonance, and per 1/s of the damping.
     separable : bool
         True where `mixing` acts on channels alone, for every tap alike.
     white : bool
@@ -61,6 +63,7 @@ class LinearModel:
     chain: Taps
     mixing: FloatArray
     matrix: FloatArray
+    slopes: FloatArray
     separable: bool
     white: bool
 
@@ -96,17 +99,24 @@ class LinearModel:
         return _kernels.mixed(self.mixing, tapped if self.separable else tapped.reshape(-1, 1))
 
     def response(
-        self, position: FloatArray, rotation: FloatArray, phase: float, amplitude: float
+        self,
+        position: FloatArray,
+        rotation: FloatArray,
+        phase: float,
+        amplitude: float,
+        matrix: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Model (n_out,) and its Jacobian (n_out, 8) at one set of parameters.
 
         Parameters are position (3,) in m, rotation matrix (3, 3), phase in rad, and amplitude as a
-        fraction of the reference angle; derivatives for the rotation are for e in exp(e) R.
+        fraction of the reference angle; derivatives for the rotation are for e in exp(e) R. `matrix`
+        stands in for the model's own, such as one of its slopes.
         """
         out = np.zeros(len(self.matrix))
         jacobian = np.zeros((len(out), compiled.N_PARAMETERS))
         place = (np.ascontiguousarray(position, dtype=float), np.ascontiguousarray(rotation))
-        _kernels.model(*self.constants, *place, float(phase), float(amplitude), out, jacobian)
+        first = self.matrix if matrix is None else matrix
+        _kernels.model(first, *self.constants[1:], *place, float(phase), float(amplitude), out, jacobian)
         return out, jacobian
 
 
@@ -126,9 +136,12 @@ def paper_model(
     used = np.frombuffer(usable, dtype=np.bool_)
     mixing = difference_matrix(sensors.axes[used], sensors.positions[used])
     chain = taps(n_samples, sample_rate, device.frequency)
-    basis = time_functions.time_basis(device, chain, sample_rate, since, sensors.bandwidth)
-    functions = time_functions.real_functions(basis)
-    matrix = np.einsum("qj,fi->qifj", mixing, functions).reshape(-1, len(functions), int(used.sum()))
+    functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, sensors.bandwidth)
+
+    def through(functions: FloatArray) -> FloatArray:
+        answers = np.einsum("qj,fi->qifj", mixing, functions)
+        return np.ascontiguousarray(answers.reshape(-1, len(functions), int(used.sum())))
+
     return LinearModel(
         device=device,
         positions=np.ascontiguousarray(sensors.positions[used]),
@@ -136,7 +149,8 @@ def paper_model(
         used=used,
         chain=chain,
         mixing=mixing,
-        matrix=np.ascontiguousarray(matrix),
+        matrix=through(functions),
+        slopes=np.stack([through(change) for change in changes]),
         separable=True,
         white=False,
     )
@@ -169,6 +183,25 @@ class Problem:
         start = (np.ascontiguousarray(position), np.ascontiguousarray(rotation), float(phase), float(amplitude))
         limits = (self.model.amplitude_max, self.model.belief, iterations, tolerance)
         return Fit(*_kernels.fit(self.data, *self.model.constants, *start, *limits))
+
+    def resonance(self, fit: Fit, variance: float) -> tuple[FloatArray, FloatArray]:
+        """By how much frequency (Hz) and damping (1/s) seem to differ from the device's, and the covariance (2, 2).
+
+        One Gauss-Newton step from a finished fit, with pose, phase and amplitude left free.
+        """
+        model = self.model
+        place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
+        out, jacobian = model.response(*place)
+        change = np.stack([model.response(*place, matrix=slope)[0] for slope in model.slopes], axis=1)
+        residual = self.data - out
+        solve = np.linalg.solve(fit.normal, jacobian.T @ change)
+        free = change - jacobian @ solve
+        information = free.T @ free
+        if not np.isfinite(information).all() or np.linalg.cond(information) > 1e10:
+            return np.zeros(2), np.full((2, 2), np.inf)
+        inverse = np.linalg.inv(information)
+        uncertainty = np.asarray(variance * inverse, dtype=np.float64)
+        return inverse @ (free.T @ residual), uncertainty
 
     def phase_and_amplitude(self, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
         """Best phase and amplitude at a fixed pose, from a linear solve."""

@@ -13,9 +13,9 @@ model (Eqs. S2 to S8) with the height held fixed if wished: since B ~ theta / zÂ
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import comb
 
 import numpy as np
@@ -190,24 +190,66 @@ def thin(
     means = means - means.mean(axis=1, keepdims=True)
     step = 1.0 / recording.sample_rate
     local = (np.arange(count) * block + 0.5 * (block - 1)) * step
-    vectors, share = _nuisances(local - local.mean(), hum)
+    lines = tuple(sorted(hum.sizes.items()))
+    vectors, share = _nuisances(count, block * step, hum.frequency, lines, hum.uncertainty)
     bare = Thinned(means, used, recording.time_since_drive + local, block, step, sensors.bandwidth, vectors, share)
     return replace(bare, data=bare.whiten(means))
 
 
-def _nuisances(time: FloatArray, hum: Hum) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal nuisances (n, q) around the window's middle, and the share of each that whitening takes out."""
-    half = max(float(np.abs(time).max()), 1e-9)
+@lru_cache(maxsize=16)
+def _nuisances(
+    count: int, spacing: float, mains: float, sizes: tuple[tuple[int, float], ...], uncertainty: float
+) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal nuisances (n, q) of a window of `count` blocks, and the share of each that whitening takes out."""
+    time = (np.arange(count) - 0.5 * (count - 1)) * spacing
+    half = float(time[-1])
     columns = [1e-5 * (time / half) ** power for power in range(2)]
     columns += [1e-8 * (time / half) ** power * half for power in (2, 3)]
-    for order, size in hum.sizes.items():
-        omega = 2.0 * np.pi * hum.frequency * order
-        drift = min(omega * hum.uncertainty, 1.0 / half) * time
+    for order, size in sizes:
+        omega = 2.0 * np.pi * mains * order
+        drift = min(omega * uncertainty, 1.0 / half) * time
         for wave in (np.cos(omega * time), np.sin(omega * time)):
             columns += [size * wave, size * drift * wave]
     scaled = np.stack(columns, axis=1) / BLOCK_NOISE
-    vectors, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-    return np.ascontiguousarray(vectors), 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+    vectors, strengths, _ = np.linalg.svd(scaled, full_matrices=False)
+    vectors, share = np.ascontiguousarray(vectors), 1.0 - 1.0 / np.sqrt(1.0 + strengths**2)
+    for array in (vectors, share):
+        array.setflags(write=False)
+    return vectors, share
+
+
+def _minimised(
+    residual: Callable[[FloatArray], FloatArray], start: FloatArray, steps: FloatArray, iterations: int = 30
+) -> tuple[FloatArray, FloatArray, float]:
+    """Levenberg-Marquardt with forward differences of `steps`, until a step is below 1 % of a standard deviation.
+
+    scipy's own take a singular value decomposition of the tall Jacobian in each iteration, which is most of the time.
+
+    Returns
+    -------
+    values, covariance : ndarray, shapes (p,) and (p, p)
+        Covariance for residuals of unit variance.
+    cost : float
+        Sum of squares.
+    """
+    values, left = start, residual(start)
+    cost, damping = float(left @ left), 1e-3
+    for _ in range(iterations):
+        jacobian = np.stack([(residual(values + step) - left) / step.sum() for step in np.diag(steps)])
+        normal, gradient = jacobian @ jacobian.T, jacobian @ left
+        size = np.diag(normal)
+        while True:
+            change = -np.linalg.solve(normal + np.diag(damping * size + 1e-30), gradient)
+            tried = residual(values + change)
+            if (lower := float(tried @ tried)) <= cost or damping > 1e8:
+                break
+            damping *= 5.0
+        if lower > cost:
+            break
+        values, left, cost, damping = values + change, tried, lower, 0.2 * damping
+        if change @ normal @ change < 1e-4 * cost / left.size:
+            break
+    return values, np.linalg.pinv(normal), cost
 
 
 @dataclass(frozen=True)
@@ -266,14 +308,13 @@ def measure(
     InputError
         As for `thin`.
     """
-    from scipy.optimize import least_squares
-
     model = damping_model or device.damping_model
     base = replace(device, damping_model=model)
     thinned = thin(recording, sensors, device.frequency, hum)
 
     def made(values: FloatArray) -> Device:
-        return replace(base, frequency=float(values[0]), damping=float(np.exp(values[1])))
+        frequency = np.clip(values[0], 0.4 * device.frequency, 2.0 * device.frequency)
+        return replace(base, frequency=float(frequency), damping=float(np.exp(np.clip(values[1], -7.0, 7.0))))
 
     def residual(values: FloatArray) -> FloatArray:
         basis = _harmonic_basis(thinned, made(values))
@@ -288,23 +329,21 @@ def measure(
     ]
     heard = [float(np.sum((thinned.data @ _harmonic_basis(thinned, made(values))) ** 2)) for values in grid]
     best = grid[int(np.argmax(heard))]
-    low, high = [0.4 * device.frequency, np.log(1e-3)], [2.0 * device.frequency, np.log(1e3)]
-    found = least_squares(residual, best, bounds=(low, high), x_scale=[0.1, 0.05], xtol=1e-10, ftol=1e-12)
-    frequency, rate = float(found.x[0]), float(np.exp(found.x[1]))
+    values, covariance, cost = _minimised(residual, best, np.array([1e-4, 1e-4]))
+    found = made(values)
     channels, blocks = thinned.data.shape
-    freedom = max(channels * (blocks - 5) - 2, 1)
-    excess = 2.0 * float(found.cost) / freedom  # over the expected noise
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * excess
-    basis = _harmonic_basis(thinned, made(found.x))
+    excess = cost / max(channels * (blocks - 5) - 2, 1)  # over the expected noise
+    spread = np.sqrt(np.diag(covariance) * excess)
+    basis = _harmonic_basis(thinned, found)
     explained = float(np.sum((thinned.data @ basis) ** 2))
-    wave = thinned.waves(made(found.x), [(1, 1)])[0]
-    columns = np.stack([wave.real, wave.imag])
-    sizes = np.linalg.lstsq(thinned.whiten(columns).T, (thinned.data @ basis @ basis.T).T, rcond=None)[0]
+    wave = thinned.waves(found, [(1, 1)])[0]
+    columns = thinned.whiten(np.stack([wave.real, wave.imag]))
+    sizes = np.linalg.lstsq(columns.T, basis @ (thinned.data @ basis).T, rcond=None)[0]
     return RingDownFit(
-        frequency,
-        float(np.sqrt(covariance[0, 0])),
-        rate,
-        float(rate * np.sqrt(covariance[1, 1])),
+        found.frequency,
+        float(spread[0]),
+        found.damping,
+        float(found.damping * spread[1]),
         model,
         float(np.sqrt(np.sum(sizes**2))),
         float(np.sqrt(explained / max(5 * channels * excess, 1e-300)) / BLOCK_NOISE),
@@ -401,9 +440,16 @@ class _FullModel:
     def unpack(self, values: FloatArray) -> tuple[Device, FloatArray, FloatArray, float, float]:
         full = self.start.copy()
         full[self.free] = values
-        device = replace(self.device, frequency=float(full[8]), damping=float(np.exp(full[9])))
+        frequency = np.clip(full[8], 0.5 * self.device.frequency, 2.0 * self.device.frequency)
+        device = replace(self.device, frequency=float(frequency), damping=float(np.exp(np.clip(full[9], -7.0, 7.0))))
         orientation = quaternion_product(quaternion_from_rotation_vector(full[3:6]), self.orientation)
-        return device, self.position + full[:3], orientation, float(full[6]), float(np.exp(full[7]))
+        return (
+            device,
+            self.position + full[:3],
+            orientation,
+            float(full[6]),
+            float(np.exp(np.clip(full[7], -12.0, 0.4))),
+        )
 
     def residual(self, values: FloatArray) -> FloatArray:
         device, position, orientation, phase, amplitude = self.unpack(values)
@@ -456,22 +502,18 @@ def fit_device(
     InputError
         As for `thin`.
     """
-    from scipy.optimize import least_squares
-
     thinned = thin(recording, sensors, device.frequency, hum, duration)
     free = [0, 1, *([] if fix_height else [2]), 3, 4, 5, 6, 7, *([] if fix_time else [8, 9])]
     start = np.zeros(10)
     start[7:] = [np.log(0.5 * device.theta_max), device.frequency, np.log(max(device.damping, 1e-3))]
     model = _FullModel(thinned, sensors, device, np.array(position), np.array(orientation), free, start)
     start[6:8] = _phase_and_amplitude(model)
-    scale = np.array([1e-3, 1e-3, 1e-3, 0.05, 0.05, 0.05, 0.05, 0.05, 0.05, 0.05])[free]
-    found = least_squares(model.residual, start[free], x_scale=scale, xtol=1e-9, ftol=1e-10, max_nfev=40)
-    made, place, turned, phase, amplitude = model.unpack(found.x)
-    channels, blocks = thinned.data.shape
-    n_data = channels * blocks
-    excess = 2.0 * float(found.cost) / max(n_data - len(free), 1)  # over the expected noise
-    spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * excess)
-    sse = 2.0 * float(found.cost) * BLOCK_NOISE**2
+    steps = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])[free]
+    values, covariance, cost = _minimised(model.residual, start[free], steps)
+    made, place, turned, phase, amplitude = model.unpack(values)
+    n_data = thinned.data.size
+    spread = np.sqrt(np.diag(covariance) * cost / max(n_data - len(free), 1))
+    sse = cost * BLOCK_NOISE**2
     std = {"amplitude": float(amplitude * spread[free.index(7)]), "frequency": 0.0, "damping": 0.0}
     if not fix_time:
         std |= {"frequency": float(spread[free.index(8)]), "damping": float(made.damping * spread[free.index(9)])}

@@ -45,7 +45,7 @@ def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
     """
     n = max(p.shape[1] for p in pieces)
     size = 1 << int(np.ceil(np.log2(2 * n)))
-    grid = np.fft.rfftfreq(size, 1.0 / rate)
+    grid = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
     lobe = max(int(2.0 * size / n), 2)  # half width of a line's own peak, in bins
     considered = (grid > 3.0 * rate / n) & (grid < 0.4 * rate)
     found: list[float] = []

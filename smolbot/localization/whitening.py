@@ -29,9 +29,9 @@ TYPICAL = 1e-7
 """Size, in T, of the strong first harmonic that `FAINTEST` refers to."""
 
 
-def blocks(n_samples: int, sample_rate: float) -> Taps:
-    """Means over equal blocks of at most `BLOCK` that leave out the fewest samples."""
-    longest = max(int(BLOCK * sample_rate), 1)
+def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
+    """Means over equal blocks of at most `block` s that leave out the fewest samples."""
+    longest = max(int(block * sample_rate), 1)
     sizes = range(max(longest - longest // 4, 1), longest + 1)
     size = min(sizes, key=lambda b: (n_samples % b, -b))
     count = n_samples // size
@@ -68,8 +68,7 @@ def whitened_model(
     chain = blocks(n_samples, sample_rate)
     n_blocks, size = chain.weights.shape
     whiten, constants = _whitener(noise, usable, n_blocks, size / sample_rate)
-    basis = time_functions.time_basis(device, chain, sample_rate, since, sensors.bandwidth)
-    functions = time_functions.real_functions(basis)
+    functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, sensors.bandwidth)
     by_channel = whiten.reshape(-1, n_channels, n_blocks)
     answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
     flat = answers.reshape(len(answers), -1)
@@ -90,9 +89,16 @@ def whitened_model(
         chain=chain,
         mixing=np.ascontiguousarray(projection),
         matrix=np.ascontiguousarray(matrix),
+        slopes=np.stack([_through(projection, change, n_channels) for change in changes]),
         separable=False,
         white=True,
     )
+
+
+def _through(projection: FloatArray, functions: FloatArray, n_channels: int) -> FloatArray:
+    """Answers (n_rows, n_functions, n_channels) of projected data to time functions (n_functions, n_blocks)."""
+    by_channel = projection.reshape(len(projection), n_channels, -1)
+    return np.ascontiguousarray(np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True))
 
 
 def prepare_whitened(recording: Recording, sensors: SensorArray, device: Device, noise: NoiseModel) -> Problem:

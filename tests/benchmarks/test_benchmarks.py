@@ -37,7 +37,9 @@ def numpy_fit(sensors, device, recording, prior):
     groups = [np.flatnonzero(np.all(np.isclose(sensors.axes, axis), axis=1)) for axis in np.eye(3)]
 
     def chain(field):
-        return np.concatenate([filtered(field[g[1:]] - field[g[0]], RATE)[:, points].ravel() for g in groups if len(g) > 1])
+        return np.concatenate(
+            [filtered(field[g[1:]] - field[g[0]], RATE)[:, points].ravel() for g in groups if len(g) > 1]
+        )
 
     data = chain(recording.field)
     scale = np.array([1e-3] * 3 + [0.1] * 5)

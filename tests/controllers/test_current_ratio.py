@@ -238,4 +238,6 @@ def test_reach_tells_the_true_force_along_a_path():
     assert reach.points[0] == pytest.approx(path.points[0])
     assert np.all(reach.force > 1e-6)
     middle = np.argmin(np.abs(reach.points[:, 0]))
-    assert np.degrees(reach.direction_error[middle]) == pytest.approx(force_error((0.0, 0.0), np.array([1.0, 0])), abs=1)
+    assert np.degrees(reach.direction_error[middle]) == pytest.approx(
+        force_error((0.0, 0.0), np.array([1.0, 0])), abs=1
+    )

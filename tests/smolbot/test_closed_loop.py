@@ -1,4 +1,4 @@
-"""Flying: the same seed is the same flight, the truth is not needed, and every way to end leaves all outputs at zero."""
+"""Flying: same seed, same flight; the truth is not needed; however a flight ends, all outputs are at zero."""
 
 from __future__ import annotations
 
@@ -29,6 +29,12 @@ SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.
 @pytest.fixture(scope="module")
 def short():
     return load_mission("line", settings=SHORT)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """The same, by the paper's estimator, which needs no noise to be learned first: for tests of the loop itself."""
+    return load_mission("line", settings={**SHORT, "localization.estimator": "paper"})
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +129,9 @@ def test_figures_of_the_summary_follow_from_the_cycles(flown, short):
     assert s["timeline_limit_hz"] == pytest.approx(len(run.cycles) / played)
     assert run.duration - run.begun == pytest.approx(played + len(run.cycles) * short.rig.turnaround)
     acts = [w for c in run.cycles for w in c.shot.windows if isinstance(w, Actuate)]
-    heat = sum(w.duration * sum(r * c**2 for r, c in zip(short.rig.coil_resistances, w.currents, strict=True)) for w in acts)
+    heat = sum(
+        w.duration * sum(r * c**2 for r, c in zip(short.rig.coil_resistances, w.currents, strict=True)) for w in acts
+    )
     assert s["coil_energy_j"] == pytest.approx(heat)
     assert s["loop_rate_hz"] >= 0.97 * s["timeline_limit_hz"]
 
@@ -171,8 +179,8 @@ class Interrupt:
             raise KeyboardInterrupt
 
 
-def test_ctrl_c_stops_cleanly_and_leaves_a_complete_folder(short, tmp_path):
-    run = fly(short, 3, folder=RunFolder(tmp_path / "run"), listeners=lambda _: (Interrupt(5),))
+def test_ctrl_c_stops_cleanly_and_leaves_a_complete_folder(plain, tmp_path):
+    run = fly(plain, 3, folder=RunFolder(tmp_path / "run"), listeners=lambda _: (Interrupt(5),))
     assert run.status == "stopped"
     assert "Ctrl-C" in run.stop_reason
     assert {p.name for p in (tmp_path / "run").iterdir()} == FILES
@@ -235,8 +243,8 @@ def noise_only(heard: Recording, number: int) -> Recording:
 
 
 @pytest.mark.parametrize("error", [RigError("the amplifier tripped"), InterlockError("Nothing was played.")])
-def test_a_failing_rig_ends_the_flight_with_its_reason(short, fly_wrapped, tmp_path, error):
-    run, rig = fly_wrapped(short, fail_at=4, error=error, folder=RunFolder(tmp_path / "run"))
+def test_a_failing_rig_ends_the_flight_with_its_reason(plain, fly_wrapped, tmp_path, error):
+    run, rig = fly_wrapped(plain, fail_at=4, error=error, folder=RunFolder(tmp_path / "run"))
     assert run.status == "failed"
     assert run.stop_reason == str(error)
     assert run.summary["verdict"] == "failed"
@@ -245,18 +253,18 @@ def test_a_failing_rig_ends_the_flight_with_its_reason(short, fly_wrapped, tmp_p
     assert {p.name for p in (tmp_path / "run").iterdir()} == FILES
 
 
-def test_a_rig_that_fails_at_once_still_leaves_a_folder(short, fly_wrapped, tmp_path):
-    run, _ = fly_wrapped(short, fail_at=1, folder=RunFolder(tmp_path / "run"))
+def test_a_rig_that_fails_at_once_still_leaves_a_folder(plain, fly_wrapped, tmp_path):
+    run, _ = fly_wrapped(plain, fail_at=1, folder=RunFolder(tmp_path / "run"))
     assert run.status == "failed"
     assert run.cycles == []
     assert {p.name for p in (tmp_path / "run").iterdir()} >= FILES - {"cycles.csv"}
 
 
-def test_a_signal_that_was_never_there_is_searched_for_and_then_given_up(short, fly_wrapped):
-    run, _ = fly_wrapped(short, spoil=lambda n, heard: noise_only(heard, n))
+def test_a_signal_that_was_never_there_is_searched_for_and_then_given_up(plain, fly_wrapped):
+    run, _ = fly_wrapped(plain, spoil=lambda n, heard: noise_only(heard, n))
     assert run.status == "lost"
     assert "never found" in run.stop_reason
-    assert len(run.cycles) == short.sections.stop.lost_shots
+    assert len(run.cycles) == plain.sections.stop.lost_shots
     assert {c.shot.mode for c in run.cycles} == {"search"}
     bursts = {(np.sign(c.shot.excite.currents[0]), np.sign(c.shot.excite.currents[1])) for c in run.cycles}
     assert len(bursts) == 4
@@ -265,8 +273,8 @@ def test_a_signal_that_was_never_there_is_searched_for_and_then_given_up(short, 
     assert all(c.command.window is None for c in run.cycles)
 
 
-def test_a_signal_that_is_lost_stops_the_pulling_and_then_the_mission(short, fly_wrapped):
-    run, _ = fly_wrapped(short, spoil=lambda n, heard: heard if n <= 8 else noise_only(heard, n))
+def test_a_signal_that_is_lost_stops_the_pulling_and_then_the_mission(plain, fly_wrapped):
+    run, _ = fly_wrapped(plain, spoil=lambda n, heard: heard if n <= 8 else noise_only(heard, n))
     assert run.status == "lost"
     assert "was lost" in run.stop_reason
     modes = [c.shot.mode for c in run.cycles]
@@ -285,19 +293,19 @@ def test_a_signal_that_comes_back_is_found_again_and_the_mission_completes(short
     assert modes[-1] == "track"
 
 
-def test_a_short_glitch_of_the_sensors_is_flown_through(short, fly_wrapped):
+def test_a_short_glitch_of_the_sensors_is_flown_through(plain, fly_wrapped):
     def saturate(n, heard):
         return replace(heard, saturated=np.ones(10, dtype=bool)) if n in (9, 14) else heard
 
-    run, _ = fly_wrapped(short, spoil=saturate)
+    run, _ = fly_wrapped(plain, spoil=saturate)
     assert run.status == "completed"
     assert sum(c.pose is None for c in run.cycles) == 2
     assert "lost" not in {c.shot.mode for c in run.cycles}
 
 
-def test_pause_holds_the_robot_and_resume_lets_it_go_on(short):
-    world = load_world("tank", short.rig.document)
-    rig = world.open(short.rig, short.robot, short.start, 3)
+def test_pause_holds_the_robot_and_resume_lets_it_go_on(plain):
+    world = load_world("tank", plain.rig.document)
+    rig = world.open(plain.rig, plain.robot, plain.start, 3)
     modes: list[str] = []
     loop: Loop
 
@@ -305,7 +313,7 @@ def test_pause_holds_the_robot_and_resume_lets_it_go_on(short):
         modes.append(record.shot.mode)
         loop.scheduler.paused = 10 <= len(modes) < 20
 
-    loop = make_loop(rig, short, (pause,))
+    loop = make_loop(rig, plain, (pause,))
     run = loop.fly()
     rig.close()
     assert run.status == "completed"

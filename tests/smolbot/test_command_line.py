@@ -16,7 +16,7 @@ from smolbot.errors import RigError
 from smolbot.library import shipped
 
 SHORT = ["--set", "path.points_mm=[[-1.0, 0.0], [1.0, 0.0]]", "--set", "start.offset_mm=[-0.3, 0.2]",
-         "--set", "localization.quiet_s=1.0"]  # fmt: skip
+         "--set", "localization.estimator=paper"]  # fmt: skip
 
 
 @pytest.fixture
@@ -154,7 +154,11 @@ def test_a_spoiled_table_ends_with_2_and_its_place(smolbot, tmp_path):
 
 def test_all_faults_of_the_files_are_told_at_once(smolbot, tmp_path):
     text = shipped("missions")["line"].read_text()
-    for old, new in (("tolerance_mm", "tolerence_mm"), ("excite_cycles = 5", "excite_cycles = 0"), ("[verdict]", "[vredict]")):
+    for old, new in (
+        ("tolerance_mm", "tolerence_mm"),
+        ("excite_cycles = 5", "excite_cycles = 0"),
+        ("[verdict]", "[vredict]"),
+    ):
         text = text.replace(old, new, 1)
     (tmp_path / "mine.toml").write_text(text)
     code, _, err = smolbot("preview", "./mine.toml")
@@ -205,7 +209,9 @@ def test_init_copies_a_mission_that_previews_as_it_stands(smolbot, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.parametrize("arguments", [["run"], ["fly", "line"], ["run", "line", "--seed", "-1"], ["run", "line", "--x"]])
+@pytest.mark.parametrize(
+    "arguments", [["run"], ["fly", "line"], ["run", "line", "--seed", "-1"], ["run", "line", "--x"]]
+)
 def test_a_command_that_is_none_ends_with_2(smolbot, arguments):
     assert smolbot(*arguments)[0] == 2
 

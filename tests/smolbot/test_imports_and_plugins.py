@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -17,7 +18,9 @@ from smolbot.errors import PluginError
 
 HEAVY = ("pybullet", "nidaqmx", "serial", "control", "matplotlib", "scipy.signal", "optuna", "viser", "magpylib")
 HELP = "import sys; sys.argv = ['smolbot', *sys.argv[1:]]; from smolbot.cli.app import main; main()"
-AS_INSTALLED = "import sys; sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in getattr(f, '__module__', '')]; "
+AS_INSTALLED = (
+    "import sys; sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in getattr(f, '__module__', '')]; "
+)
 """Without the finder of an editable install, which would fill the gaps of a foreign package with our modules."""
 
 HOME = str(Path(smolbot.__file__).parent.parent)
@@ -28,7 +31,12 @@ def python(code: str, *arguments: str, cwd: Path, path: list[Path] | None = None
     search = os.pathsep.join(str(p) for p in [*(path or []), HOME])
     environment = {**os.environ, "PYTHONPATH": search}
     return subprocess.run(
-        [sys.executable, "-P", "-c", AS_INSTALLED + code, *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-c", AS_INSTALLED + code, *arguments],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -110,7 +118,7 @@ def test_foreign_packages_beside_the_mission_are_not_found_by_the_installed_comm
 class Lazy:
     """A controller of a lab: does nothing, and has one gain."""
 
-    gains = {"patience": Gain(1.0, 0.0, 2.0)}
+    gains: ClassVar = {"patience": Gain(1.0, 0.0, 2.0)}
 
     def __init__(self, setup, gains):
         self.patience = gains.get("patience", 1.0)
@@ -155,7 +163,7 @@ def test_a_mission_under_a_labs_own_controller_flies(lab):
 
 
 def test_a_controller_that_is_not_installed_or_broken_is_one_clear_error(lab):
-    with pytest.raises(PluginError, match="No controller is named 'lasy'.*Did you mean lazy"):
+    with pytest.raises(PluginError, match=r"No controller is named 'lasy'.*Did you mean lazy"):
         plugins.load("controllers", "lasy")
     with pytest.raises(PluginError, match=r"'broken' \(no_such_package:Law\) cannot be loaded"):
         plugins.load("controllers", "broken")

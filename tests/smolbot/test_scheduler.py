@@ -17,7 +17,7 @@ from smolbot.poses import Pose
 from smolbot.rotations import quaternion_from_axes
 from smolbot.scheduler import SEARCH_DIRECTIONS, Scheduler, stretched_actuation
 from smolbot.sensing import Device
-from smolbot.shots import Actuate, Excite, Listen
+from smolbot.shots import Actuate, Listen
 
 LIMITS = Limits(("+x", "-x", "+y", "-y"), 8.0, True, 0.1, 10.0, 0.2, 0.005, 3.0)
 CYCLE = Cycle(5, 0.020, 2, 10.0)

@@ -88,7 +88,7 @@ def test_a_robot_that_is_pulled_is_followed_more_closely_than_by_its_poses_alone
         if i:
             field, gradient = SETUP.table.field_and_gradient(place[None, :])
             step, heading = advance(SETUP.robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.03)
-            place = place + [*(1.1 * step), 0.0]  # 10 % less drag than believed
+            place = place + 1.1 * np.append(step, 0.0)  # 10 % less drag than believed
         clock = shot.end
         noisy = pose(clock - 5e-3, (1e3 * place + rng.normal(0, 0.2, 3))[:2], heading + rng.normal(0, 0.02))
         track.update(shot if i else quiet(), noisy)

@@ -67,7 +67,12 @@ def only_fault(action) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "key", "words"),
     [
-        ("tolerance_mm = 0.8", "tolerence_mm = 0.8", "controller.tolerence_mm", ["unknown key", "Did you mean tolerance_mm?"]),
+        (
+            "tolerance_mm = 0.8",
+            "tolerence_mm = 0.8",
+            "controller.tolerence_mm",
+            ["unknown key", "Did you mean tolerance_mm?"],
+        ),
         ("tolerance_mm = 0.8", "tolerance_m = 0.0008", "controller.tolerance_m", ["Did you mean tolerance_mm?"]),
         ("tolerance_mm = 0.8", "tolerance_um = 800", "controller.tolerance_um", ["Did you mean tolerance_mm?"]),
         ("tolerance_mm = 0.8", "tolerance = 0.8", "controller.tolerance", ["Did you mean tolerance_mm?"]),
@@ -233,7 +238,12 @@ def test_a_file_that_is_no_text_is_one_fault(tmp_path):
         ("max_listen_ms = 3000.0", "max_listen_s = 3.0", "limits.max_listen_s", ["Did you mean max_listen_ms?"]),
         ("physics_step_ms = 1.0", "physics_step_ms = 0", "tank.physics_step_ms", ["greater than 0"]),
         ("scale = 1.0", "scael = 1.0", "tank.mismatch.scael", ["Did you mean scale?"]),
-        ('name = "y"\ncenter_mm = [0, 0, 14]', 'name = "z"\ncenter_mm = [0, 0, 14]', "excitation.1.name", ["'x' or 'y'"]),
+        (
+            'name = "y"\ncenter_mm = [0, 0, 14]',
+            'name = "z"\ncenter_mm = [0, 0, 14]',
+            "excitation.1.name",
+            ["'x' or 'y'"],
+        ),
     ],
 )
 def test_one_bad_line_of_a_rig_is_one_fault_with_its_place(tmp_path, old, new, key, words):

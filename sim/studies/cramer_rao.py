@@ -1,0 +1,123 @@
+"""The Cramer-Rao bound of a pose on a bench, from the tank's own model and its noise in closed form.
+
+Nothing here comes from the localizer: derivatives are differences of what noiseless true sensors read, and the noise is
+the one that is drawn. A constant in every channel, the phase and the amplitude are free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.static_bench import StaticBench
+from smolbot.arrays import FloatArray
+from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
+
+BLOCK = 1.2e-4
+"""Samples are averaged over at most this, in s: the oscillation's highest harmonics keep all but 1e-3."""
+
+STEPS = np.array([2e-5, 2e-5, 2e-5, 5e-4, 5e-4, 5e-4, 1e-3, 5e-4])
+"""Steps of the differences: m, rad, rad of phase, rad of amplitude."""
+
+
+def bound(
+    bench: StaticBench,
+    position: FloatArray,
+    orientation: FloatArray,
+    half_periods: int,
+    phase: float,
+    time_since_drive: float = 0.02,
+    amplitude: float | None = None,
+) -> FloatArray:
+    """Least covariance (8, 8) of position (m), rotation e (rad), phase (rad) and amplitude (rad).
+
+    Parameters
+    ----------
+    position, orientation : ndarray, shapes (3,) in m and (4,)
+    half_periods : int
+    phase : float, in rad
+        At the end of the drive; the bound differs from phase to phase.
+    amplitude : float, optional, in rad
+        The true stop if not given.
+    """
+    n = bench.samples(half_periods)
+    size = max(round(BLOCK * bench.rate), 1)
+    slopes = _slopes(bench, position, orientation, n, time_since_drive, phase, amplitude)
+    count = n // size
+    blocks = slopes[..., : count * size].reshape(*slopes.shape[:2], count, size).mean(axis=3)  # (8, channels, blocks)
+    jacobian = np.moveaxis(blocks, 0, -1).reshape(-1, 8)
+    scale = np.linalg.norm(jacobian, axis=0)
+    information = whitened_gram(bench, jacobian / scale, count, size)
+    inverse: FloatArray = np.linalg.inv(information) / np.outer(scale, scale)
+    return inverse
+
+
+def whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int) -> FloatArray:
+    """``columns^T C^-1 columns`` with constants free; rows of `columns` run over channels, then blocks of `size`."""
+    n_channels = len(bench.sensors)
+    factor = np.linalg.cholesky(own_covariance(bench, count, size))
+    lines = line_waves(bench, count, size)
+
+    def whiten(matrix: FloatArray) -> FloatArray:
+        stacked = matrix.reshape(n_channels, count, -1).transpose(1, 0, 2).reshape(count, -1)
+        solved = np.linalg.solve(factor, stacked).reshape(count, n_channels, -1).transpose(1, 0, 2)
+        return np.ascontiguousarray(solved.reshape(n_channels * count, -1))
+
+    constants = np.linalg.qr(whiten(np.kron(np.eye(n_channels), np.ones((count, 1)))))[0]
+    white, loud = whiten(columns), whiten(lines)
+    white -= constants @ (constants.T @ white)
+    loud -= constants @ (constants.T @ loud)
+    middle = np.eye(loud.shape[1]) + loud.T @ loud
+    across = loud.T @ white
+    gram: FloatArray = white.T @ white - across.T @ np.linalg.solve(middle, across)
+    return gram
+
+
+def own_covariance(bench: StaticBench, count: int, size: int) -> FloatArray:
+    """Covariance (count, count) in T² of block means of one sensor's own noise and its converter's."""
+    corners, deviations = bench.true_sensors.sensor_noise.processes
+    turn = 2 * np.pi * corners * size / bench.rate
+    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    inside = 2.0 * (turn + np.expm1(-turn)) / turn**2
+    outside = 4.0 * np.sinh(0.5 * turn) ** 2 / turn**2
+    total = np.zeros((count, count))
+    for k in range(len(corners)):
+        by_lag = np.concatenate([[inside[k]], outside[k] * np.exp(-turn[k] * np.arange(1, count))])
+        total += deviations[k] ** 2 * by_lag[lags]
+    return total + np.eye(count) * bench.true_sensors.converter_step**2 / 12.0 / size
+
+
+def line_waves(bench: StaticBench, count: int, size: int) -> FloatArray:
+    """Columns whose outer products add up to the lines' covariance, their phases being unknown, in T."""
+    noise = bench.true_sensors.field_noise
+    time = (np.arange(count) + 0.5) * size / bench.rate
+    waves = []
+    for frequency, phasors in zip(noise.frequencies, noise.amplitudes, strict=True):
+        turned = np.sinc(frequency * size / bench.rate) * np.exp(2j * np.pi * frequency * time)
+        wave = (phasors[:, None] * turned).reshape(-1)
+        waves += [np.sqrt(0.5) * wave.real, np.sqrt(0.5) * wave.imag]
+    return np.stack(waves, axis=1)
+
+
+def _slopes(
+    bench: StaticBench,
+    position: FloatArray,
+    orientation: FloatArray,
+    n: int,
+    since: float,
+    phase: float,
+    amplitude: float | None,
+) -> FloatArray:
+    """Central differences of the noiseless readings, shape (8, n_sensors, n)."""
+    size = bench.true_device.theta_max if amplitude is None else amplitude
+
+    def readings(step: FloatArray) -> FloatArray:
+        turned = quaternion_product(quaternion_from_rotation_vector(step[3:6]), orientation)
+        return bench.clean(position + step[:3], turned, n, since, size + float(step[7]), phase + float(step[6]))
+
+    steps = np.diag(STEPS)
+    return np.stack([(readings(s) - readings(-s)) / (2.0 * STEPS[i]) for i, s in enumerate(steps)])
+
+
+def position_bound(covariance: FloatArray) -> float:
+    """Root mean square over the three axes, in m."""
+    return float(np.sqrt(np.trace(covariance[:3, :3]) / 3.0))

@@ -1,0 +1,118 @@
+"""Where the sensors should stand: the bound over a volume for a layout, and a search for a better one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.localization.bounds import Bound, Response, Window, channel_series
+from smolbot.localization.expected import NoiseLevels
+from smolbot.rotations import matrix_from_quaternion
+from smolbot.sensing import Device, SensorArray
+
+HALF_WIDTH = 0.075
+"""Of the square that sensors may stand in, in m."""
+
+MIN_DISTANCE = 0.010
+"""Between two sensors, in m: fluxgates have a body, and feel each other's drive."""
+
+AXES = np.eye(3)
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """How far sensors are off, one standard deviation: m per axis, share of the gain, rad per axis."""
+
+    place: float = 0.2e-3
+    gain: float = 0.005
+    tilt: float = float(np.radians(0.3))
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Positions (n, 3) in m and rotation matrices (n, 3, 3) that a layout is judged by."""
+
+    positions: FloatArray
+    rotations: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Box in which the device may be, in m."""
+
+    low: tuple[float, float, float] = (-0.020, -0.020, 0.050)
+    high: tuple[float, float, float] = (0.020, 0.020, 0.100)
+
+    def poses(self, per_axis: int, turns: int, seed: int) -> Poses:
+        """`per_axis`³ positions on a grid, its faces included, each in `turns` orientations drawn evenly."""
+        rng = np.random.default_rng(seed)
+        lines = [np.linspace(a, b, per_axis) for a, b in zip(self.low, self.high, strict=True)]
+        grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+        draws = rng.standard_normal((len(grid) * turns, 4))
+        draws /= np.linalg.norm(draws, axis=1, keepdims=True)
+        return Poses(np.repeat(grid, turns, axis=0), np.array([matrix_from_quaternion(q) for q in draws]))
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What a layout is worth for one device, pose by pose.
+
+    Attributes
+    ----------
+    bound : Bound
+    systematic : ndarray, shape (n, 3, 3), in m²
+        Covariance of position errors that sensors out of place and gain leave, over layouts drawn anew.
+    """
+
+    bound: Bound
+    systematic: FloatArray
+
+    @property
+    def systematic_rms(self) -> FloatArray:
+        """Root mean square per axis at each pose, shape (n,), in m."""
+        return np.sqrt(np.trace(self.systematic, axis1=1, axis2=2) / 3.0)
+
+
+def judge(
+    sensors: SensorArray, device: Device, levels: NoiseLevels, window: Window, poses: Poses, mismatch: Mismatch
+) -> Judgement:
+    """The bound, and to first order what sensors slightly off do to an estimator that reaches it."""
+    response = Response(sensors, device, levels.model(sensors), window)
+    values, slopes = response.series(poses.positions, poses.rotations)
+    bound = response.bound(poses.positions, poses.rotations)
+    changes = _sensor_changes(sensors, device, poses, mismatch, values, slopes)
+    phases = np.pi * np.arange(2) / 2.0
+    total = np.zeros((len(poses), 3, 3))
+    for phase in phases:
+        jacobian = response.jacobian(values, slopes, float(phase))
+        now, _ = response.waves(float(phase))
+        scale = 1.0 / np.sqrt(np.einsum("nma,nma->na", jacobian, jacobian))
+        scaled = jacobian * scale[:, None, :]
+        gain = np.linalg.solve(np.swapaxes(scaled, 1, 2) @ scaled, np.swapaxes(scaled, 1, 2))[:, :3] * scale[:, :3, None]
+        moved = np.einsum("najk,njkp->najp", (gain @ now.reshape(len(now), -1)).reshape(len(poses), 3, *now.shape[1:]),
+                          changes)  # fmt: skip
+        total += np.einsum("najp,nbjp->nab", moved, moved) / len(phases)
+    return Judgement(bound, total)
+
+
+def _sensor_changes(
+    sensors: SensorArray, device: Device, poses: Poses, mismatch: Mismatch, values: FloatArray, slopes: FloatArray
+) -> FloatArray:
+    """What one standard deviation of each sensor's six errors does to its power series, (n, n_sensors, K, 6)."""
+    parts = [mismatch.place * slopes[..., i] for i in range(3)] + [mismatch.gain * values]
+    for side in _sideways(sensors.axes):
+        parts.append(mismatch.tilt * channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0])
+    return np.stack(parts, axis=-1)
+
+
+def _sideways(axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two directions across each axis."""
+    seed = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    first = np.cross(axes, seed)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(axes, first)

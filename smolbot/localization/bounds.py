@@ -1,0 +1,211 @@
+"""The Cramer-Rao bound of a pose: what no estimator can beat under a given noise.
+
+Data are averages over short blocks with the noise's own covariance C. With J the derivative of the
+model for position, rotation, phase and amplitude, and a free polynomial in every channel projected
+out (a constant at least), the bound is (J^T C^-1 J)^-1: eight unknowns, of which six are the pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from smolbot.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.localization import basis as time_functions
+from smolbot.localization import kernels
+from smolbot.localization.noise import NoiseModel
+from smolbot.localization.whitening import BLOCK, blocks
+from smolbot.sensing import Device, SensorArray
+
+N_PHASES = 4
+"""Phases of the oscillation, half a turn in all, over which a bound is averaged."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """What is listened to: `half_periods` at `sample_rate` Hz, from `since` s after the end of the drive."""
+
+    half_periods: float
+    sample_rate: float
+    since: float
+
+    def n_samples(self, frequency: float) -> int:
+        """Whole samples in it, for a device of `frequency` Hz."""
+        return round(self.half_periods * self.sample_rate / (2.0 * frequency))
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Lowest covariance at some poses.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (n_poses, 8, 8)
+        Of position (m), rotation e (rad), phase (rad) and amplitude (rad), averaged over phases.
+    """
+
+    covariance: FloatArray
+
+    @property
+    def position_rms(self) -> FloatArray:
+        """Root mean square error per axis at each pose, shape (n_poses,), in m."""
+        return np.sqrt(np.trace(self.covariance[:, :3, :3], axis1=1, axis2=2) / 3.0)
+
+    @property
+    def rotation_rms(self) -> FloatArray:
+        """Root mean square error per axis at each pose, shape (n_poses,), in rad."""
+        return np.sqrt(np.trace(self.covariance[:, 3:6, 3:6], axis1=1, axis2=2) / 3.0)
+
+    @property
+    def height_amplitude_correlation(self) -> FloatArray:
+        """Correlation of z with the amplitude at each pose, shape (n_poses,)."""
+        spread = np.sqrt(self.covariance[:, 2, 2] * self.covariance[:, 7, 7])
+        correlation: FloatArray = self.covariance[:, 2, 7] / spread
+        return correlation
+
+
+def pose_bound(
+    sensors: SensorArray,
+    device: Device,
+    noise: NoiseModel,
+    positions: npt.ArrayLike,
+    rotations: npt.ArrayLike,
+    window: Window,
+    *,
+    amplitude: float | None = None,
+    trend: int = 0,
+    block: float = BLOCK,
+) -> Bound:
+    """Cramer-Rao bound at some poses, with phase, amplitude and a polynomial per channel free.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        The true one.
+    positions : array_like, shape (n_poses, 3), in m
+    rotations : array_like, shape (n_poses, 3, 3)
+        Rotation matrices, body to world.
+    amplitude : float, optional, in rad
+        At the end of the drive; the device's stop if not given.
+    trend : int
+        Degree of the polynomial that is free in every channel: 0 for a constant, 1 for a constant and a slope.
+    block : float, in s
+        Samples are averaged over blocks of at most this length.
+
+    Raises
+    ------
+    InputError
+        If the window holds too few blocks for the unknowns.
+    """
+    return Response(sensors, device, noise, window, amplitude=amplitude, trend=trend, block=block).bound(
+        positions, rotations
+    )
+
+
+class Response:
+    """How whitened data answer to the power series of the channels; one for many poses.
+
+    Arguments are those of `pose_bound`.
+    """
+
+    def __init__(
+        self,
+        sensors: SensorArray,
+        device: Device,
+        noise: NoiseModel,
+        window: Window,
+        *,
+        amplitude: float | None = None,
+        trend: int = 0,
+        block: float = BLOCK,
+    ) -> None:
+        chain = blocks(window.n_samples(device.frequency), window.sample_rate, block)
+        n_blocks, size = chain.weights.shape
+        if len(sensors) * (n_blocks - 1 - trend) < kernels.N_PARAMETERS:
+            raise InputError(f"A bound needs a longer window than {window.half_periods:g} half-periods of blocks.")
+        self.sensors = sensors
+        self.device = device
+        self.amplitude = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
+        covariance = noise.covariance(n_blocks, size / window.sample_rate)
+        free = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True), mode="complete")[0]
+        kept = free[:, trend + 1 :]  # what the free polynomials leave
+        n = len(sensors)
+        middle = np.einsum("ta,itju,ub->iajb", kept, covariance.reshape(n, n_blocks, n, n_blocks), kept, optimize=True)
+        whiten = np.linalg.inv(np.linalg.cholesky(middle.reshape(n * kept.shape[1], -1)))
+        self._whiten = np.einsum("mja,ta->mjt", whiten.reshape(len(whiten), n, -1), kept, optimize=True)
+        self._basis = time_functions.time_basis(device, chain, window.sample_rate, window.since, sensors.bandwidth)
+
+    def bound(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Bound:
+        """The bound at some poses, averaged over phases."""
+        values, slopes = self.series(positions, rotations)
+        covariances = []
+        for phase in np.pi * np.arange(N_PHASES) / N_PHASES:
+            jacobian = self.jacobian(values, slopes, float(phase))
+            covariances.append(_inverse(np.swapaxes(jacobian, 1, 2) @ jacobian))
+        covariance = np.mean(covariances, axis=0)
+        covariance[:, 7] *= time_functions.REFERENCE_ANGLE
+        covariance[:, :, 7] *= time_functions.REFERENCE_ANGLE
+        return Bound(covariance)
+
+    def series(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Power series of the channels at each pose, (n_poses, n_sensors, K), and their derivatives (..., 6)."""
+        return channel_series(self.sensors, self.device, positions, rotations)
+
+    def waves(self, phase: float) -> tuple[FloatArray, FloatArray]:
+        """Whitened answer (n_data, n_sensors, K) to each power of each channel, and its derivative for the phase."""
+        harmonics = np.arange(self._basis.shape[1])
+        turned = self._basis * np.exp(1j * harmonics * phase)[None, :, None]
+        size = self.amplitude ** np.arange(len(turned))
+        now = size[:, None] * np.real(turned.sum(axis=1))
+        ahead = size[:, None] * np.real((1j * harmonics[None, :, None] * turned).sum(axis=1))
+        return self._whiten @ now.T, self._whiten @ ahead.T
+
+    def jacobian(self, values: FloatArray, slopes: FloatArray, phase: float) -> FloatArray:
+        """Derivatives (n_poses, n_data, 8) of whitened data; the amplitude is a fraction of the reference angle."""
+        now, ahead = self.waves(phase)
+        n_data, n_poses = len(now), len(values)
+        powers = np.arange(values.shape[2])
+        coefficients = np.concatenate([slopes, (values * powers / self.amplitude)[..., None]], axis=3)
+        flat = coefficients.transpose(1, 2, 0, 3).reshape(-1, n_poses * 7)
+        out = np.empty((n_poses, n_data, 8))
+        direct = (now.reshape(n_data, -1) @ flat).reshape(n_data, n_poses, 7).transpose(1, 0, 2)
+        out[:, :, :6], out[:, :, 7] = direct[:, :, :6], direct[:, :, 6]
+        out[:, :, 6] = (ahead.reshape(n_data, -1) @ values.reshape(n_poses, -1).T).T
+        return out
+
+
+def channel_series(
+    sensors: SensorArray, device: Device, positions: npt.ArrayLike, rotations: npt.ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Each channel as a power series in the deflection, at some poses.
+
+    Returns
+    -------
+    values : ndarray, shape (n_poses, n_sensors, K), in T
+    slopes : ndarray, shape (n_poses, n_sensors, K, 6)
+        Derivatives for position (per m) and for e in exp(e) R (per rad).
+    """
+    places = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+    turns = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
+    if len(places) != len(turns):
+        raise InputError(f"Bounds need as many positions as rotations; got {len(places)} and {len(turns)}.")
+    angles = time_functions.nodes() * time_functions.REFERENCE_ANGLE
+    values = np.zeros((len(places), len(sensors), len(angles)))
+    slopes = np.zeros((*values.shape, 6))
+    for i in range(len(places)):
+        kernels.series(
+            sensors.positions, sensors.axes, device.moment * device.moment_in_body, device.l0, angles,
+            time_functions.power_matrix(), places[i], np.ascontiguousarray(turns[i]), values[i], slopes[i],
+        )  # fmt: skip
+    return values, slopes
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Inverses of symmetric positive matrices (n, 8, 8), scaled first so that units cost no precision."""
+    scale = 1.0 / np.sqrt(np.einsum("nii->ni", information))
+    outer = scale[:, :, None] * scale[:, None, :]
+    inverse: FloatArray = np.linalg.inv(information * outer) * outer
+    return inverse

@@ -1,0 +1,117 @@
+"""A device is calibrated in the tank from what the sensors hear; the truth is asked for in the checks only."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.world import TankWorld
+from smolbot.calibration import Plan, calibrate, weighted_mean
+from smolbot.cli.app import main
+from smolbot.cli.calibrate import expected_hum, find_target
+from smolbot.devicefile import load_device
+from smolbot.errors import InputError, SignalLostError
+from smolbot.rigfile import load_rig
+from smolbot.robotfile import load_robot
+
+QUICK = Plan(sweep_points=3, repeats=2)
+
+
+class Blind:
+    """A tank without its witness, whose operator alone knows the height."""
+
+    def __init__(self, seed, **settings):
+        config = load_rig("tank", {key.replace("__", "."): value for key, value in settings.items()})
+        self.rig = TankWorld.open(config, load_robot("gradient"), (0.0, 0.0), seed)
+        self.truth = self.rig.provenance()["truth"]
+        self.height = float(self.rig.witness.truth(0.0).position[2])
+        self.rig.witness = None
+        self.hum = expected_hum(config)
+
+
+def check(found, truth, believed):
+    """Frequency within 0.02 Hz, damping and stop within 3 % of the truth.
+
+    The amplitude is heard as moment times angle: the angle's true share is that of their product.
+    """
+    assert found.stops_reached
+    assert found.device.damping_model == "exponential"
+    assert found.evidence > 100.0
+    assert found.device.frequency == pytest.approx(believed.frequency * truth["frequency"], abs=0.02)
+    assert found.device.damping == pytest.approx(believed.damping * truth["damping"], rel=0.03)
+    assert found.device.theta_max == pytest.approx(believed.theta_max * truth["theta_max"], rel=0.03)
+    product = truth["theta_max"] * truth["moment"]
+    assert found.device.theta_max == pytest.approx(believed.theta_max * product, rel=0.03)
+
+
+def test_a_device_in_the_tank_is_calibrated_from_its_signal_alone():
+    tank, believed = Blind(7), load_robot("gradient").device
+    found = calibrate(tank.rig, believed, tank.height, plan=QUICK, hum=tank.hum)
+    check(found, tank.truth, believed)
+    assert 0 < found.std.frequency < 0.02
+    assert 0 < found.std.damping < 0.5
+    assert 0.01 < found.std.theta_max / found.device.theta_max < 0.03  # the height's 0.2 mm alone make 1 %
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_other_tanks_are_calibrated_as_well(seed):
+    tank, believed = Blind(seed), load_robot("gradient").device
+    check(calibrate(tank.rig, believed, tank.height, hum=tank.hum), tank.truth, believed)
+
+
+@pytest.mark.slow
+def test_a_belief_that_is_far_off_does_not_matter():
+    tank, true = Blind(7), load_robot("gradient").device
+    believed = replace(true, frequency=true.frequency + 3.0, damping=15.0, theta_max=0.8 * true.theta_max)
+    found = calibrate(tank.rig, believed, tank.height, plan=QUICK, hum=tank.hum)
+    check(found, tank.truth, true)
+
+
+def test_a_drive_too_weak_to_be_heard_is_said_so():
+    tank, believed = Blind(3), load_robot("gradient").device
+    with pytest.raises(SignalLostError, match=r"signal to noise .* with up to 0\.001 A at 103\.5 Hz"):
+        calibrate(tank.rig, believed, tank.height, plan=replace(QUICK, max_current=1e-3), hum=tank.hum)
+
+
+def test_plans_and_heights_of_no_use_are_refused():
+    tank = Blind(3)
+    with pytest.raises(InputError, match="known z of the device above the sensors, in m; got 60"):
+        calibrate(tank.rig, load_robot("gradient").device, 60.0)
+    with pytest.raises(InputError, match="repeats must be at least 2; got 1"):
+        Plan(repeats=1)
+
+
+def test_scatter_beyond_what_is_claimed_widens_the_mean():
+    claimed = weighted_mean([(1.0, 0.1), (1.0, 0.1), (1.0, 0.1)])
+    scattered = weighted_mean([(0.0, 0.1), (1.0, 0.1), (2.0, 0.1)])
+    assert claimed == pytest.approx((1.0, 0.1 / np.sqrt(3)))
+    assert scattered == pytest.approx((1.0, 1.0 / np.sqrt(3)))
+
+
+def test_the_command_writes_a_device_file_that_names_its_robot(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "device.toml"
+    options = ["--seed", "7", "--points", "2", "--repeats", "2", "--out", str(out), "--json"]
+    monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate", "tank", "--z-mm", f"{1e3 * Blind(7).height}", *options])
+    with pytest.raises(SystemExit) as left:
+        main()
+    told = json.loads(capsys.readouterr().out)
+    assert left.value.code == 0
+    found = load_device(out, "gradient")
+    assert found.device.frequency == pytest.approx(told["frequency_hz"]["value"])
+    assert found.std.damping == pytest.approx(told["damping_per_s"]["std"])
+    assert told["theta_max_deg"]["believed"] == pytest.approx(17.8)
+
+
+def test_rigs_and_missions_are_told_apart():
+    rig, robot, start = find_target("tank", None)
+    assert (rig.name, robot.name, start) == ("tank", "gradient", (0.0, 0.0))
+    rig, _, start = find_target("line", None)
+    assert rig.name == "tank"
+    assert start != (0.0, 0.0)
+    with pytest.raises(InputError, match=r"No rig or mission is named 'tnak'. Rigs: .*tank"):
+        find_target("tnak", None)
