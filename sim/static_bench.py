@@ -90,9 +90,7 @@ class StaticBench:
         mismatch = settings.mismatch.model_copy(update={"scale": float(mismatch_scale)})
         streams = Streams.from_seed(seed)
         n_coils = len(rig.sections.coils) + len(rig.sections.excitation)
-        self.truth: Truth = draw(
-            settings.model_copy(update={"mismatch": mismatch}), n_coils, len(rig.sensors), streams
-        )
+        self.truth: Truth = draw(settings.model_copy(update={"mismatch": mismatch}), n_coils, len(rig.sensors), streams)
         self.true_sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         self.sensors: SensorArray = rig.sensors
         self.device = device

@@ -147,7 +147,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Study:
-    """One study: how it is cut into chunks, what they add up to, and how that is drawn."""
+    """One study: how it is cut into chunks, what they add up to, and how that is drawn.
+
+    `estimators` are those that are used where none is asked for.
+    """
 
     name: str
     title: str
@@ -155,6 +158,7 @@ class Study:
     chunks: Callable[[Options], list[Chunk]]
     conclude: Callable[[Options, list[Columns]], Outcome]
     draw: Callable[[Outcome, Path], None]
+    estimators: tuple[Estimator, ...] = ("whitened", "paper")
     notes: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -166,8 +170,7 @@ def cut(
     states = [int(s.generate_state(1, np.uint64)[0] >> np.uint64(1)) for s in seeds]
     shared = {"rig": options.rig, "estimators": options.estimators}
     return [
-        Chunk(name, work, seed, {**shared, **arguments})
-        for (name, arguments), seed in zip(pieces, states, strict=True)
+        Chunk(name, work, seed, {**shared, **arguments}) for (name, arguments), seed in zip(pieces, states, strict=True)
     ]
 
 
@@ -197,13 +200,22 @@ def open_bench(chunk: Chunk, device: Device, mismatch: float, *, spread: float =
     return StaticBench(rig, device, chunk.seed, mismatch)
 
 
-def localizers(bench: StaticBench, estimators: Sequence[Estimator], quiet: float = QUIET_SECONDS) -> dict[str, Localizer]:
-    """Localizers that know what may be known: nominal sensors and device, noise from `quiet` s of quiet."""
+def localizers(
+    bench: StaticBench,
+    estimators: Sequence[Estimator],
+    quiet: float = QUIET_SECONDS,
+    reach: float | None = None,
+) -> dict[str, Localizer]:
+    """Localizers that know what may be known: nominal sensors and device, noise from `quiet` s of quiet.
+
+    `reach` is the height, in m, up to which poses are looked for, where the default is not enough.
+    """
     from smolbot.localization.cold_start import SearchVolume
 
-    span = float(np.abs(bench.sensors.positions).max())
-    high = (max(0.05, span), max(0.05, span), max(0.12, 2.5 * span))
-    volume = SearchVolume() if span <= 0.075 else SearchVolume((-high[0], -high[1], 0.03), high)
+    volume = SearchVolume()
+    if reach is not None:
+        wide = max(0.05, 0.4 * reach)
+        volume = SearchVolume((-wide, -wide, 0.03), (wide, wide, max(reach, 0.12)), max(0.008, 0.06 * reach))
     noise = NoiseModel.learn(bench.quiet(quiet)) if "whitened" in estimators else None
     return {e: Localizer(bench.sensors, bench.device, noise, e, volume) for e in estimators}
 
@@ -469,7 +481,11 @@ def device_of(device: Device) -> dict[str, Any]:
 
 
 def locate_all(
-    found: Mapping[str, Localizer], recording: Recording, position: FloatArray, orientation: FloatArray, prior: Pose | None
+    found: Mapping[str, Localizer],
+    recording: Recording,
+    position: FloatArray,
+    orientation: FloatArray,
+    prior: Pose | None,
 ) -> list[dict[str, Any]]:
     """One row per estimator for one recording."""
     return [

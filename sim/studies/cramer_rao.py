@@ -53,16 +53,23 @@ def bound(
 
 def whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int) -> FloatArray:
     """``columns^T C^-1 columns`` with constants free; rows of `columns` run over channels, then blocks of `size`."""
+    from scipy.linalg import solve_triangular
+
     n_channels = len(bench.sensors)
     factor = np.linalg.cholesky(own_covariance(bench, count, size))
     lines = line_waves(bench, count, size)
 
     def whiten(matrix: FloatArray) -> FloatArray:
         stacked = matrix.reshape(n_channels, count, -1).transpose(1, 0, 2).reshape(count, -1)
-        solved = np.linalg.solve(factor, stacked).reshape(count, n_channels, -1).transpose(1, 0, 2)
+        solved = (
+            solve_triangular(factor, stacked, lower=True, check_finite=False)
+            .reshape(count, n_channels, -1)
+            .transpose(1, 0, 2)
+        )
         return np.ascontiguousarray(solved.reshape(n_channels * count, -1))
 
-    constants = np.linalg.qr(whiten(np.kron(np.eye(n_channels), np.ones((count, 1)))))[0]
+    constants: FloatArray = whiten(np.kron(np.eye(n_channels), np.ones((count, 1))).astype(np.float64))
+    constants /= np.linalg.norm(constants, axis=0)  # of different channels: orthogonal already
     white, loud = whiten(columns), whiten(lines)
     white -= constants @ (constants.T @ white)
     loud -= constants @ (constants.T @ loud)

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from sim.world import TankWorld
-from smolbot.calibration import Plan, calibrate, weighted_mean
+from smolbot.calibration import (
+    Calibration,
+    DrivePoint,
+    Plan,
+    SweepPoint,
+    Uncertainty,
+    calibrate,
+    weighted_mean,
+)
 from smolbot.cli.app import main
 from smolbot.cli.calibrate import expected_hum, find_target
 from smolbot.devicefile import load_device
@@ -93,18 +101,37 @@ def test_scatter_beyond_what_is_claimed_widens_the_mean():
     assert scattered == pytest.approx((1.0, 1.0 / np.sqrt(3)))
 
 
-def test_the_command_writes_a_device_file_that_names_its_robot(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("reached", "code"), [(True, 0), (False, 1)])
+def test_the_command_writes_a_device_file_that_names_its_robot(tmp_path, monkeypatch, capsys, reached, code):
+    def told_beforehand(rig, device, height, **_):
+        better = replace(device, frequency=103.61, damping=32.5, theta_max=0.32)
+        sweep = (SweepPoint(103.0, 103.61, 0.01, 1e-7), SweepPoint(104.0, 103.61, 0.01, 2e-7))
+        drives = (DrivePoint(1.0, 0.1, 0.001), DrivePoint(3.0, 0.32, 0.001))
+        return Calibration(better, Uncertainty(0.003, 0.01, 0.2), device, height, sweep, drives, 500.0, reached, 9)
+
+    monkeypatch.setattr("smolbot.calibration.calibrate", told_beforehand)
     out = tmp_path / "device.toml"
-    options = ["--seed", "7", "--points", "2", "--repeats", "2", "--out", str(out), "--json"]
-    monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate", "tank", "--z-mm", f"{1e3 * Blind(7).height}", *options])
+    monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate", "tank", "--z-mm", "59.7", "--out", str(out), "--json"])
     with pytest.raises(SystemExit) as left:
         main()
-    told = json.loads(capsys.readouterr().out)
-    assert left.value.code == 0
+    printed = capsys.readouterr()
+    told = json.loads(printed.out)
+    assert left.value.code == code
+    assert ("stops were not reached" in printed.err) is not reached
     found = load_device(out, "gradient")
-    assert found.device.frequency == pytest.approx(told["frequency_hz"]["value"])
-    assert found.std.damping == pytest.approx(told["damping_per_s"]["std"])
+    assert found.device.frequency == pytest.approx(103.61)
+    assert found.std.damping == pytest.approx(0.2)
+    assert found.height == pytest.approx(0.0597)
     assert told["theta_max_deg"]["believed"] == pytest.approx(17.8)
+    assert told["frequency_hz"] == {"value": 103.61, "std": 0.01, "believed": 103.5}
+
+
+def test_a_height_outside_the_container_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate", "tank", "--z-mm", "0.06", "--out", str(tmp_path / "d")])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert "--z-mm must lie within the container of rig 'tank', 45 to 80 mm" in capsys.readouterr().err
 
 
 def test_rigs_and_missions_are_told_apart():

@@ -34,9 +34,8 @@ def samples(array, along_device, pose_at, hear):
     heard = [hear(array, along_device, pose_at(place, 30.0), 6) for place in places]
     volts = np.stack([r.field for r in heard]) * 1e6 + 0.01  # 1 V/µT, and a constant
     noise = 1e-4 * np.random.default_rng(1).standard_normal(volts.shape)
-    return {
-        "volts": volts + noise, "sample_rate_hz": RATE, "time_since_drive_ms": 20.0, "clock_s": np.array([0.0, 0.2, 0.4]),
-    }  # fmt: skip
+    clock = np.array([0.0, 0.2, 0.4])
+    return {"volts": volts + noise, "sample_rate_hz": RATE, "time_since_drive_ms": 20.0, "clock_s": clock}
 
 
 def write(path, values):

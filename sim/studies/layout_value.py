@@ -1,4 +1,4 @@
-"""Where the sensors should stand: the bound over a volume for a layout, and a search for a better one."""
+"""What a sensor layout is worth: the bound over a volume, and what sensors slightly off leave of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.localization.bounds import Bound, Response, Window, channel_series
 from smolbot.localization.expected import NoiseLevels
+from smolbot.localization.noise import ComplexArray, NoiseModel
 from smolbot.rotations import matrix_from_quaternion
 from smolbot.sensing import Device, SensorArray
 
@@ -79,10 +80,10 @@ class Judgement:
 
 
 def judge(
-    sensors: SensorArray, device: Device, levels: NoiseLevels, window: Window, poses: Poses, mismatch: Mismatch
+    sensors: SensorArray, device: Device, noise: NoiseModel, window: Window, poses: Poses, mismatch: Mismatch
 ) -> Judgement:
     """The bound, and to first order what sensors slightly off do to an estimator that reaches it."""
-    response = Response(sensors, device, levels.model(sensors), window)
+    response = Response(sensors, device, noise, window)
     values, slopes = response.series(poses.positions, poses.rotations)
     bound = response.bound(poses.positions, poses.rotations)
     changes = _sensor_changes(sensors, device, poses, mismatch, values, slopes)
@@ -105,12 +106,36 @@ def _sensor_changes(
 ) -> FloatArray:
     """What one standard deviation of each sensor's six errors does to its power series, (n, n_sensors, K, 6)."""
     parts = [mismatch.place * slopes[..., i] for i in range(3)] + [mismatch.gain * values]
-    for side in _sideways(sensors.axes):
+    for side in sideways(sensors.axes):
         parts.append(mismatch.tilt * channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0])
     return np.stack(parts, axis=-1)
 
 
-def _sideways(axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+def drawn_lines(sensors: SensorArray, levels: NoiseLevels, rng: np.random.Generator) -> ComplexArray:
+    """Peak phasors (n_lines, n_sensors) of one room's mains: directions, gradients and phases drawn, sizes as given."""
+    orders = np.array([1, *levels.harmonics])
+    sizes = np.array([1.0, *levels.harmonics.values()])
+    out = np.empty((len(orders), len(sensors)), dtype=np.complex128)
+    for k, size in enumerate(sizes / (1.0 + 1j * orders * levels.mains_frequency / sensors.bandwidth)):
+        direction = rng.standard_normal(3)
+        direction *= levels.mains / np.linalg.norm(direction)
+        gradient = rng.standard_normal((3, 3))
+        gradient = gradient + gradient.T
+        gradient -= np.eye(3) * np.trace(gradient) / 3.0
+        gradient *= np.sqrt(3.0) * levels.mains_gradient / np.linalg.norm(gradient)
+        first, second = np.exp(2j * np.pi * rng.random(2))
+        field = first * direction + second * (sensors.positions @ gradient)
+        out[k] = size * np.einsum("ij,ij->i", sensors.axes, field)
+    return out
+
+
+def room_noise(sensors: SensorArray, levels: NoiseLevels, seed: int, top: float = 5000.0) -> NoiseModel:
+    """The noise of one drawn room, as an estimator knows it that has learned it well."""
+    lines = drawn_lines(sensors, levels, np.random.default_rng(seed))
+    return replace(levels.model(sensors, top), lines=lines[:, :, None] * lines[:, None, :].conj())
+
+
+def sideways(axes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two directions across each axis."""
     seed = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
     first = np.cross(axes, seed)

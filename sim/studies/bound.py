@@ -1,0 +1,173 @@
+"""How close poses come to the Cramer-Rao bound, against the paper's way, and whether covariances are true."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    REFERENCE_POSITION,
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    chosen,
+    columns_of,
+    cut,
+    joined,
+    localizers,
+    locate_all,
+    open_bench,
+    position_errors,
+    prior_near,
+    reference_orientation,
+    rms,
+    rng_of,
+    rotation_errors,
+    split,
+)
+from sim.studies.cramer_rao import bound, position_bound
+
+HALF_PERIODS = (1, 2, 6, 20)
+CHUNK = 500
+PHASES = 24
+"""Phases of the oscillation, between 0 and pi, at which the bound is computed; poses take it from between them."""
+
+
+def work(chunk: Chunk) -> Columns:
+    """Poses at the reference place on one bench: errors, and the bound at each pose's own phase."""
+    bench = open_bench(chunk, characterised(), chunk["mismatch"])
+    found = localizers(bench, chunk["estimators"])
+    position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
+    rng = rng_of(chunk)
+    rows: list[dict[str, Any]] = []
+    for half_periods in HALF_PERIODS:
+        grid = np.pi * np.arange(PHASES + 1) / PHASES
+        bounds = [position_bound(bound(bench, position, orientation, half_periods, p)) for p in grid[:-1]]
+        for _ in range(chunk["poses"]):
+            recording = bench.record(position, orientation, half_periods)
+            prior = prior_near(position, orientation, rng)
+            swing = bench.last
+            least = float(np.interp((swing.phase if swing else 0.0) % np.pi, grid, [*bounds, bounds[0]]))
+            kind = {"mismatch": chunk["mismatch"], "half_periods": half_periods, "bound_mm": 1e3 * least}
+            rows += [{**kind, **row} for row in locate_all(found, recording, position, orientation, prior)]
+    return columns_of(rows)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Mismatches off and, unless one scale is asked for, on: then many benches, for each draws its own."""
+    total = options.poses or 1000
+    scales = (0.0, 1.0) if options.mismatch is None else (options.mismatch,)
+    pieces = []
+    for scale in scales:
+        sizes = split(total, CHUNK if scale == 0.0 else max(CHUNK // 10, 1))
+        pieces += [(f"x{scale:g}-{i:03d}", {"mismatch": scale, "poses": size}) for i, size in enumerate(sizes)]
+    return cut(options, work, pieces)
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Ratios over all poses; those not trusted are counted, and left in."""
+    columns = joined(parts)
+    figures: dict[str, Any] = {"poses": 0, "cases": []}
+    rows: list[tuple[str, str]] = []
+    for scale in np.unique(columns["mismatch"]):
+        rows.append((f"mismatch x {scale:g}", "ideal" if scale == 0.0 else "sensors, device and noise drawn per bench"))
+        for name in options.estimators:
+            for half_periods in HALF_PERIODS:
+                case = summary(chosen(columns, mismatch=scale, estimator=name, half_periods=half_periods))
+                figures["cases"].append({"mismatch": scale, "estimator": name, "half_periods": half_periods, **case})
+                rows.append((f"  {name}, N = {half_periods}", _line(case)))
+        by_name = {n: chosen(columns, mismatch=scale, estimator=n, half_periods=2) for n in options.estimators}
+        if len(by_name) == 2:
+            ratio = rms(position_errors(by_name["whitened"])) / rms(position_errors(by_name["paper"]))
+            figures[f"whitened_over_paper_x{scale:g}"] = ratio
+            rows.append(("  whitened / paper, N = 2", f"{ratio:.3f} (1 / {1 / ratio:.2f})"))
+    figures["poses"] = len(columns["nees"])
+    return Outcome(rows, figures, columns)
+
+
+def summary(columns: Columns) -> dict[str, Any]:
+    """Figures of one case."""
+    errors, nees = position_errors(columns), columns["nees"]
+    least = rms(columns["bound_mm"])
+    right = columns["flip_margin"] >= 1.0
+    return {
+        "n": len(nees),
+        "untrusted": int(np.sum(columns["trusted"] == 0.0)),
+        "flipped": int(np.sum(np.max(np.abs(rotation_errors(columns)), axis=1) > 90.0)),
+        "rms_mm": rms(errors),
+        "rms_by_axis_mm": np.sqrt(np.mean(errors**2, axis=0)).tolist(),
+        "mean_by_axis_mm": errors.mean(axis=0).tolist(),
+        "rotation_rms_deg": rms(rotation_errors(columns)),
+        "bound_mm": least,
+        "over_bound": rms(errors) / least,
+        "over_bound_std": 1.0 / math.sqrt(6.0 * len(nees)) * rms(errors) / least,
+        "nees_over_6": float(np.mean(nees[right])) / 6.0,
+        "nees_over_6_std": math.sqrt(2.0 / 6.0 / len(nees)),
+    }
+
+
+def _line(case: dict[str, Any]) -> str:
+    left_out = f", {case['untrusted']} untrusted" if case["untrusted"] else ""
+    left_out += f", {case['flipped']} flipped" if case["flipped"] else ""
+    return (
+        f"{1e3 * case['rms_mm']:7.1f} µm, {case['over_bound']:.3f} ± {case['over_bound_std']:.3f} times the bound of "
+        f"{1e3 * case['bound_mm']:.1f} µm; NEES / 6 {case['nees_over_6']:.3f}{left_out}"
+    )
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Errors against N with the bound, and the distribution of NEES."""
+    from sim.studies.picture import BOUND, COLORS, even_ticks, limit_line, name_line, slide, titled
+
+    cases = outcome.figures["cases"]
+    scale = min(case["mismatch"] for case in cases)
+    shown = [case for case in cases if case["mismatch"] == scale]
+    best = [c for c in shown if c["estimator"] == shown[0]["estimator"]]
+    worst = max(c["over_bound"] for c in best)
+    headline = f"{best[0]['estimator']}: within {worst:.2f} times the Cramer-Rao bound"
+    label = "ideal: all mismatches off" if scale == 0.0 else f"mismatches x {scale:g}"
+    subline = f"device at (0, 0, 80 mm), noise learned from 10 s of quiet, {best[0]['n']} poses each, {label}"
+    with slide(path, headline, subline, 1, 2, width_ratios=[1.25, 1.0]) as (left, right):
+        left.plot([c["half_periods"] for c in best], [1e3 * c["bound_mm"] for c in best], color=BOUND, lw=9,
+                  solid_capstyle="round", zorder=1)  # fmt: skip
+        name_line(left, 6, 1e3 * best[2]["bound_mm"], "bound", "#7d838e", xytext=(0, -20), ha="center")
+        for name in dict.fromkeys(c["estimator"] for c in shown):
+            line = [c for c in shown if c["estimator"] == name]
+            left.plot(
+                [c["half_periods"] for c in line], [1e3 * c["rms_mm"] for c in line], "o-", color=COLORS[name], lw=2
+            )
+            name_line(left, 2, 1e3 * line[1]["rms_mm"], name, COLORS[name], xytext=(10, 12))
+        left.set(xscale="log", yscale="log", xlim=(0.9, 24))
+        even_ticks(left, [c["half_periods"] for c in best])
+        left.set_yticks([20, 50, 100, 200, 500, 1000], ["20", "50", "100", "200", "500", "1000"])
+        titled(left, "Rms position error per axis, in µm", "half-periods N")
+        columns = chosen(outcome.columns, mismatch=scale, estimator=best[0]["estimator"])
+        top = 24.0
+        right.hist(np.clip(columns["nees"], 0, top), bins=60, range=(0, top), density=True, color="#5fa8d3")
+        x = np.linspace(0, top, 200)
+        right.plot(x, x**2 * np.exp(-x / 2) / 16.0, color=COLORS["whitened"], lw=2)
+        name_line(
+            right, 7.5, 0.082, "chi-square, 6 degrees\nof freedom: what an\nhonest covariance gives", COLORS["whitened"]
+        )
+        titled(
+            right, f"Squared error over covariance (NEES), all N; mean / 6 = {np.mean(columns['nees']) / 6:.3f}", "NEES"
+        )
+        limit_line(right, 6.0, "mean of an honest one", vertical=True)
+        right.set_yticks([])
+
+
+STUDY = Study(
+    name="bound",
+    title="Error over the Cramer-Rao bound",
+    devices=lambda: {"characterised": characterised()},
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={"position_mm": [1e3 * v for v in REFERENCE_POSITION], "quiet_s": 10.0, "half_periods": HALF_PERIODS},
+)

@@ -1,0 +1,174 @@
+"""Poses without a prior: anywhere in the volume, in any orientation; none may be confident and wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    chosen,
+    columns_of,
+    cut,
+    joined,
+    localizers,
+    open_bench,
+    pose_row,
+    position_errors,
+    rng_of,
+    split,
+)
+from smolbot.rotations import rotation_error
+
+HALF_PERIODS = 6
+CHUNK = 125
+LOW, HIGH = (-0.04, -0.04, 0.05), (0.04, 0.04, 0.11)
+WRONG_MM, WRONG_DEG = 5.0, 20.0
+
+
+def work(chunk: Chunk) -> Columns:
+    """Random poses on one bench."""
+    bench = open_bench(chunk, characterised(), chunk["mismatch"])
+    found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
+    rows: list[dict[str, Any]] = []
+    for _ in range(chunk["poses"]):
+        position = rng.uniform(LOW, HIGH)
+        turn = rng.standard_normal(4)
+        orientation = turn / np.linalg.norm(turn)
+        recording = bench.record(position, orientation, HALF_PERIODS)
+        place = {f"{axis}_mm": 1e3 * float(position[i]) for i, axis in enumerate("xyz")}
+        for name, localizer in found.items():
+            pose = localizer.locate(recording)
+            off = float(np.linalg.norm(rotation_error(np.array(pose.orientation), orientation)))
+            rows.append(
+                {
+                    "mismatch": chunk["mismatch"],
+                    "estimator": name,
+                    **place,
+                    **{f"q{i}": float(v) for i, v in enumerate(orientation)},
+                    "off_mm": 1e3 * float(np.linalg.norm(pose.position - position)),
+                    "off_deg": float(np.degrees(off)),
+                    **pose_row(pose, position, orientation),
+                }
+            )
+    return columns_of(rows)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Mismatches off, then on, each chunk on a bench of its own."""
+    total = options.poses or 2000
+    scales = (0.0, 1.0) if options.mismatch is None else (options.mismatch,)
+    pieces = [
+        (f"x{scale:g}-{i:03d}", {"mismatch": scale, "poses": size})
+        for scale in scales
+        for i, size in enumerate(split(total, CHUNK))
+    ]
+    return cut(options, work, pieces)
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Confident and wrong, trusted, and errors of the trusted ones."""
+    columns = joined(parts)
+    figures: dict[str, Any] = {"cases": []}
+    rows: list[tuple[str, str]] = []
+    for scale in np.unique(columns["mismatch"]):
+        for name in options.estimators:
+            part = chosen(columns, mismatch=scale, estimator=name)
+            trusted = part["trusted"] == 1.0
+            wrong = (part["off_mm"] > WRONG_MM) | (part["off_deg"] > WRONG_DEG)
+            good = trusted & ~wrong
+            case = {
+                "mismatch": float(scale),
+                "estimator": name,
+                "poses": len(wrong),
+                "confident_wrong": int(np.sum(trusted & wrong)),
+                "confident_flips": int(np.sum(trusted & (part["off_deg"] > 90.0))),
+                "untrusted": int(np.sum(~trusted)),
+                "untrusted_but_right": int(np.sum(~trusted & ~wrong)),
+                "trusted_share": float(np.mean(trusted)),
+                "median_off_mm": float(np.median(part["off_mm"][good])),
+                "p95_off_mm": float(np.percentile(part["off_mm"][good], 95)),
+                "median_off_deg": float(np.median(part["off_deg"][good])),
+                "nees_over_6_median": float(np.median(part["nees"][good])) / 5.348,
+                "rms_by_axis_mm": np.sqrt(np.mean(position_errors(part)[good] ** 2, axis=0)).tolist(),
+            }
+            figures["cases"].append(case)
+            rows.append(
+                (
+                    f"mismatch x {scale:g}, {name}",
+                    f"{case['confident_wrong']} of {case['poses']} confident and wrong "
+                    f"({case['confident_flips']} of them flips); trusted {case['trusted_share']:.1%}, "
+                    f"{case['untrusted_but_right']} of "
+                    f"{case['untrusted']} untrusted were right; median {case['median_off_mm']:.2f} mm, "
+                    f"{case['median_off_deg']:.2f} deg",
+                )
+            )
+    return Outcome(rows, figures, columns)
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Where poses are, trusted or not; and their errors against height."""
+    from sim.studies.picture import COLORS, LIMIT, OTHERS, limit_line, slide, titled
+
+    cases = outcome.figures["cases"]
+    first = cases[0]
+    shown = chosen(outcome.columns, mismatch=first["mismatch"], estimator=first["estimator"])
+    headline = (
+        f"{first['confident_wrong']} of {first['poses']} cold starts confident and wrong, "
+        f"{first['trusted_share']:.1%} trusted"
+    )
+    label = "ideal: all mismatches off" if first["mismatch"] == 0 else f"mismatches x {first['mismatch']:g}"
+    more = "".join(
+        f"; mismatches x {c['mismatch']:g}: {c['confident_wrong']} wrong, {c['trusted_share']:.1%} trusted"
+        for c in cases[1:]
+        if c["estimator"] == first["estimator"]
+    )
+    subline = (
+        f"{first['estimator']}, N = 6, any orientation, |x|, |y| < 40 mm, 50 to 110 mm high, no prior; {label}{more}"
+    )
+    trusted = shown["trusted"] == 1.0
+    wrong = (shown["off_mm"] > WRONG_MM) | (shown["off_deg"] > WRONG_DEG)
+    groups = [
+        (trusted & ~wrong, COLORS["whitened"], "trusted and right", 9, "o"),
+        (~trusted & ~wrong, OTHERS[1], "not trusted, though right", 26, "o"),
+        (~trusted & wrong, LIMIT, "not trusted, and wrong", 26, "o"),
+        (trusted & wrong, COLORS["paper"], "trusted, but wrong", 60, "X"),
+    ]
+    with slide(path, headline, subline, 1, 2) as (left, right):
+        for mask, color, text, size, marker in groups:
+            kind: dict[str, Any] = {"s": size, "color": color, "lw": 0, "alpha": 0.75, "marker": marker}
+            left.scatter(
+                shown["z_mm"][mask], np.maximum(shown["off_mm"][mask], 1e-3), label=f"{text}: {mask.sum()}", **kind
+            )
+            right.scatter(shown["off_deg"][mask], np.maximum(shown["off_mm"][mask], 1e-3), **kind)
+        for panel in (left, right):
+            panel.set_yscale("log")
+            panel.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
+            limit_line(panel, WRONG_MM, "5 mm")
+        right.set_xscale("log")
+        right.set_xticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
+        limit_line(right, WRONG_DEG, "20°", vertical=True)
+        left.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 1.0), fontsize=10, markerscale=1.2)
+        low, high = left.get_ylim()
+        left.set_ylim(low, high * 30)
+        titled(left, "Position error in mm", "true height in mm")
+        titled(right, "Position error in mm", "orientation error in degrees")
+
+
+STUDY = Study(
+    name="cold",
+    title="Cold starts",
+    devices=lambda: {"characterised": characterised()},
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    estimators=("whitened",),
+    notes={"low_m": LOW, "high_m": HIGH, "half_periods": HALF_PERIODS, "wrong": "beyond 5 mm or 20 deg"},
+)

@@ -1,0 +1,129 @@
+"""Precision against damping, from none to very strong, in speed and precision mode (Fig. 2G)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    REFERENCE_POSITION,
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    chosen,
+    columns_of,
+    cut,
+    joined,
+    localizers,
+    open_bench,
+    rng_of,
+)
+from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
+from smolbot.localization.statistics import coefficient_of_determination
+
+DAMPINGS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 31.7, 40.0)
+HALF_PERIODS = (2, 20)
+
+
+def work(chunk: Chunk) -> Columns:
+    """One damping, both modes."""
+    bench = open_bench(chunk, characterised(chunk["damping"], "exponential"), chunk["mismatch"])
+    found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
+    rows: list[dict[str, Any]] = []
+    for n in HALF_PERIODS:
+        labels = {"damping_per_s": chunk["damping"], "bound_mm": mean_bound(bench, REFERENCE_POSITION[2], n)}
+        rows += scatter_rows(bench, found, REFERENCE_POSITION[2], n, chunk["poses"], rng, labels)
+    return columns_of(rows)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Two benches for each damping."""
+    total, scale = options.poses or 300, options.mismatch or 0.0
+    pieces = [
+        (f"eta-{eta:g}-{i}", {"damping": eta, "mismatch": scale, "poses": max(total // 2, 2)})
+        for eta in DAMPINGS
+        for i in range(2)
+    ]
+    return cut(options, work, pieces)
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Scatter of each damping, and straight lines through it."""
+    columns = joined(parts)
+    figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": [], "trends": []}
+    rows: list[tuple[str, str]] = []
+    for name in options.estimators:
+        for n in HALF_PERIODS:
+            sigmas = []
+            for eta in DAMPINGS:
+                part = chosen(columns, estimator=name, half_periods=n, damping_per_s=eta)
+                case = scatter_of(part) | {"bound_mm": float(np.sqrt(np.mean(part["bound_mm"] ** 2)))}
+                figures["cases"].append({"estimator": name, "half_periods": n, "damping_per_s": eta, **case})
+                sigmas.append(case["sigma_xyz_mm"])
+            slope, start = np.polyfit(DAMPINGS, sigmas, 1)
+            r2 = coefficient_of_determination(sigmas, start + slope * np.array(DAMPINGS))
+            trend = {"slope_um_s": 1e3 * float(slope), "intercept_um": 1e3 * float(start), "r_squared": r2}
+            figures["trends"].append({"estimator": name, "half_periods": n, **trend})
+            each = ", ".join(f"{1e3 * s:.0f}" for s in sigmas)
+            untrusted = sum(c["untrusted"] for c in figures["cases"][-len(DAMPINGS) :])
+            flipped = sum(c["flipped"] for c in figures["cases"][-len(DAMPINGS) :])
+            left_out = (f"; {untrusted} untrusted" if untrusted else "") + (f"; {flipped} flipped" if flipped else "")
+            rows.append(
+                (
+                    f"{name}, N = {n}",
+                    f"{1e3 * slope:.1f} µm s + {1e3 * start:.0f} µm, R² {r2:.2f}; sigma in µm {each}{left_out}",
+                )
+            )
+    rows.append(("damping, 1/s", ", ".join(f"{eta:g}" for eta in DAMPINGS)))
+    return Outcome(rows, figures, columns)
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Scatter against damping, with trend lines."""
+    from sim.studies.picture import BOUND, COLORS, limit_line, slide, titled
+
+    cases, trends = outcome.figures["cases"], outcome.figures["trends"]
+    names = list(dict.fromkeys(c["estimator"] for c in cases))
+    strong = [c for c in cases if c["estimator"] == names[0] and c["damping_per_s"] == 31.7]
+    at = {c["half_periods"]: c for c in strong}
+    headline = (
+        f"In glycerol: {1e3 * at[2]['sigma_xyz_mm']:.0f} µm at N = 2, {1e3 * at[20]['sigma_xyz_mm']:.0f} µm at N = 20"
+    )
+    subline = (
+        f"{names[0]}; device at (0, 0, 80 mm), exponential damping, 20 ms of ring-down, "
+        f"{cases[0]['n']} poses for each point, mismatch x {outcome.figures['mismatch']:g}"
+    )
+    with slide(path, headline, subline, 1, 2) as axes:
+        for panel, n in zip(axes, HALF_PERIODS, strict=True):
+            top = 0.0
+            for name in names:
+                line = [c for c in cases if c["estimator"] == name and c["half_periods"] == n]
+                trend = next(t for t in trends if t["estimator"] == name and t["half_periods"] == n)
+                x = np.array([c["damping_per_s"] for c in line])
+                if name == names[0]:
+                    panel.plot(x, [1e3 * c["bound_mm"] for c in line], color=BOUND, lw=9, solid_capstyle="round",
+                               label="bound", zorder=1)  # fmt: skip
+                panel.plot(x, [1e3 * c["sigma_xyz_mm"] for c in line], "o", color=COLORS[name], ms=7, zorder=3,
+                           label=f"{name}: {trend['slope_um_s']:.1f} µm s, R² {trend['r_squared']:.2f}")  # fmt: skip
+                panel.plot(x, trend["intercept_um"] + trend["slope_um_s"] * x, "--", color=COLORS[name], lw=1.4)
+                top = max(top, 1.15 * float(np.median([1e3 * c["sigma_xyz_mm"] for c in line]) * 2.2))
+            panel.set_ylim(0, top)
+            limit_line(panel, 31.7, "glycerol", vertical=True)
+            titled(panel, f"N = {n}: standard deviation, mean of x, y and z, in µm", "damping coefficient in 1/s")
+            panel.legend(frameon=False, loc="upper left")
+
+
+STUDY = Study(
+    name="damping",
+    title="Precision against damping",
+    devices=lambda: {"characterised": characterised(0.0, "exponential")},
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={"dampings_per_s": DAMPINGS, "half_periods": HALF_PERIODS, "position_mm": [0, 0, 80]},
+)

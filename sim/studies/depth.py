@@ -1,0 +1,192 @@
+"""How deep a pose can be found to under 1 mm, against the size of the magnet (Fig. 2E)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    chosen,
+    columns_of,
+    cut,
+    joined,
+    localizers,
+    open_bench,
+    optimised,
+    rng_of,
+)
+from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
+from smolbot.arrays import FloatArray
+from smolbot.sensing import Device
+
+EDGE_MM = (math.pi / 4.0) ** (1.0 / 3.0)
+"""Edge of the cube with the volume of the paper's magnet, diameter 1 x 1 mm."""
+
+SIZES_MM = (0.5, 0.7, EDGE_MM, 1.2, 1.5, 2.0)
+CASES = {"characterised": (characterised, 2), "optimised": (optimised, 6)}
+LIMIT_MM = 1.0
+FIRST_GUESS_MM = {"characterised": 130.0, "optimised": 190.0}
+"""About where the limit lies for the paper's magnet; heights are taken around it."""
+
+AROUND = (0.55, 0.65, 0.75, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
+
+
+def device_with(case: str, size_mm: float) -> Device:
+    """The device with a cubic magnet of edge `size_mm`; frequency, stop, damping and l0 as they are."""
+    device = CASES[case][0]()
+    return replace(device, moment=device.moment * (size_mm / EDGE_MM) ** 3)
+
+
+def spread_of(size_mm: float) -> float:
+    """The array grows with the magnet beyond the paper's, whose depth is about 100 mm; it does not shrink."""
+    return max(size_mm / EDGE_MM, 1.0)
+
+
+def heights(case: str, size_mm: float) -> FloatArray:
+    """Heights in m, around the expected depth, which grows as the magnet does."""
+    scale = size_mm / EDGE_MM if size_mm > EDGE_MM else (size_mm / EDGE_MM) ** 0.75
+    return 1e-3 * FIRST_GUESS_MM[case] * scale * np.array(AROUND)
+
+
+def work(chunk: Chunk) -> Columns:
+    """One size of one device on one bench: all heights."""
+    case, size = chunk["case"], chunk["size_mm"]
+    bench = open_bench(chunk, device_with(case, size), chunk["mismatch"], spread=spread_of(size))
+    reach = float(heights(case, size).max())
+    found, rng = localizers(bench, chunk["estimators"], reach=1.3 * reach), rng_of(chunk)
+    rows: list[dict[str, Any]] = []
+    for height in heights(case, size):
+        least = mean_bound(bench, float(height), CASES[case][1])
+        labels = {"case": case, "size_mm": size, "bound_mm": least}
+        rows += scatter_rows(bench, found, float(height), CASES[case][1], chunk["poses"], rng, labels)
+    return columns_of(rows)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Two benches for each size of each device."""
+    total, scale = options.poses or 200, options.mismatch or 0.0
+    pieces = [
+        (f"{case}-{size:.2f}-{i}", {"case": case, "size_mm": size, "mismatch": scale, "poses": max(total // 2, 2)})
+        for case in CASES
+        for size in SIZES_MM
+        for i in range(2)
+    ]
+    return cut(options, work, pieces)
+
+
+def crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) -> float:
+    """Where rising `values` first pass `limit`, straight between logarithms; nan if they do not.
+
+    Examples
+    --------
+    >>> round(crossing(np.array([100.0, 120.0]), np.array([0.5, 2.0])), 3)
+    110.0
+    """
+    above = np.flatnonzero(values >= limit)
+    if not above.size or above[0] == 0:
+        return math.nan
+    i = int(above[0])
+    low, high = math.log(values[i - 1]), math.log(values[i])
+    part = (math.log(limit) - low) / (high - low)
+    return float(places[i - 1] + part * (places[i] - places[i - 1]))
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Depth of each size; a straight line through the characterised device's."""
+    columns = joined(parts)
+    figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": [], "depths": []}
+    rows: list[tuple[str, str]] = []
+    for case in CASES:
+        for size in SIZES_MM:
+            for name in options.estimators:
+                sigmas, bounds, lost = [], [], 0
+                for height in heights(case, size):
+                    part = chosen(columns, case=case, size_mm=size, estimator=name, height_mm=1e3 * height)
+                    one = scatter_of(part) | {"bound_mm": float(np.sqrt(np.mean(part["bound_mm"] ** 2)))}
+                    kind = {"case": case, "size_mm": size, "estimator": name, "height_mm": 1e3 * float(height)}
+                    figures["cases"].append({**kind, **one})
+                    sigmas.append(one["sigma_xyz_mm"])
+                    bounds.append(one["bound_mm"])
+                    lost += one["untrusted"]
+                places = 1e3 * heights(case, size)
+                depth, least = crossing(places, np.array(sigmas)), crossing(places, np.array(bounds))
+                figures["depths"].append(
+                    {"case": case, "size_mm": size, "estimator": name, "z_max_mm": depth, "z_max_bound_mm": least,
+                     "half_periods": CASES[case][1], "untrusted": lost}
+                )  # fmt: skip
+                mark = " (the paper's magnet)" if size == EDGE_MM else ""
+                rows.append(
+                    (
+                        f"{case}, {name}, a = {size:.2f} mm",
+                        f"z_max {depth:.1f} mm, bound {least:.1f} mm, N = {CASES[case][1]}; {lost} untrusted{mark}",
+                    )
+                )
+    return Outcome(rows, figures, columns)
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Depth against size; scatter against height for the paper's magnet."""
+    from sim.studies.picture import BOUND, COLORS, OTHERS, limit_line, name_line, slide, titled
+
+    depths, cases = outcome.figures["depths"], outcome.figures["cases"]
+    name = depths[0]["estimator"]
+    of_ours = [d for d in depths if d["size_mm"] == EDGE_MM and d["estimator"] == name]
+    mine = {d["case"]: d["z_max_mm"] for d in of_ours}
+    headline = f"Under 1 mm to {mine['characterised']:.0f} mm; optimised device to {mine['optimised']:.0f} mm"
+    subline = f"{name}; N = 2 and N = 6; above the array's middle; array scaled with magnets larger than the paper's"
+    shade = {"characterised": COLORS["whitened"], "optimised": OTHERS[0]}
+    with slide(path, headline, subline, 1, 2) as (left, right):
+        for case in CASES:
+            for estimator in dict.fromkeys(d["estimator"] for d in depths):
+                line = [d for d in depths if d["case"] == case and d["estimator"] == estimator]
+                style = "o-" if estimator == name else "s--"
+                color = shade[case] if estimator == name else COLORS["paper"]
+                left.plot([d["size_mm"] for d in line], [d["z_max_mm"] for d in line], style, color=color, lw=2, ms=6,
+                          alpha=1.0 if case == "characterised" or estimator == name else 0.6)  # fmt: skip
+                known = [d for d in line if math.isfinite(d["z_max_mm"])]
+                if known:
+                    name_line(left, known[-1]["size_mm"], known[-1]["z_max_mm"], f"{case}, {estimator}", color,
+                              xytext=(-8, 10), ha="right", fontsize=10)  # fmt: skip
+        left.plot([EDGE_MM] * 2, [112.5, 156], "D", color="#777777", ms=8, mfc="white", mew=2, zorder=5)
+        left.annotate("the paper: 110 to 115\nand 156 mm", (EDGE_MM, 112.5), xytext=(12, -24),
+                      textcoords="offset points", color="#777777", fontsize=10)  # fmt: skip
+        titled(left, "Depth with sigma below 1 mm, in mm", "edge a of the cubic magnet in mm")
+        for case in CASES:
+            line = [c for c in cases if c["case"] == case and c["size_mm"] == EDGE_MM and c["estimator"] == name]
+            x = [c["height_mm"] for c in line]
+            right.plot(x, [c["bound_mm"] for c in line], color=BOUND, lw=8, solid_capstyle="round", zorder=1)
+            right.plot(x, [c["sigma_xyz_mm"] for c in line], "o-", color=shade[case], lw=2)
+            name_line(
+                right, x[2], line[2]["sigma_xyz_mm"], f"{case}, N = {CASES[case][1]}", shade[case], xytext=(10, -8)
+            )
+        right.set_yscale("log")
+        right.set_yticks([0.05, 0.1, 0.2, 0.5, 1, 2, 5], ["0.05", "0.1", "0.2", "0.5", "1", "2", "5"])
+        limit_line(right, 1.0, "1 mm")
+        titled(
+            right, "Standard deviation for the paper's magnet, in mm (grey: bound)", "height above the sensors in mm"
+        )
+
+
+STUDY = Study(
+    name="depth",
+    title="Depth with under 1 mm of scatter",
+    devices=lambda: {"characterised": characterised(), "optimised": optimised()},
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={
+        "magnet_edge_mm": EDGE_MM,
+        "array": "scaled about the origin by a / 0.92 mm for magnets larger than the paper's",
+        "half_periods": {case: n for case, (_, n) in CASES.items()},
+    },
+)

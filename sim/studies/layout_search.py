@@ -1,0 +1,245 @@
+"""A search for sensor places: the same bound as `smolbot.localization.bounds`, arranged so that one sensor can move.
+
+Sensors have noise of their own and alike, and hear the mains together. Their own noise is whitened once, whatever
+the layout; each sensor then adds its share to the information, and the lines, a few directions, are taken off
+at the end (Woodbury). A move of one sensor costs a tenth of a layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.studies.layout_value import AXES, HALF_WIDTH, MIN_DISTANCE, Mismatch, Poses, drawn_lines, sideways
+from smolbot.arrays import FloatArray
+from smolbot.localization import basis as time_functions
+from smolbot.localization.bounds import Window, channel_series
+from smolbot.localization.expected import NoiseLevels
+from smolbot.localization.whitening import blocks
+from smolbot.sensing import Device, SensorArray
+
+IntArray = npt.NDArray[np.int64]
+
+BLOCK = 0.8e-3
+"""Coarser than the estimator's, in s: a search needs the order of layouts, not their last per cent."""
+
+N_PHASES = 2
+N_AMPLITUDE = 7  # index of the amplitude among the eight unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """What one sensor adds, for each course, phase and pose.
+
+    Attributes
+    ----------
+    information : ndarray, shape (n_courses, n_poses, 8, 8)
+    lines : ndarray, shape (n_courses, n_poses, 2 n_lines, 8)
+        Unknowns against cosine and sine of each line.
+    crossed : ndarray, shape (n_courses, n_poses, 8, 6)
+        Unknowns against the sensor's own errors.
+    line_errors : ndarray, shape (n_courses, n_poses, 2 n_lines, 6)
+    """
+
+    information: FloatArray
+    lines: FloatArray
+    crossed: FloatArray
+    line_errors: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Places (n, 2) in m in the sensor plane, and the axis of each: 0, 1, 2 for x, y, z."""
+
+    places: FloatArray
+    axes: IntArray
+
+    def sensors(self, bandwidth: float) -> SensorArray:
+        """The same as a sensor array."""
+        return SensorArray(np.column_stack([self.places, np.zeros(len(self.places))]), AXES[self.axes], bandwidth)
+
+    def allowed(self) -> bool:
+        """Within the square, far enough apart, and with at least two directions."""
+        apart = np.linalg.norm(self.places[:, None] - self.places[None], axis=-1) + np.eye(len(self.places))
+        inside = bool(np.abs(self.places).max() <= HALF_WIDTH + 1e-9)
+        return inside and bool(apart.min() >= MIN_DISTANCE - 1e-9) and len(set(self.axes.tolist())) >= 2
+
+
+class Judge:
+    """Scores layouts by the rms error over poses, devices, phases and drawn directions of the mains.
+
+    Parameters
+    ----------
+    devices : sequence of Device
+    levels : NoiseLevels
+    window : Window
+    poses : Poses
+    mismatch : Mismatch
+    weight : float
+        Of systematic errors beside random ones, as variances: 0 asks for the bound alone.
+    draws : int
+        Of directions and phases of the mains.
+    """
+
+    def __init__(
+        self,
+        devices: Sequence[Device],
+        levels: NoiseLevels,
+        window: Window,
+        poses: Poses,
+        bandwidth: float,
+        mismatch: Mismatch,
+        weight: float,
+        draws: int = 4,
+    ) -> None:
+        self.devices, self.levels, self.window, self.poses = devices, levels, window, poses
+        self.bandwidth, self.mismatch, self.weight, self.draws = bandwidth, mismatch, weight, draws
+        chain = blocks(window.n_samples(devices[0].frequency), window.sample_rate, BLOCK)
+        n_blocks, size = chain.weights.shape
+        block = size / window.sample_rate
+        one = SensorArray(np.zeros((1, 3)), np.eye(3)[2:], bandwidth)
+        own = replace(levels, mains=0.0, mains_gradient=0.0).model(one, 2500.0).covariance(n_blocks, block)
+        kept = np.linalg.qr(np.ones((n_blocks, 1)), mode="complete")[0][:, 1:]  # a constant is free
+        whiten = np.linalg.inv(np.linalg.cholesky(kept.T @ own @ kept)) @ kept.T
+        self._orders = np.array([1, *levels.harmonics])
+        frequencies = levels.mains_frequency * self._orders
+        wave = np.exp(2j * np.pi * np.outer(block * np.arange(n_blocks), frequencies)) * np.sinc(frequencies * block)
+        self._waves = whiten @ np.stack([wave.real, wave.imag], axis=2).reshape(n_blocks, -1)
+        self._courses: list[tuple[Device, FloatArray]] = []  # device, and its whitened functions (n_data, 2 K)
+        self._amplitude = devices[0].theta_max / time_functions.REFERENCE_ANGLE
+        for device in devices:
+            basis = time_functions.time_basis(device, chain, window.sample_rate, window.since, bandwidth)
+            size_k = self._amplitude ** np.arange(len(basis))
+            harmonics = 1j * np.arange(basis.shape[1])
+            for phase in np.pi * np.arange(N_PHASES) / N_PHASES:
+                turned = basis * np.exp(harmonics * phase)[None, :, None]
+                now = size_k[:, None] * np.real(turned.sum(axis=1))
+                ahead = size_k[:, None] * np.real((harmonics[None, :, None] * turned).sum(axis=1))
+                self._courses.append((device, whiten @ np.concatenate([now, ahead]).T))
+
+    def share(self, place: FloatArray, axis: int) -> Share:
+        """What one sensor adds."""
+        sensor = SensorArray(np.array([[*place, 0.0]]), AXES[[axis]], self.bandwidth)
+        parts: list[tuple[FloatArray, ...]] = []
+        for number, (device, functions) in enumerate(self._courses):
+            if number % N_PHASES == 0:
+                columns, errors = self._columns(sensor, device)
+            gram, heard = functions.T @ functions, self._waves.T @ functions
+            seen = gram @ columns
+            parts.append((
+                np.swapaxes(columns, 1, 2) @ seen, heard @ columns,
+                np.swapaxes(seen, 1, 2) @ errors, heard @ errors,
+            ))  # fmt: skip
+        return Share(*(np.array(group) for group in zip(*parts, strict=True)))
+
+    def _columns(self, sensor: SensorArray, device: Device) -> tuple[FloatArray, FloatArray]:
+        """Coefficients (n_poses, 2 K, ·) of the eight unknowns, and of the sensor's six errors."""
+        places, turns = self.poses.positions, self.poses.rotations
+        values, slopes = (a[:, 0] for a in channel_series(sensor, device, places, turns))
+        n_poses, n_powers = values.shape
+        columns = np.zeros((n_poses, 2 * n_powers, 8))
+        columns[:, :n_powers, :6] = slopes
+        columns[:, n_powers:, 6] = values
+        columns[:, :n_powers, 7] = values * np.arange(n_powers) / self._amplitude
+        errors = np.zeros((n_poses, 2 * n_powers, 6))
+        if self.weight > 0.0:
+            errors[:, :n_powers, :3] = self.mismatch.place * slopes[..., :3]
+            errors[:, :n_powers, 3] = self.mismatch.gain * values
+            for i, side in enumerate(sideways(sensor.axes)):
+                tilted = channel_series(replace(sensor, axes=side), device, places, turns)[0][:, 0]
+                errors[:, :n_powers, 4 + i] = self.mismatch.tilt * tilted
+        return columns, errors
+
+    def score(self, layout: Layout, shares: Sequence[Share]) -> float:
+        """Root mean square error per axis, in m; `shares` in the order of the layout's sensors."""
+        sensors = layout.sensors(self.bandwidth)
+        information = np.sum([s.information for s in shares], axis=0)
+        overlap = self._waves.T @ self._waves
+        total = 0.0
+        for draw in range(self.draws):
+            phasors = drawn_lines(sensors, self.levels, np.random.default_rng(draw))
+            mixers = [_mixer(phasors[:, j]) for j in range(len(sensors))]
+            inside = np.linalg.inv(np.eye(len(overlap)) + sum(m @ overlap @ m.T for m in mixers))
+            heard = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
+            left = np.swapaxes(heard, -1, -2) @ inside
+            covariance = _inverse(information - left @ heard)
+            total += float(np.mean(np.einsum("cpaa->cp", covariance[..., :3, :3])))
+            if self.weight > 0.0:
+                for mixer, share in zip(mixers, shares, strict=True):
+                    moved = covariance[..., :3, :] @ (share.crossed - left @ (mixer @ share.line_errors))
+                    total += self.weight * float(np.mean(np.sum(moved**2, axis=(-2, -1))))
+        return float(np.sqrt(total / self.draws / 3.0))
+
+
+def _mixer(phasors: npt.NDArray[np.complex128]) -> FloatArray:
+    """How one sensor's cosine and sine of each line enter the lines' two quadratures, (2 L, 2 L)."""
+    out = np.zeros((2 * len(phasors), 2 * len(phasors)))
+    for i, a in enumerate(phasors):
+        out[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = np.array([[a.real, -a.imag], [a.imag, a.real]]) / np.sqrt(2.0)
+    return out
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    scale = 1.0 / np.sqrt(np.einsum("...ii->...i", information))
+    outer = scale[..., :, None] * scale[..., None, :]
+    inverse: FloatArray = np.linalg.inv(information * outer) * outer
+    return inverse
+
+
+class Search:
+    """One descent from a random start: one sensor at a time is moved, turned or exchanged, and stays if it helps."""
+
+    def __init__(self, judge: Judge, n_sensors: int, rng: np.random.Generator, starts: int = 12) -> None:
+        self._judge, self._rng = judge, rng
+        found = [self._random(n_sensors) for _ in range(starts)]
+        self.layout, self.shares, self.score = min(found, key=lambda f: f[2])
+        self.steps = 0
+
+    def _random(self, n: int) -> tuple[Layout, list[Share], float]:
+        while True:
+            layout = Layout(self._rng.uniform(-0.06, 0.06, (n, 2)), self._rng.integers(0, 3, n))
+            if layout.allowed():
+                return self._weighed(layout)
+
+    def _weighed(self, layout: Layout) -> tuple[Layout, list[Share], float]:
+        shares = [self._judge.share(p, int(a)) for p, a in zip(layout.places, layout.axes, strict=True)]
+        return layout, shares, self._judge.score(layout, shares)
+
+    def step(self) -> bool:
+        """Try one change; True if it was kept."""
+        rng, places, axes = self._rng, self.layout.places.copy(), self.layout.axes.copy()
+        i, kind = int(rng.integers(len(axes))), rng.random()
+        changed = {i}
+        if kind < 0.15:
+            axes[i] = rng.integers(3)
+        elif kind < 0.25:
+            k = int(rng.integers(len(axes)))
+            axes[[i, k]] = axes[[k, i]]
+            changed.add(k)
+        elif kind < 0.4:
+            places[i] = rng.uniform(-HALF_WIDTH, HALF_WIDTH, 2)
+        else:
+            places[i] += rng.choice([0.025, 0.008, 0.0025]) * rng.standard_normal(2)
+        places = np.clip(np.round(places, 3), -HALF_WIDTH, HALF_WIDTH)
+        layout = Layout(places, axes)
+        if not layout.allowed():
+            return False
+        shares = [self._judge.share(places[j], int(axes[j])) if j in changed else s for j, s in enumerate(self.shares)]
+        score = self._judge.score(layout, shares)
+        self.steps += 1
+        if score >= self.score:
+            return False
+        self.layout, self.shares, self.score = layout, shares, score
+        return True
+
+    def run(self, patience: int, until: Callable[[], bool] = lambda: False) -> None:
+        """Step until nothing has helped for `patience` tries, or `until` says so."""
+        idle, best = 0, self.score
+        while idle < patience and not until():
+            self.step()
+            idle += 1
+            if self.score < 0.999 * best:
+                idle, best = 0, self.score

@@ -1,0 +1,127 @@
+"""Precision and localization rate against the number of half-periods (Fig. 2F)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    CYCLES,
+    REFERENCE_POSITION,
+    RING_DOWN,
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    chosen,
+    columns_of,
+    cut,
+    joined,
+    localizers,
+    open_bench,
+    rng_of,
+)
+from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
+
+HALF_PERIODS = tuple(range(1, 21))
+BENCHES = 4
+
+
+def rate(half_periods: int) -> float:
+    """Poses a second: drive, ring-down and listening; computing, some milliseconds on the paper's terms, left out."""
+    device = characterised()
+    return 1.0 / (CYCLES / device.frequency + RING_DOWN + half_periods / (2.0 * device.frequency))
+
+
+def work(chunk: Chunk) -> Columns:
+    """All N on one bench."""
+    bench = open_bench(chunk, characterised(), chunk["mismatch"])
+    found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
+    rows: list[dict[str, Any]] = []
+    for n in HALF_PERIODS:
+        least = mean_bound(bench, REFERENCE_POSITION[2], n)
+        labels = {"bound_mm": least}
+        rows += scatter_rows(bench, found, REFERENCE_POSITION[2], n, chunk["poses"], rng, labels)
+    return columns_of(rows)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Mismatches off: they move the mean, not the scatter."""
+    total, scale = options.poses or 200, options.mismatch or 0.0
+    sizes = [max(total // BENCHES, 2)] * min(BENCHES, max(total // 2, 1))
+    return cut(options, work, [(f"bench-{i}", {"mismatch": scale, "poses": size}) for i, size in enumerate(sizes)])
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Scatter of each N, about the mean of all benches."""
+    columns = joined(parts)
+    figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": []}
+    rows: list[tuple[str, str]] = []
+    for n in HALF_PERIODS:
+        texts = []
+        for name in options.estimators:
+            part = chosen(columns, estimator=name, half_periods=n)
+            case = scatter_of(part) | {"bound_mm": float(np.sqrt(np.mean(part["bound_mm"] ** 2)))}
+            figures["cases"].append({"estimator": name, "half_periods": n, "rate_hz": rate(n), **case})
+            texts.append(
+                f"{name} {case['sigma_xyz_mm']:.3f}" + (f" ({case['flipped']} flipped)" if case["flipped"] else "")
+            )
+            texts[-1] += f" ({case['untrusted']} untrusted)" if case["untrusted"] else ""
+        least = figures["cases"][-1]["bound_mm"]
+        rows.append((f"N = {n}", f"sigma in mm: {', '.join(texts)}; bound {least:.3f}; {rate(n):.2f} poses a second"))
+    return Outcome(rows, figures, columns)
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Scatter against N, and against the rate that it costs."""
+    from sim.studies.picture import BOUND, COLORS, LIMIT, even_ticks, name_line, slide, titled
+
+    cases = outcome.figures["cases"]
+    names = list(dict.fromkeys(c["estimator"] for c in cases))
+    by_name = {name: [c for c in cases if c["estimator"] == name] for name in names}
+    first = by_name[names[0]]
+    headline = f"{1e3 * first[1]['sigma_xyz_mm']:.0f} µm at {first[1]['rate_hz']:.1f} poses a second"
+    subline = (
+        f"{names[0]}, N = 2; device at (0, 0, 80 mm), linear damping 1.1 1/s, noise learned from 10 s of quiet, "
+        f"{first[0]['n']} poses for each N, mismatch x {outcome.figures['mismatch']:g}"
+    )
+    with slide(path, headline, subline, 1, 2) as (left, right):
+        ns = [c["half_periods"] for c in first]
+        left.plot(ns, [1e3 * c["bound_mm"] for c in first], color=BOUND, lw=9, solid_capstyle="round", zorder=1)
+        name_line(left, 13, 1e3 * first[12]["bound_mm"], "bound", "#7d838e", xytext=(0, -18), ha="center")
+        paper_n, paper_sigma = [1, 20], [500, 100]
+        for panel, x in ((left, paper_n), (right, [rate(n) for n in paper_n])):
+            panel.plot(x, paper_sigma, "D", color=LIMIT, ms=8, mfc="white", mew=2, zorder=4)
+            panel.set(yscale="log", ylim=(15, 2000))
+            panel.set_yticks([20, 50, 100, 200, 500, 1000], ["20", "50", "100", "200", "500", "1000"])
+        left.annotate("as printed in the paper", (20, 100), xytext=(-8, 14), textcoords="offset points", ha="right",
+                      color="#777777", fontsize=10)  # fmt: skip
+        for name, line in by_name.items():
+            sigma = [1e3 * c["sigma_xyz_mm"] for c in line]
+            left.plot(ns, sigma, "o-", color=COLORS[name], lw=2, ms=5)
+            right.plot([c["rate_hz"] for c in line], sigma, "o-", color=COLORS[name], lw=2, ms=5)
+            name_line(left, 6, sigma[5], name, COLORS[name], xytext=(0, 16), ha="left")
+        for n in (1, 2, 6, 20):
+            c = first[n - 1]
+            right.annotate(f"N = {n}", (c["rate_hz"], 1e3 * c["sigma_xyz_mm"]), xytext=(4, -16), color=COLORS[names[0]],
+                           textcoords="offset points", fontsize=10)  # fmt: skip
+        titled(left, "Standard deviation, mean of x, y and z, in µm", "half-periods N")
+        even_ticks(left, [1, 2, 4, 6, 10, 15, 20])
+        titled(
+            right, "The same against the rate", "poses a second (5 cycles of drive, 20 ms ring-down, N half-periods)"
+        )
+
+
+STUDY = Study(
+    name="precision",
+    title="Precision and rate against half-periods",
+    devices=lambda: {"characterised": characterised()},
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={"rate": "1 / (5 cycles + 20 ms + N half-periods); computing not counted", "position_mm": [0, 0, 80]},
+)

@@ -1,0 +1,293 @@
+"""A magnetic tool passes by: SMOL against static magnets that are found by their own field (Fig. S10).
+
+The static method is given what it is built for: sensors without the unknown constant, nulled by a quiet window just
+before, and a known moment. It fits five degrees of freedom to the mean of 100 ms, five periods of the mains. SMOL
+has the usual constants in its channels and fits all six, phase and amplitude.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.static_bench import Disturbance, StaticBench
+from sim.studies.common import (
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    chosen,
+    columns_of,
+    cut,
+    joined,
+    localizers,
+    open_bench,
+    prior_near,
+    reference_orientation,
+    rig_named,
+    rng_of,
+    split,
+)
+from smolbot.arrays import FloatArray
+from smolbot.localization.forward import dipole_field
+from smolbot.localization.statistics import differential_mean_absolute_error
+from smolbot.rigfile import RigConfig
+from smolbot.rotations import matrix_from_quaternion
+from smolbot.sensing import Device, SensorArray
+
+HEIGHTS = (0.080, 0.085, 0.090, 0.095, 0.100)
+"""Of the device above the sensors, in m."""
+
+REPEATS = 20
+HALF_PERIODS = 10
+
+SCALPEL_MOMENT = np.array([0.0, 0.0, 15.97e-3])
+"""In A·m². Upright, as a hand holds a blade over the array, and the worst case: its field on the sensors is largest."""
+
+SCALPEL_SPEED = 0.030
+"""Toward -y, in m/s."""
+
+SCALPEL_PLACE = (0.040, 0.080)
+"""x and z, in m."""
+
+FIRST_START, START_STEP = 0.040, 0.004
+"""y of the scalpel when the first repeat begins, and how much further along each next one finds it, in m."""
+
+MAGNETS = (0.89e-3, 3.0e-3, 10.0e-3)
+"""Moments of the static magnets in A·m²: the device's own, a cube of 1.4 mm, and one of 2.1 mm (N52)."""
+
+STATIC_SECONDS = 0.1
+
+
+def scalpel(repeat: int) -> Disturbance:
+    """Field of the passing scalpel in one repeat."""
+    return partial(_scalpel_field, FIRST_START - repeat * START_STEP)
+
+
+def _scalpel_field(start: float, times: FloatArray, places: FloatArray) -> FloatArray:
+    x, z = SCALPEL_PLACE
+    y = start - SCALPEL_SPEED * times
+    track = np.stack([np.full_like(y, x), y, np.full_like(y, z)], axis=-1)
+    return dipole_field(places[:, None, :] - track[None], SCALPEL_MOMENT)
+
+
+def work(chunk: Chunk) -> Columns:
+    """Some repeats at every height, with and without scalpel: SMOL and static magnets."""
+    rng = rng_of(chunk)
+    orientation = reference_orientation()
+    bench = open_bench(chunk, characterised(), chunk["mismatch"])
+    found = localizers(bench, chunk["estimators"])
+    magnets = [_magnet_bench(chunk, moment) for moment in MAGNETS]
+    rows: list[dict[str, Any]] = []
+    for repeat in range(chunk["first"], chunk["first"] + chunk["repeats"]):
+        for height in HEIGHTS:
+            position = np.array([0.0, 0.0, height])
+            for passing in (False, True):
+                disturbance = scalpel(repeat) if passing else None
+                case = {"bench": chunk["first"], "repeat": repeat, "height_mm": 1e3 * height, "scalpel": passing}
+                recording = bench.record(position, orientation, HALF_PERIODS, disturbance=disturbance)
+                prior = prior_near(position, orientation, rng)
+                for name, localizer in found.items():
+                    pose = localizer.locate(recording, prior)
+                    error = pose.position - position
+                    rows.append({"method": name, "moment_ma_m2": 1e3 * bench.device.moment, **case,
+                                 **_errors(error), "trusted": pose.trusted})  # fmt: skip
+                for magnet in magnets:
+                    error = static_error(magnet, position, orientation, disturbance)
+                    rows.append({"method": "static", "moment_ma_m2": 1e3 * magnet.device.moment, **case,
+                                 **_errors(error), "trusted": True})  # fmt: skip
+    return columns_of(rows)
+
+
+def _errors(error: FloatArray) -> dict[str, float]:
+    return {f"error_{axis}_mm": 1e3 * float(e) for axis, e in zip("xyz", error, strict=True)}
+
+
+def _magnet_bench(chunk: Chunk, moment: float) -> StaticBench:
+    """A bench without constants, and on it a magnet that is fixed: its frequency only sets the length of a window."""
+    rig = rig_named(chunk["rig"])
+    noise = rig.sections.noise.model_copy(update={"constant_nt": 0.0})
+    nulled = RigConfig(rig.document, rig.sections.model_copy(update={"noise": noise}))
+    device = Device(moment, np.array([1.0, 0.0, 0.0]), 0.0, 0.1, 0.5 / STATIC_SECONDS, 0.0)
+    return StaticBench(nulled, device, chunk.seed, chunk["mismatch"])
+
+
+def static_error(
+    bench: StaticBench, position: FloatArray, orientation: FloatArray, disturbance: Disturbance | None
+) -> FloatArray:
+    """Position error (3,) in m of one static localization: null without the magnet, listen, average, fit."""
+    null = bench.quiet(STATIC_SECONDS)[0].field.mean(axis=1)
+    heard = bench.record(position, orientation, 1, amplitude=0.0, disturbance=disturbance).field.mean(axis=1)
+    direction = matrix_from_quaternion(orientation) @ bench.device.moment_in_body
+    found, _ = fit_static(bench.sensors, heard - null, bench.device.moment, position, direction)
+    return found - position
+
+
+def fit_static(
+    sensors: SensorArray, field: FloatArray, moment: float, position: FloatArray, direction: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The usual fit of a dipole of known moment to static readings: five degrees of freedom.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n_sensors,), in T
+        Along each sensor's axis.
+    moment : float, in A·m²
+    position, direction : ndarray, shape (3,)
+        Start, in m and as a unit vector.
+
+    Returns
+    -------
+    position, direction : ndarray, shape (3,)
+    """
+    from scipy.optimize import least_squares
+
+    seed = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    side = np.cross(direction, seed)
+    side /= np.linalg.norm(side)
+    up = np.cross(direction, side)
+
+    def pointed(p: FloatArray) -> FloatArray:
+        vector: FloatArray = direction + p[3] * side + p[4] * up
+        return vector / np.linalg.norm(vector)
+
+    def residual(p: FloatArray) -> FloatArray:
+        b = dipole_field(sensors.positions - position - 0.01 * p[:3], moment * pointed(p))
+        return (np.einsum("ij,ij->i", b, sensors.axes) - field) * 1e9
+
+    result = least_squares(residual, np.zeros(5), method="lm")
+    return position + 0.01 * result.x[:3], pointed(result.x)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Each piece has a bench of its own and some of the repeats."""
+    total = options.poses or REPEATS
+    scale = 0.0 if options.mismatch is None else options.mismatch
+    pieces, first = [], 0
+    for size in split(total, 5):
+        pieces.append((f"from-{first:03d}", {"first": first, "repeats": size, "mismatch": scale}))
+        first += size
+    return cut(options, work, pieces)
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Differential mean absolute error along z, as in Fig. 2D: from what is found at the lowest height."""
+    columns = joined(parts)
+    cases: list[dict[str, Any]] = []
+    kinds = list(dict.fromkeys(zip(columns["method"].tolist(), columns["moment_ma_m2"].tolist(), strict=True)))
+    for method, moment in kinds:
+        for passing in (False, True):
+            part = chosen(columns, method=method, moment_ma_m2=moment, scalpel=passing)
+            cases.append({
+                "method": method, "moment_ma_m2": moment, "scalpel": passing, "degrees_of_freedom": 5 if method == "static" else 6,
+                "mae_z_mm": _differential(part), "rms_z_mm": float(np.sqrt(np.mean(part["error_z_mm"] ** 2))),
+                "worst_z_mm": float(np.max(np.abs(part["error_z_mm"]))), "n": len(part["error_z_mm"]),
+                "untrusted": int(np.sum(~part["trusted"].astype(bool))),
+            })  # fmt: skip
+    rows = []
+    for method, moment in kinds:
+        without, passing = (next(c for c in cases if (c["method"], c["moment_ma_m2"], c["scalpel"]) == (method, moment, p))
+                            for p in (False, True))  # fmt: skip
+        rows.append((name_of(without), _line(without, passing)))
+    ideal = not options.mismatch
+    rows.append(("mismatch", "none (ideal)" if ideal else f"x {options.mismatch:g}"))
+    return Outcome(rows, {"cases": cases, "mismatch": options.mismatch or 0.0}, columns)
+
+
+def name_of(case: dict[str, Any]) -> str:
+    """How a case is called in table and figure."""
+    return f"static magnet, {case['moment_ma_m2']:.3g} mA m²" if case["method"] == "static" else f"SMOL, {case['method']}"
+
+
+def _line(without: dict[str, Any], passing: dict[str, Any]) -> str:
+    doubtful = f", {passing['untrusted']} of {passing['n']} not trusted" if passing["untrusted"] else ""
+    return (
+        f"{without['mae_z_mm']:.3f} mm, scalpel {passing['mae_z_mm']:.3f} mm{doubtful} "
+        f"({without['degrees_of_freedom']} degrees of freedom)"
+    )
+
+
+def _differential(part: Columns) -> float:
+    """Eq. S25 along z, with the lowest height as reference, over the benches."""
+    found = []
+    for bench in np.unique(part["bench"]):
+        one = chosen(part, bench=bench)
+        measured = one["height_mm"] + one["error_z_mm"]
+        reference = measured[one["height_mm"] == one["height_mm"].min()]
+        truth = one["height_mm"] - one["height_mm"].min()
+        found.append(differential_mean_absolute_error(measured, truth, reference))
+    return float(np.mean(found))
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Errors along z at each height with the scalpel, and their mean with and without."""
+    from sim.studies.picture import COLORS, OTHERS, slide, titled
+
+    cases = outcome.figures["cases"]
+    names = list(dict.fromkeys(name_of(c) for c in cases))
+    palette = {n: COLORS.get(n.removeprefix("SMOL, "), "") for n in names}
+    for n, color in zip([n for n in names if not palette[n]], OTHERS, strict=False):
+        palette[n] = color
+    smol = min(c["mae_z_mm"] for c in cases if c["scalpel"] and c["method"] != "static")
+    static = min(c["mae_z_mm"] for c in cases if c["scalpel"] and c["method"] == "static")
+    headline = f"A scalpel passes: SMOL {1e3 * smol:.0f} µm off, the best static magnet {static:.1f} mm"
+    ideal = "ideal: all mismatches off" if not outcome.figures["mismatch"] else f"mismatches x {outcome.figures['mismatch']:g}"
+    subline = (
+        f"15.97 mA m² at 30 mm/s, x = 40 mm, z = 80 mm; SMOL N = {HALF_PERIODS}, static magnets 100 ms, nulled; {ideal}"
+    )
+    with slide(path, headline, subline, 1, 2, width_ratios=[1.15, 1.0], left=0.08, wspace=0.6) as (left, right):
+        shift = np.linspace(-1.2, 1.2, len(names))
+        for n, offset in zip(names, shift, strict=True):
+            rows = [i for i, m in enumerate(_names(outcome.columns)) if m == n and outcome.columns["scalpel"][i]]
+            error = np.maximum(np.abs(outcome.columns["error_z_mm"][rows]), 1e-3)
+            left.plot(outcome.columns["height_mm"][rows] + offset, error, "o", ms=4, alpha=0.6, mew=0, color=palette[n])
+        left.set(yscale="log")
+        left.set_xticks([1e3 * h for h in HEIGHTS])
+        _plain_log(left.yaxis)
+        titled(left, "Error along z while the scalpel passes, each repeat, in mm", "height of the device, in mm")
+        for row, n in enumerate(reversed(names)):
+            for passing, lift, alpha in ((False, 0.2, 0.4), (True, -0.2, 1.0)):
+                case = next(c for c in cases if name_of(c) == n and c["scalpel"] == passing)
+                right.barh(row + lift, case["mae_z_mm"], 0.36, color=palette[n], alpha=alpha)
+                label = f" {case['mae_z_mm']:.3g}" + (" with scalpel" if passing else " without")
+                right.text(case["mae_z_mm"], row + lift, label, va="center", fontsize=10, color="#444444")
+        right.set_yticks(range(len(names)), list(reversed(names)))
+        right.tick_params(axis="y", length=0)
+        top = max(c["mae_z_mm"] for c in cases)
+        right.set(xscale="log", xlim=(0.5 * min(c["mae_z_mm"] for c in cases), 12 * top))
+        _plain_log(right.xaxis)
+        titled(right, "Differential mean absolute error along z, in mm")
+
+
+def _plain_log(axis: Any) -> None:
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _names(columns: Columns) -> list[str]:
+    pairs = zip(columns["method"].tolist(), columns["moment_ma_m2"].tolist(), strict=True)
+    return [name_of({"method": m, "moment_ma_m2": a}) for m, a in pairs]
+
+
+STUDY = Study(
+    name="scalpel",
+    title="A scalpel passes: SMOL and static magnets, error along z",
+    devices=lambda: {"characterised": characterised()},
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={
+        "half_periods": HALF_PERIODS,
+        "scalpel_ma_m2": (1e3 * SCALPEL_MOMENT).tolist(),
+        "static": "nulled by a quiet window just before, known moment, no constant in its channels, mean of 100 ms",
+        "magnets_mm": [round(1e3 * (m * 4e-7 * math.pi / 1.45) ** (1 / 3), 2) for m in MAGNETS],
+    },
+)

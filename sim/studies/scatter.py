@@ -1,0 +1,62 @@
+"""Scatter of poses at one place: what the studies of precision, damping and depth have in common."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim.static_bench import StaticBench
+from sim.studies.common import Columns, position_errors, prior_near, reference_orientation, rms
+from sim.studies.cramer_rao import bound, position_bound
+from smolbot.localization.localizer import Localizer
+from smolbot.localization.statistics import standard_deviation
+
+PHASES = 6
+"""Phases at which the bound is averaged."""
+
+
+def scatter_rows(
+    bench: StaticBench,
+    found: dict[str, Localizer],
+    height: float,
+    half_periods: int,
+    repeats: int,
+    rng: np.random.Generator,
+    labels: dict[str, Any],
+) -> list[dict[str, Any]]:
+    """`repeats` poses at (0, 0, `height` m) in the reference orientation, all estimators on the same recordings."""
+    from sim.studies.common import locate_all
+
+    position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
+    rows: list[dict[str, Any]] = []
+    for _ in range(repeats):
+        recording = bench.record(position, orientation, half_periods)
+        prior = prior_near(position, orientation, rng)
+        kind = {**labels, "height_mm": 1e3 * height, "half_periods": half_periods}
+        rows += [{**kind, **row} for row in locate_all(found, recording, position, orientation, prior)]
+    return rows
+
+
+def mean_bound(bench: StaticBench, height: float, half_periods: int) -> float:
+    """Cramer-Rao bound in mm at (0, 0, `height` m), rms over axes and phases."""
+    position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
+    phases = np.pi * np.arange(PHASES) / PHASES
+    values = [position_bound(bound(bench, position, orientation, half_periods, float(p))) for p in phases]
+    return 1e3 * float(np.sqrt(np.mean(np.square(values))))
+
+
+def scatter_of(columns: Columns) -> dict[str, Any]:
+    """Mean over the axes of the standard deviation (Eq. S26), and what a reader needs beside it; lengths in mm."""
+    errors = position_errors(columns)
+    sigmas = [standard_deviation(errors[:, i]) if len(errors) > 1 else float("nan") for i in range(3)]
+    turned = np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0)
+    return {
+        "n": len(errors),
+        "sigma_xyz_mm": float(np.mean(sigmas)),
+        "sigma_by_axis_mm": sigmas,
+        "mean_by_axis_mm": errors.mean(axis=0).tolist(),
+        "rms_mm": rms(errors),
+        "untrusted": int(np.sum(columns["trusted"] == 0.0)),
+        "flipped": int(np.sum(turned > 90.0)),
+    }

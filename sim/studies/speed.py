@@ -1,0 +1,262 @@
+"""How long a pose takes: warm, against the same fit in numpy and scipy on the same data, and in a Monte-Carlo study."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    REFERENCE_POSITION,
+    RING_DOWN,
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    cut,
+    executor_for,
+    localizers,
+    open_bench,
+    prior_near,
+    reference_orientation,
+    rng_of,
+    run_chunks,
+)
+from smolbot.arrays import FloatArray
+from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.localizer import Localizer
+from smolbot.poses import Pose
+from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.sensing import Recording
+
+HALF_PERIODS = (2, 20)
+SCALES = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.05])
+"""Units of the plain fit's parameters: m, rad, rad of phase, rad of amplitude."""
+
+REPEATS = {2: (300, 12), 20: (100, 6)}
+"""Timed poses of `locate` and of the plain fit."""
+
+
+def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[FloatArray, FloatArray]:
+    """The whitened fit as one would write it first: numpy, and scipy's Levenberg-Marquardt with its own differences.
+
+    Same data, same whitening, same eight unknowns and prior of the amplitude. The model is evaluated at every sample,
+    low-passed as the sensors are, averaged over the same blocks.
+
+    Returns
+    -------
+    position : ndarray, shape (3,), in m
+    orientation : ndarray, shape (4,)
+    """
+    from scipy.optimize import least_squares
+    from scipy.signal import lfilter
+
+    problem = localizer.prepare(recording)
+    model, device = problem.model, localizer.device
+    rate, n = recording.sample_rate, recording.field.shape[1]
+    lead = int(0.003 * rate)
+    times = recording.time_since_drive + np.arange(-lead, n) / rate
+    keep = np.exp(-2 * np.pi * localizer.sensors.bandwidth / rate)
+    size = model.chain.weights.shape[1]
+    count = len(model.chain.first)
+    mean, std = device.amplitude_prior
+    start, _ = problem.phase_and_amplitude(prior.position, prior.rotation)
+
+    def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+        move = x * SCALES
+        turned = quaternion_product(quaternion_from_rotation_vector(move[3:6]), np.array(prior.orientation))
+        return prior.position + move[:3], turned, start + float(move[6]), mean + float(move[7])
+
+    def residual(x: FloatArray) -> FloatArray:
+        position, orientation, phase, amplitude = unpack(x)
+        field = sensor_field(
+            localizer.sensors, device, position, orientation, deflection(device, times, amplitude, phase)
+        )
+        low = lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], field - field[:, :1], axis=1)[:, lead:]
+        blocks = low[:, : count * size].reshape(len(low), count, size).mean(axis=2)
+        whitened = model.mixing @ blocks.reshape(-1) - problem.data
+        return np.append(whitened, (amplitude - mean) / std)
+
+    found = least_squares(residual, np.zeros(8), method="lm")
+    position, orientation, _, _ = unpack(found.x)
+    return position, orientation
+
+
+def seconds(action: Callable[[int], Any], repeats: int) -> FloatArray:
+    """Processor times of single calls, shape (repeats,), in s; the first, to warm up, is not counted.
+
+    Processor time, not the wall's: other programs that share the core do not enter.
+    """
+    action(0)
+    out = np.empty(repeats)
+    for i in range(repeats):
+        begin = time.thread_time_ns()
+        action(i)
+        out[i] = 1e-9 * (time.thread_time_ns() - begin)
+    return out
+
+
+def work(chunk: Chunk) -> Columns:
+    """Times on this core, then the throughput of a Monte-Carlo on two."""
+    bench = open_bench(chunk, characterised(), 0.0)
+    found, rng = localizers(bench, ("whitened", "paper")), rng_of(chunk)
+    position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
+    out: Columns = {}
+    for n in HALF_PERIODS:
+        fast, slow = REPEATS[n]
+        recordings = [bench.record(position, orientation, n, RING_DOWN) for _ in range(min(fast, 50))]
+        priors = [prior_near(position, orientation, rng) for _ in recordings]
+        for name, localizer in found.items():
+            locate = partial(_locate, localizer, recordings, priors)
+            out[f"_{name}_{n}"] = seconds(locate, fast)
+            cold = partial(_locate, localizer, recordings, [None] * len(recordings))
+            out[f"_{name}_cold_{n}"] = seconds(cold, 6)
+        plain = partial(_plain, found["whitened"], recordings, priors)
+        out[f"_plain_{n}"] = seconds(plain, slow)
+        apart = []
+        for recording, prior in zip(recordings[:5], priors[:5], strict=True):
+            ours = found["whitened"].locate(recording, prior)
+            apart.append(np.abs(plain_fit(found["whitened"], recording, prior)[0] - ours.position).max())
+        out[f"_apart_{n}"] = np.array(apart)
+    out |= throughput(chunk)
+    return out
+
+
+def _locate(localizer: Localizer, recordings: list[Recording], priors: Sequence[Pose | None], i: int) -> Pose:
+    return localizer.locate(recordings[i % len(recordings)], priors[i % len(priors)])
+
+
+def _plain(
+    localizer: Localizer, recordings: list[Recording], priors: list[Pose], i: int
+) -> tuple[FloatArray, FloatArray]:
+    return plain_fit(localizer, recordings[i % len(recordings)], priors[i % len(priors)])
+
+
+def monte_carlo(chunk: Chunk) -> Columns:
+    """Record and locate at N = 2, as every study does; how long it took in all, learning of the noise apart."""
+    bench = open_bench(chunk, characterised(), 0.0)
+    localizer = localizers(bench, ("whitened",))["whitened"]
+    position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
+    prior = prior_near(position, orientation, rng_of(chunk))
+    for _ in range(20):
+        localizer.locate(bench.record(position, orientation, 2), prior)
+    wall, processor = time.perf_counter(), time.thread_time()
+    begun = time.time()
+    for _ in range(chunk["poses"]):
+        localizer.locate(bench.record(position, orientation, 2), prior)
+    return {
+        "_wall": np.array([time.perf_counter() - wall]),
+        "_processor": np.array([time.thread_time() - processor]),
+        "_span": np.array([[begun, time.time()]]),
+    }
+
+
+def throughput(chunk: Chunk) -> Columns:
+    """Poses a second of a Monte-Carlo over two processes."""
+    jobs = min(2, os.cpu_count() or 1)
+    options = Options("speed", chunk.seed % 2**32, jobs, rig=chunk["rig"])
+    pieces = cut(options, monte_carlo, [(f"throughput-{i}", {"poses": chunk["poses"]}) for i in range(jobs)])
+    with executor_for(jobs) as executor:
+        parts = run_chunks(pieces, None, executor)
+    spans = np.concatenate([p["_span"] for p in parts])
+    return {
+        "_poses": np.array([jobs * chunk["poses"]]),
+        "_jobs": np.array([jobs]),
+        "_wall": np.array([spans[:, 1].max() - spans[:, 0].min()]),
+        "_processor": np.concatenate([p["_processor"] for p in parts]),
+    }
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """One piece, in this process: times are of one core."""
+    return cut(options, work, [("speed", {"poses": options.poses or 2000})])
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Medians and ratios."""
+    part = parts[0]
+    figures: dict[str, Any] = {"cases": []}
+    rows: list[tuple[str, str]] = []
+    for n in HALF_PERIODS:
+        ms = {key: 1e3 * float(np.median(part[f"_{key}_{n}"])) for key in ("whitened", "paper", "plain")}
+        p95 = 1e3 * float(np.percentile(part[f"_whitened_{n}"], 95))
+        cold = 1e3 * float(np.median(part[f"_whitened_cold_{n}"]))
+        ratio, apart = ms["plain"] / ms["whitened"], 1e6 * float(np.max(part[f"_apart_{n}"]))
+        figures["cases"].append(
+            {"half_periods": n, "locate_ms": ms["whitened"], "locate_p95_ms": p95, "cold_ms": cold,
+             "paper_ms": ms["paper"], "plain_ms": ms["plain"], "ratio": ratio, "apart_um": apart}
+        )  # fmt: skip
+        rows += [
+            (
+                f"locate, N = {n}",
+                f"{ms['whitened']:.3f} ms (95 %: {p95:.3f}), cold {cold:.1f} ms, estimator paper {ms['paper']:.3f} ms",
+            ),
+            (
+                f"numpy and scipy, N = {n}",
+                f"{ms['plain']:.1f} ms, {ratio:.0f} times as long; poses {apart:.2f} µm apart",
+            ),
+        ]
+    poses, jobs = int(part["_poses"][0]), int(part["_jobs"][0])
+    wall, each = float(part["_wall"][0]), float(np.mean(part["_processor"])) / poses * jobs
+    figures |= {
+        "jobs": jobs,
+        "monte_carlo_poses_per_s": poses / wall,
+        "monte_carlo_poses_per_processor_s": 1.0 / each,
+        "load_average": os.getloadavg()[0],
+    }
+    rows.append(
+        (
+            "Monte-Carlo, N = 2",
+            f"{poses / wall:.0f} poses a second on {jobs} processes; {1.0 / each:.0f} per second of processor time",
+        )
+    )
+    rows.append(
+        ("load average", f"{os.getloadavg()[0]:.1f}: what else ran here; times are of the processor, not the wall")
+    )
+    columns = {key: np.array([c[key] for c in figures["cases"]]) for key in figures["cases"][0]}
+    return Outcome(rows, figures, columns)
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Bars on a logarithmic scale."""
+    from sim.studies.picture import BOUND, COLORS, limit_line, slide, titled
+
+    cases = outcome.figures["cases"]
+    fast, ratio = cases[0]["locate_ms"], cases[0]["ratio"]
+    headline = f"A pose in {fast:.2f} ms, {ratio:.0f} times as fast as the same fit in numpy and scipy"
+    subline = (
+        f"warm, raw samples to pose with covariance, one core; Monte-Carlo with recording: "
+        f"{outcome.figures['monte_carlo_poses_per_processor_s']:.0f} poses per second of processor time"
+    )
+    with slide(path, headline, subline, 1, 2) as axes:
+        for panel, case, limits in zip(axes, cases, ((1.0, 50.0), (3.0, 360.0)), strict=True):
+            names = ["smolbot", "paper's estimator,\nin smolbot", "numpy and scipy"]
+            values = [case["locate_ms"], case["paper_ms"], case["plain_ms"]]
+            panel.bar(names, values, color=[COLORS["whitened"], COLORS["paper"], BOUND], width=0.6)
+            for i, v in enumerate(values):
+                panel.text(i, v * 1.07, f"{v:.2f} ms" if v < 10 else f"{v:.0f} ms", ha="center", fontweight="bold")
+            panel.set_yscale("log")
+            panel.set_ylim(0.05, 2000)
+            panel.set_yticks([0.1, 1, 10, 100, 1000], ["0.1", "1", "10", "100", "1000"])
+            limit_line(panel, limits[0], f"{limits[0]:g} ms asked for")
+            limit_line(panel, limits[1], f"the paper: {'40 to 60' if limits[1] == 50 else '360'} ms")
+            titled(panel, f"Time of one pose in ms, N = {case['half_periods']}")
+
+
+STUDY = Study(
+    name="speed",
+    title="Time of a pose",
+    devices=lambda: {"characterised": characterised()},
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    estimators=("whitened",),
+    notes={"clock": "processor time of the thread", "plain": "numpy model, scipy.optimize.least_squares(method='lm')"},
+)
