@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
@@ -12,10 +11,10 @@ from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
 from smolbot.localization.basis import REFERENCE_ANGLE
-from smolbot.localization.chain import whole_half_periods
 from smolbot.localization.cold_start import SearchVolume, best_fits
 from smolbot.localization.noise import NoiseModel
 from smolbot.localization.problem import Fit, Problem, prepare_paper
+from smolbot.localization.segments import SharedAmplitude, anchor, cut
 from smolbot.localization.whitening import prepare_whitened
 from smolbot.poses import Pose
 from smolbot.rotations import quaternion_from_matrix
@@ -28,6 +27,12 @@ MIN_R_SQUARED = 0.7
 
 MIN_AMPLITUDE = 0.05
 """Share of the stop below which a swing is no better than the mains line next to it."""
+
+TRENDS = (0, 1)
+"""Degrees of the polynomial that is free in every channel of a segment, the next one where the last leaves too much."""
+
+MISFIT = 3.0
+"""Variance of whitened residuals above which something else than noise is heard."""
 
 MIN_ODDS = 12.0
 """A cold start is trusted if every other solution is worse by this much in chi-square (odds of 400 to 1)."""
@@ -140,35 +145,53 @@ class Localizer:
         return self._pose(problem, found, recording, prior)
 
     def locate_segments(self, recording: Recording, half_periods: int) -> tuple[Pose, ...]:
-        """Poses of consecutive segments of `half_periods` each (superfast mode); the rest is left out."""
-        n = recording.field.shape[1]
-        total = whole_half_periods(n, recording.sample_rate, self.device.frequency)
-        if not 1 <= half_periods <= total:
-            raise InputError(
-                f"half_periods must lie within 1 to {total}, what the recording holds; got {half_periods}."
-            )
-        edges = [
-            min(n, round(i * half_periods * recording.sample_rate / (2.0 * self.device.frequency)))
-            for i in range(total // half_periods + 1)
-        ]
+        """Poses of consecutive segments of `half_periods` each (superfast mode); the rest is left out.
+
+        One drive swings through all of them, so the amplitude is learned along the way, and a pose starts from
+        the one before. A device that moves within a segment changes its static field too; where that
+        shows, a slope in every channel is left free as well.
+        """
+        shared = SharedAmplitude.of(self.device)
         poses: list[Pose] = []
-        for first, last in pairwise(edges):
-            offset = first / recording.sample_rate
-            segment = replace(
-                recording,
-                field=recording.field[:, first:last],
-                time_since_drive=recording.time_since_drive + offset,
-                clock=recording.clock + offset,
-            )
-            trusted = [p for p in poses if p.trusted]
-            poses.append(self.locate(segment, trusted[-1] if trusted else None))
+        prior: Pose | None = None
+        for segment in cut(recording, self.device, half_periods):
+            shared = shared.at(self.device, segment.time_since_drive)
+            pose, swing, share = self._locate_segment(segment, prior, shared)
+            poses.append(pose)
+            if pose.trusted:
+                shared = shared.narrowed(swing.amplitude / share, float(np.sqrt(swing.covariance[6, 6])) / share)
+            if pose.trusted or (prior is not None and _near_enough(pose, prior)):
+                prior = pose
         return tuple(poses)
 
-    def prepare(self, recording: Recording) -> Problem:
-        """The recording as the estimator sees it, ready to be fitted."""
+    def _locate_segment(
+        self, segment: Recording, prior: Pose | None, shared: SharedAmplitude
+    ) -> tuple[Pose, Swing, float]:
+        """Pose of a segment, its swing as of the time that its model was made for, and the amplitude's share then."""
+        anchored, share = anchor(self.device, segment.time_since_drive)
+        heard = replace(segment, time_since_drive=anchored)
+        outcomes: list[tuple[float, Pose, Swing]] = []
+        for trend in TRENDS if self.estimator == "whitened" else (0,):
+            problem = self.prepare(heard, trend)
+            problem = Problem(replace(problem.model, device=shared.scaled(self.device, share)), problem.data)
+            if prior is None:
+                found = best_fits(problem, self.volume)
+            else:
+                phase, amplitude = problem.phase_and_amplitude(prior.position, prior.rotation)
+                found = [problem.fit(prior.position, prior.rotation, phase, amplitude)]
+            pose, swing = self._pose(problem, found, segment, prior, steady=True)
+            misfit = (1.0 - pose.r_squared) * problem.total_sum_of_squares / max(problem.data.size - 8, 1)
+            outcomes.append((misfit, pose, swing))
+            if misfit < MISFIT:
+                break
+        best = outcomes[-1] if outcomes[-1][0] < 0.5 * outcomes[0][0] else outcomes[0]
+        return best[1], best[2], share
+
+    def prepare(self, recording: Recording, trend: int = 0) -> Problem:
+        """The recording as the estimator sees it, ready to be fitted; `trend` as for `whitened_model`."""
         if self.estimator == "paper":
             return prepare_paper(recording, self.sensors, self.device)
-        return prepare_whitened(recording, self.sensors, self.device, self.noise)
+        return prepare_whitened(recording, self.sensors, self.device, self.noise, trend)
 
     def _from_prior(self, problem: Problem, position: FloatArray, rotation: FloatArray) -> list[Fit]:
         """Fit from a known pose; phase and amplitude start from a linear solve at that pose."""
@@ -178,7 +201,10 @@ class Localizer:
             return sorted([first, *best_fits(problem, self.volume)], key=lambda t: t.sse)
         return [first]
 
-    def _pose(self, problem: Problem, found: list[Fit], recording: Recording, prior: Pose | None) -> tuple[Pose, Swing]:
+    def _pose(
+        self, problem: Problem, found: list[Fit], recording: Recording, prior: Pose | None, *, steady: bool = False
+    ) -> tuple[Pose, Swing]:
+        """The best fit as a pose; `steady`: of twins that sound alike, the one that turned less since the prior."""
         best, flip_margin, odds = found[0], 1.0, np.inf
         along = self.device.along_cantilever
         variance = 1.0 if problem.model.white else best.sse / max(problem.data.size - 8, 1)
@@ -186,6 +212,8 @@ class Localizer:
             best, other = self._both_twins(problem, best)
             flip_margin = float(max(1.0, np.sqrt(other.sse / max(best.sse, 1e-300))))
             odds = (other.sse - best.sse) / variance
+            if steady and prior is not None and odds < MIN_ODDS and _turned(other, prior) < _turned(best, prior):
+                best = other
         rivals = [f for f in found[1:] if not (along and _is_twin(f, best)) and not _same(f, best)]
         if rivals:
             odds = min(odds, (min(f.sse for f in rivals) - best.sse) / variance)
@@ -230,6 +258,17 @@ class Localizer:
         other = problem.fit(position, turned, best.phase + np.pi, best.amplitude, iterations=8, tolerance=1e-3)
         low, high = sorted((best, other), key=lambda t: t.sse)
         return low, high
+
+
+def _turned(fit: Fit, prior: Pose) -> float:
+    """Angle between a fit's orientation and the prior's, in rad."""
+    return float(np.arccos(np.clip(0.5 * (np.trace(fit.rotation.T @ prior.rotation) - 1.0), -1.0, 1.0)))
+
+
+def _near_enough(pose: Pose, prior: Pose) -> bool:
+    """Whether a pose that is too vague to act on may still start the next fit."""
+    vague = float(np.sqrt(np.diag(pose.covariance)[:3].max()))
+    return vague < MAX_SIGMA[0] and float(np.linalg.norm(pose.position - prior.position)) < 2.0 * MAX_SIGMA[0]
 
 
 def _inflated(problem: Problem, fit: Fit) -> float:

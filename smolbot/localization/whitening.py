@@ -40,15 +40,18 @@ def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
 
 
 @lru_cache(maxsize=16)
-def _whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> tuple[FloatArray, FloatArray]:
-    """Inverse Cholesky factor (m, m) of the noise, and the whitened constants (m, n_channels), orthonormal."""
+def _whitener(
+    noise: NoiseModel, usable: bytes, n_blocks: int, block: float, trend: int
+) -> tuple[FloatArray, FloatArray]:
+    """Inverse Cholesky factor (m, m) of the noise, and the whitened free polynomials (m, ...), orthonormal."""
     used = np.frombuffer(usable, dtype=np.bool_)
     rows = np.repeat(used, n_blocks)
     covariance = noise.covariance(n_blocks, block)[np.ix_(rows, rows)]
     floor = 1e-9 * np.trace(covariance) / len(covariance)
     factor = np.linalg.cholesky(covariance + floor * np.eye(len(covariance)))
     inverse = np.linalg.inv(factor)
-    constants = inverse @ np.kron(np.eye(int(used.sum())), np.ones((n_blocks, 1)))
+    powers = np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True)
+    constants = inverse @ np.kron(np.eye(int(used.sum())), powers)
     return inverse, np.linalg.qr(constants)[0]
 
 
@@ -61,13 +64,17 @@ def whitened_model(
     n_samples: int,
     sample_rate: float,
     since: float,
+    trend: int = 0,
 ) -> LinearModel:
-    """The whitened chain for recordings of one kind, kept for the next one like it."""
+    """The whitened chain for recordings of one kind, kept for the next one like it.
+
+    Blind to a polynomial of degree `trend` in every channel: 0 for the unknown constant, 1 for a constant and a slope.
+    """
     used = np.frombuffer(usable, dtype=np.bool_)
     n_channels = int(used.sum())
     chain = blocks(n_samples, sample_rate)
     n_blocks, size = chain.weights.shape
-    whiten, constants = _whitener(noise, usable, n_blocks, size / sample_rate)
+    whiten, constants = _whitener(noise, usable, n_blocks, size / sample_rate, trend)
     functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, sensors.bandwidth)
     by_channel = whiten.reshape(-1, n_channels, n_blocks)
     answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
@@ -101,8 +108,10 @@ def _through(projection: FloatArray, functions: FloatArray, n_channels: int) -> 
     return np.ascontiguousarray(np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True))
 
 
-def prepare_whitened(recording: Recording, sensors: SensorArray, device: Device, noise: NoiseModel) -> Problem:
-    """Whiten a recording and make its fit ready.
+def prepare_whitened(
+    recording: Recording, sensors: SensorArray, device: Device, noise: NoiseModel, trend: int = 0
+) -> Problem:
+    """Whiten a recording and make its fit ready; blind to a polynomial of degree `trend` in every channel.
 
     Raises
     ------
@@ -122,7 +131,7 @@ def prepare_whitened(recording: Recording, sensors: SensorArray, device: Device,
             f"{500.0 / device.frequency:.2f} ms, and at least one is needed."
         )
     model = whitened_model(
-        sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, recording.time_since_drive
+        sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, recording.time_since_drive, trend
     )
     field = recording.field if usable.all() else np.ascontiguousarray(recording.field[usable])
     return Problem(model, model.vector(field))

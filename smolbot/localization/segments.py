@@ -1,0 +1,105 @@
+"""Superfast mode: one oscillation cut into segments that share a model and an amplitude."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from smolbot.errors import InputError
+from smolbot.localization.chain import whole_half_periods
+from smolbot.sensing import Device, Recording
+
+STEP = 0.95
+"""Share of the amplitude by which the models of a linear damping are spaced."""
+
+LEAST = 0.01
+"""Share of the amplitude below which an oscillation counts as ended, and no new model is made."""
+
+DAMPING_ERROR = 0.05
+"""How far the damping may be off; it is what makes an amplitude that was learned early uncertain later."""
+
+AMPLITUDE_FLOOR = 0.002
+"""Share of the amplitude that sensors slightly out of place leave in what is learned of it."""
+
+GATE = 4.0
+"""Standard deviations beyond which an amplitude is not believed; what is believed is widened instead."""
+
+
+def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Recording]:
+    """Consecutive segments of equal length, as many as the recording holds.
+
+    Raises
+    ------
+    InputError
+        If it holds none, or `half_periods` is not positive.
+    """
+    n, rate = recording.field.shape[1], recording.sample_rate
+    total = whole_half_periods(n, rate, device.frequency)
+    if not 1 <= half_periods <= total:
+        raise InputError(f"half_periods must lie within 1 to {total}, what the recording holds; got {half_periods}.")
+    length = half_periods * rate / (2.0 * device.frequency)
+    size = min(int(length + 1e-6), n)
+    for i in range(total // half_periods):
+        first = min(round(i * length), n - size)
+        offset = first / rate
+        yield replace(
+            recording,
+            field=recording.field[:, first : first + size],
+            time_since_drive=recording.time_since_drive + offset,
+            clock=recording.clock + offset,
+        )
+
+
+def remaining(device: Device, time: float) -> float:
+    """Share of the amplitude that is left `time` s after the end of the drive, at least `LEAST`."""
+    if device.damping_model == "linear":
+        return max(1.0 - device.damping * time, LEAST)
+    return max(math.exp(-device.damping * time), LEAST)
+
+
+def anchor(device: Device, time: float) -> tuple[float, float]:
+    """The time after the drive whose model serves a segment at `time`, and the amplitude's share from there to here.
+
+    Under exponential damping a shift in time is a change of amplitude and phase, so that the model right
+    after the drive serves all. Under linear damping the rate of decay, seen from the segment, grows as the
+    amplitude falls: models are made anew every 5 %, which leaves 0.1 % of the signal.
+    """
+    if device.damping_model == "exponential":
+        return 0.0, math.exp(-device.damping * time)
+    left = remaining(device, time)
+    step = STEP ** round(math.log(left) / math.log(STEP))
+    return (1.0 - step) / device.damping if device.damping > 0 else 0.0, left / step
+
+
+@dataclass(frozen=True)
+class SharedAmplitude:
+    """What is known at `time` s of the amplitude at the end of the drive: mean and standard deviation, in rad."""
+
+    mean: float
+    std: float
+    time: float
+
+    @classmethod
+    def of(cls, device: Device) -> SharedAmplitude:
+        """What is known before anything was heard."""
+        return cls(*device.amplitude_prior, 0.0)
+
+    def at(self, device: Device, time: float) -> SharedAmplitude:
+        """The same at a later time, less sure by as much as the damping may be off."""
+        loss = DAMPING_ERROR * device.damping * self.mean
+        return replace(self, std=math.hypot(self.std, loss * math.sqrt(max(time - self.time, 0.0))), time=time)
+
+    def narrowed(self, amplitude: float, std: float) -> SharedAmplitude:
+        """After a segment whose fit, this belief included, found `amplitude` with `std`."""
+        if not math.isfinite(std):
+            return self
+        if abs(amplitude - self.mean) > GATE * self.std:
+            return replace(self, std=2.0 * self.std)
+        return replace(self, mean=amplitude, std=max(std, AMPLITUDE_FLOOR * amplitude))
+
+    def scaled(self, device: Device, share: float) -> Device:
+        """The device as a model sees it of whose amplitude this share is left."""
+        return replace(
+            device, theta_max=share * device.theta_max, amplitude=share * self.mean, amplitude_std=share * self.std
+        )
