@@ -177,7 +177,7 @@ class StaticBench:
     def quiet(self, seconds: float, disturbance: Disturbance | None = None) -> list[Recording]:
         """Recordings without an oscillation, `seconds` long together, none longer than two seconds."""
         count = max(math.ceil(seconds / LONGEST_QUIET - 1e-9), 1)
-        n = round(seconds * self.rate / count)
+        n = math.ceil(seconds * self.rate / count - 1e-9)
         return [self._measured(np.zeros((len(self.sensors), n)), np.inf, disturbance) for _ in range(count)]
 
     def clean(

@@ -143,7 +143,10 @@ def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) 
     scheduler = Scheduler(setup.cycle, rig.limits, setup.device, rig.excitation_field, rig.now, inertia)
     listening = mission.sections.localization
     localizer = Localizer(rig.sensors, setup.device, estimator=listening.estimator, volume=search_volume(mission))
-    quiet = Quiet(listening.quiet_s if listening.estimator == "whitened" else 0.0, mission.rig.sample_rate)
+    whitened = listening.estimator == "whitened"
+    quiet = Quiet(
+        listening.quiet_s if whitened else 0.0, mission.rig.sample_rate, whitened and listening.learn_ring_down
+    )
     stop = mission.sections.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     return Loop(rig, mission.path, scheduler, localizer, tracker, controller, rules, quiet, listeners)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from smolbot.errors import InputError, InterlockError, RigError
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise import NoiseModel
+from smolbot.localization.transients import QUIET_AFTER, learn_time_constant
 from smolbot.paths import Curve
 from smolbot.poses import Pose
 from smolbot.resonance import Resonance
@@ -27,6 +28,10 @@ from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
 Status = Literal["completed", "stopped", "lost", "timeout", "failed"]
+
+
+RESONANCE_EVERY = 3
+"""Cycles between two looks at the resonance, which changes slowly."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +91,20 @@ class StopRules:
 
 @dataclass(frozen=True)
 class Quiet:
-    """How long to listen to the noise alone before the first drive, in s (0: not at all), and the sample rate in Hz."""
+    """What is learned before the first cycle.
+
+    Attributes
+    ----------
+    duration : float, in s
+        How long to listen to the noise alone; 0: not at all.
+    sample_rate : float, in Hz
+    learn_ring_down : bool
+        Whether to learn the excitation coils' decay, so that listening may start before it is over.
+    """
 
     duration: float
     sample_rate: float
+    learn_ring_down: bool = False
 
 
 class Loop:
@@ -122,6 +137,7 @@ class Loop:
         self._clock = clock
         self._begun = False
         self._started = 0.0
+        self._heard = 0
 
     def fly(self) -> Run:
         """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards."""
@@ -129,6 +145,7 @@ class Loop:
         begin, command = self._clock(), Command(None, note="no pose yet")
         try:
             self._learn_noise()
+            self._learn_ring_down()
             self._warm_up()
             run.begun = self._started = self.rig.now()
             while True:
@@ -161,6 +178,19 @@ class Loop:
         self.localizer = self.localizer.with_noise(noise)
         lines = [round(float(f), 3) for f in noise.line_frequencies]
         self.events.append(Event(self.rig.now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines}))
+
+    def _learn_ring_down(self) -> None:
+        """Learn the excitation coils' decay, and listen as soon as it can be told from a signal."""
+        if not self.quiet.learn_ring_down:
+            return
+        heard = [self.rig.play(shot) for shot in self.scheduler.probe_shots()]
+        frequency = self.localizer.device.frequency
+        constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
+        ring_down = max(QUIET_AFTER * max(constants), self.scheduler.limits.min_ring_down)
+        self.localizer = self.localizer.with_transients(constants)
+        self.scheduler.cycle = replace(self.scheduler.cycle, ring_down=ring_down)
+        detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
+        self.events.append(Event(self.rig.now(), "ring-down learned", detail))
 
     def _warm_up(self) -> None:
         """Use every compiled kernel once, on a made-up recording, so that the first cycles are as quick as the rest."""
@@ -195,7 +225,10 @@ class Loop:
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard))
 
     def _follow_resonance(self, time: float, swing: Swing) -> None:
-        device = self.resonance.update(time, swing.resonance, swing.resonance_covariance)
+        self._heard += 1
+        if self._heard % RESONANCE_EVERY:
+            return
+        device = self.resonance.update(time, *swing.resonance())
         if device is None:
             return
         self.localizer = self.localizer.with_device(device)

@@ -76,6 +76,7 @@ class LocalizationSection(FileModel):
 
     estimator: Literal["whitened", "paper"] = "whitened"
     quiet_s: Annotated[float, Field(ge=0)] = 10.0
+    learn_ring_down: bool = False
 
 
 class VerdictSection(FileModel):

@@ -16,6 +16,9 @@ from smolbot.poses import Pose
 from smolbot.sensing import Device
 from smolbot.shots import Excite, Listen, Mode, RingDown, Shot, Window
 
+PROBE_HALF_PERIODS = 8
+"""Length of the recordings from which the coils' ring-down is learned."""
+
 SEARCH_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
 """Excitation mixes (x, y) tried in turn while the orientation is unknown."""
 
@@ -96,6 +99,15 @@ class Scheduler:
         half_periods = max(int(2.0 * frequency * min(duration / count, longest)), 1)
         for _ in range(count):
             yield Shot((Listen(half_periods, frequency),), "quiet", self._clock())
+
+    def probe_shots(self) -> Iterator[Shot]:
+        """One shot for each excitation coil that drives off resonance and listens as soon as it may."""
+        frequency = 1.37 * self.device.frequency
+        ring_down = max(self.limits.min_ring_down, 1e-3)
+        for currents in ((self.cycle.excite_current, 0.0), (0.0, self.cycle.excite_current)):
+            excite = Excite(currents, frequency, self.cycle.excite_cycles)
+            listen = Listen(PROBE_HALF_PERIODS, self.device.frequency)
+            yield Shot((excite, RingDown(ring_down), listen), "quiet", self._clock())
 
     def next(self, command: Command, tracker: Believed) -> Shot:
         """The next shot, for a command and what the tracker believes."""

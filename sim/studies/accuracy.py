@@ -49,9 +49,10 @@ WIDE, FINE = "wide", "fine"
 HALF_PERIODS = {WIDE: 2, FINE: 20}
 REPEATS = 20
 BENCHES = {"ideal": 4, "mismatched": 12, "calibrated": 12}
-CALIBRATION_POSES = 60
-LONG = 80
-"""Half-periods of the recordings from which frequency and damping are calibrated."""
+STAGE_POSES = 60
+STAGE_HALF_PERIODS = 20
+RINGS, RING_HALF_PERIODS = 8, 80
+"""Recordings from which frequency and damping are calibrated, and their length."""
 
 
 def steps(axis: str, span: str) -> FloatArray:
@@ -127,23 +128,22 @@ def calibrated(
 
     The stage visits random places and headings in the volume, none of them the study's own.
     """
+    places, turns = np.array(REFERENCE_POSITION), reference_orientation()
+    long = [bench.record(places, turns, RING_HALF_PERIODS) for _ in range(RINGS)]
+    rang = [measure(recording, bench.sensors, bench.device) for recording in long]
+    device = replace(
+        bench.device,
+        frequency=float(np.mean([r.frequency for r in rang])),
+        damping=float(np.mean([r.damping for r in rang])),
+    )
     track: list[Pose] = []
     heard: list[Recording] = []
-    rang = []
-    for _ in range(CALIBRATION_POSES):
+    for _ in range(STAGE_POSES):
         position = np.array([*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.055, 0.095)])
         turn = rng.standard_normal(4)
         orientation = turn / np.linalg.norm(turn)
-        recording = bench.record(position, orientation, LONG)
-        rang.append(measure(recording, bench.sensors, bench.device))
-        track.append(Pose(recording.middle, position, orientation, np.eye(6) * 1e-12))
-        heard.append(recording)
-    weights = np.array([r.frequency_std**-2 for r in rang])
-    device = replace(
-        bench.device,
-        frequency=float(np.average([r.frequency for r in rang], weights=weights)),
-        damping=float(np.median([r.damping for r in rang])),
-    )
+        heard.append(bench.record(position, orientation, STAGE_HALF_PERIODS))
+        track.append(Pose(heard[-1].middle, position, orientation, np.eye(6) * 1e-12))
     correction = calibrate_sensors(heard, track, bench.sensors, device)
     noise = NoiseModel.learn([correction.corrected(q) for q in bench.quiet(10.0)])
     return {e: Localizer(correction.sensors, device, noise, e) for e in estimators}, correction
@@ -287,6 +287,6 @@ STUDY = Study(
         "reference_mm": [0, 0, 80],
         "wide": "x and y -25..25 mm, z 70..120 mm in 5 mm steps, 360 deg in 20 deg steps about each own axis, N = 2",
         "fine": "1 mm in 0.2 mm steps, 5 deg in 1 deg steps, N = 20",
-        "calibrated": f"{CALIBRATION_POSES} stage poses in |x|, |y| < 30 mm, 55 < z < 95 mm, any heading",
+        "calibrated": f"{STAGE_POSES} stage poses in |x|, |y| < 30 mm, 55 < z < 95 mm, any heading",
     },
 )

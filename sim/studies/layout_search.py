@@ -153,6 +153,19 @@ class Judge:
                 errors[:, :n_powers, 4 + i] = self.mismatch.tilt * tilted
         return columns, errors
 
+    def shares(self, layout: Layout) -> list[Share]:
+        """What each sensor of a layout adds."""
+        return [self.share(place, int(axis)) for place, axis in zip(layout.places, layout.axes, strict=True)]
+
+    def best_of_random(self, n_sensors: int, count: int, rng: np.random.Generator) -> Layout:
+        """The best of some layouts thrown at random: where a search may begin."""
+        found: list[Layout] = []
+        while len(found) < count:
+            layout = Layout(np.round(rng.uniform(-0.065, 0.065, (n_sensors, 2)), 3), rng.integers(0, 3, n_sensors))
+            if layout.allowed():
+                found.append(layout)
+        return min(found, key=lambda one: self.score(one, self.shares(one)))
+
     def score(self, layout: Layout, shares: Sequence[Share]) -> float:
         """Root mean square error per axis, in m; `shares` in the order of the layout's sensors."""
         sensors = layout.sensors(self.bandwidth)
@@ -190,23 +203,13 @@ def _inverse(information: FloatArray) -> FloatArray:
 
 
 class Search:
-    """One descent from a random start: one sensor at a time is moved, turned or exchanged, and stays if it helps."""
+    """One descent: one sensor at a time is moved, turned or exchanged, and stays if it helps."""
 
-    def __init__(self, judge: Judge, n_sensors: int, rng: np.random.Generator, starts: int = 12) -> None:
+    def __init__(self, judge: Judge, start: Layout, rng: np.random.Generator) -> None:
         self._judge, self._rng = judge, rng
-        found = [self._random(n_sensors) for _ in range(starts)]
-        self.layout, self.shares, self.score = min(found, key=lambda f: f[2])
-        self.steps = 0
-
-    def _random(self, n: int) -> tuple[Layout, list[Share], float]:
-        while True:
-            layout = Layout(self._rng.uniform(-0.06, 0.06, (n, 2)), self._rng.integers(0, 3, n))
-            if layout.allowed():
-                return self._weighed(layout)
-
-    def _weighed(self, layout: Layout) -> tuple[Layout, list[Share], float]:
-        shares = [self._judge.share(p, int(a)) for p, a in zip(layout.places, layout.axes, strict=True)]
-        return layout, shares, self._judge.score(layout, shares)
+        self.layout, self.steps = start, 0
+        self.shares = judge.shares(start)
+        self.score = judge.score(start, self.shares)
 
     def step(self) -> bool:
         """Try one change; True if it was kept."""

@@ -14,7 +14,7 @@ N_PARAMETERS = 8
 _MU0_OVER_4PI = 1e-7
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes):
     """Power series in the deflection of each channel, and its derivatives for position and rotation.
 
@@ -66,7 +66,7 @@ def series(positions, axes, moment, l0, angles, powers, position, rotation, valu
                     slopes[j, k, p - 1] = total
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def model(
     matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
 ):
@@ -90,30 +90,42 @@ def model(
             turn[f, 0], turn[f, 1] = np.cos(h * phase), -h * np.sin(h * phase)
         else:
             turn[f, 0], turn[f, 1] = -np.sin(h * phase), -h * np.cos(h * phase)
-    now = np.zeros(n_channels)
-    ahead = np.zeros(n_channels)
+    # one row of weights for each (power, channel): the sum over a power's functions, now and per rad of phase
+    width = (n_powers - 1) * n_channels
+    now = np.zeros(width)
+    ahead = np.zeros(width)
+    series_now = np.zeros((width, 8))
+    for k in range(1, n_powers):
+        for j in range(n_channels):
+            row = (k - 1) * n_channels + j
+            for p in range(6):
+                series_now[row, p] = slopes[j, k, p] * size[k]
+            series_now[row, 6] = values[j, k] * size[k]
+            series_now[row, 7] = k * values[j, k] * size[k - 1]
     for i in range(n_out):
-        total = 0.0
-        for p in range(8):
-            jacobian[i, p] = 0.0
-        f = 0
-        for k in range(1, n_powers):
+        now[:] = 0.0
+        ahead[:] = 0.0
+        for f in range(n_functions):
+            start = (labels[f, 0] - 1) * n_channels
+            c, d = turn[f, 0], turn[f, 1]
             for j in range(n_channels):
-                now[j] = 0.0
-                ahead[j] = 0.0
-            while f < n_functions and labels[f, 0] == k:
-                for j in range(n_channels):
-                    now[j] += turn[f, 0] * matrix[i, f, j]
-                    ahead[j] += turn[f, 1] * matrix[i, f, j]
-                f += 1
-            for j in range(n_channels):
-                w = now[j] * size[k]
-                total += values[j, k] * w
-                for p in range(6):
-                    jacobian[i, p] += slopes[j, k, p] * w
-                jacobian[i, 6] += values[j, k] * size[k] * ahead[j]
-                jacobian[i, 7] += k * values[j, k] * size[k - 1] * now[j]
+                now[start + j] += c * matrix[i, f, j]
+                ahead[start + j] += d * matrix[i, f, j]
+        j0 = j1 = j2 = j3 = j4 = j5 = j6 = j7 = total = 0.0
+        for row in range(width):
+            w = now[row]
+            j0 += w * series_now[row, 0]
+            j1 += w * series_now[row, 1]
+            j2 += w * series_now[row, 2]
+            j3 += w * series_now[row, 3]
+            j4 += w * series_now[row, 4]
+            j5 += w * series_now[row, 5]
+            total += w * series_now[row, 6]
+            j7 += w * series_now[row, 7]
+            j6 += ahead[row] * series_now[row, 6]
         out[i] = total
+        jacobian[i, 0], jacobian[i, 1], jacobian[i, 2], jacobian[i, 3] = j0, j1, j2, j3
+        jacobian[i, 4], jacobian[i, 5], jacobian[i, 6], jacobian[i, 7] = j4, j5, j6, j7
 
 
 @njit(cache=True)

@@ -15,6 +15,7 @@ from smolbot.localization.cold_start import SearchVolume, best_fits
 from smolbot.localization.noise import NoiseModel
 from smolbot.localization.problem import Fit, Problem, prepare_paper
 from smolbot.localization.segments import SharedAmplitude, anchor, cut
+from smolbot.localization.transients import AUDIBLE
 from smolbot.localization.whitening import prepare_whitened
 from smolbot.poses import Pose
 from smolbot.rotations import quaternion_from_matrix
@@ -41,7 +42,11 @@ MAX_SIGMA = (3e-3, 0.2)
 """Standard deviations, in m and rad, beyond which a pose is not worth acting on."""
 
 
-@dataclass(frozen=True)
+MAX_ROLL = 1.0
+"""The same, in rad, for the turn about the moment in a series of segments: only the cantilever's length tells it."""
+
+
+@dataclass(frozen=True, eq=False)
 class Swing:
     """What one recording says of the oscillation.
 
@@ -51,16 +56,18 @@ class Swing:
         At the end of the drive.
     covariance : ndarray, shape (7, 7)
         Of (position in m, rotation e in rad, amplitude in rad); its first six are the pose's.
-    resonance : ndarray, shape (2,)
-        By how much frequency (Hz) and damping (1/s) seem to differ from the device's.
-    resonance_covariance : ndarray, shape (2, 2)
     """
 
     amplitude: float
     phase: float
     covariance: FloatArray
-    resonance: FloatArray
-    resonance_covariance: FloatArray
+    _problem: Problem
+    _fit: Fit
+    _variance: float
+
+    def resonance(self) -> tuple[FloatArray, FloatArray]:
+        """By how much frequency (Hz) and damping (1/s) seem to be off, shape (2,), and their covariance (2, 2)."""
+        return self._problem.resonance(self._fit, self._variance)
 
 
 class Localizer:
@@ -81,6 +88,9 @@ class Localizer:
         ``paper``: the paper's chain with an unweighted Levenberg-Marquardt fit (Eqs. S2 to S8, S20 to S23).
     volume : SearchVolume
         Where a cold start looks, and where a trusted pose may lie.
+    transients : tuple of float, in s
+        Learned time constants of the excitation coils' ring-down; ``whitened`` tells it from the signal
+        where a recording starts before it is over.
 
     Notes
     -----
@@ -95,6 +105,7 @@ class Localizer:
         noise: NoiseModel | None = None,
         estimator: Estimator = "whitened",
         volume: SearchVolume | None = None,
+        transients: tuple[float, ...] = (),
     ) -> None:
         if estimator not in get_args(Estimator):
             raise InputError(f"estimator must be 'whitened' or 'paper'; got {estimator!r}.")
@@ -103,14 +114,19 @@ class Localizer:
         self.noise = noise or NoiseModel.assumed(sensors)
         self.estimator = estimator
         self.volume = volume or SearchVolume()
+        self.transients = tuple(transients)
 
     def with_noise(self, noise: NoiseModel) -> Localizer:
         """The same localizer under another noise model."""
-        return Localizer(self.sensors, self.device, noise, self.estimator, self.volume)
+        return Localizer(self.sensors, self.device, noise, self.estimator, self.volume, self.transients)
 
     def with_device(self, device: Device) -> Localizer:
         """The same localizer for a device that was learned anew."""
-        return Localizer(self.sensors, device, self.noise, self.estimator, self.volume)
+        return Localizer(self.sensors, device, self.noise, self.estimator, self.volume, self.transients)
+
+    def with_transients(self, transients: tuple[float, ...]) -> Localizer:
+        """The same localizer for excitation coils whose ring-down was learned."""
+        return Localizer(self.sensors, self.device, self.noise, self.estimator, self.volume, transients)
 
     def locate(self, recording: Recording, prior: Pose | None = None) -> Pose:
         """Pose at the middle of the recording, from all of it.
@@ -168,7 +184,8 @@ class Localizer:
         self, segment: Recording, prior: Pose | None, shared: SharedAmplitude
     ) -> tuple[Pose, Swing, float]:
         """Pose of a segment, its swing as of the time that its model was made for, and the amplitude's share then."""
-        anchored, share = anchor(self.device, segment.time_since_drive)
+        ringing = AUDIBLE * max(self.transients, default=0.0)
+        anchored, share = anchor(self.device, segment.time_since_drive, ringing)
         heard = replace(segment, time_since_drive=anchored)
         outcomes: list[tuple[float, Pose, Swing]] = []
         for trend in TRENDS if self.estimator == "whitened" else (0,):
@@ -191,7 +208,7 @@ class Localizer:
         """The recording as the estimator sees it, ready to be fitted; `trend` as for `whitened_model`."""
         if self.estimator == "paper":
             return prepare_paper(recording, self.sensors, self.device)
-        return prepare_whitened(recording, self.sensors, self.device, self.noise, trend)
+        return prepare_whitened(recording, self.sensors, self.device, self.noise, trend, self.transients)
 
     def _from_prior(self, problem: Problem, position: FloatArray, rotation: FloatArray) -> list[Fit]:
         """Fit from a known pose; phase and amplitude start from a linear solve at that pose."""
@@ -226,10 +243,8 @@ class Localizer:
         spread = kernels.covariance(best.normal, variance)
         covariance = spread[:6, :6]
         usable = bool(np.isfinite(spread[0, 0])) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
-        certain = usable and bool(
-            np.sqrt(np.diag(covariance)[:3].max()) < MAX_SIGMA[0]
-            and np.sqrt(np.diag(covariance)[3:].max()) < MAX_SIGMA[1]
-        )
+        certain = usable and bool(np.sqrt(np.diag(covariance)[:3].max()) < MAX_SIGMA[0])
+        certain = certain and self._knows_direction(covariance[3:, 3:], best, steady)
         clear = prior is not None or odds > MIN_ODDS
         pose = Pose(
             time=recording.middle,
@@ -243,8 +258,16 @@ class Localizer:
         joint = np.delete(np.delete(spread, 6, axis=0), 6, axis=1) if usable else np.full((7, 7), np.inf)
         joint[6] *= REFERENCE_ANGLE
         joint[:, 6] *= REFERENCE_ANGLE
-        resonance, uncertainty = problem.resonance(best, variance)
-        return pose, Swing(best.amplitude * REFERENCE_ANGLE, float(best.phase), joint, resonance, uncertainty)
+        return pose, Swing(best.amplitude * REFERENCE_ANGLE, float(best.phase), joint, problem, best, variance)
+
+    def _knows_direction(self, turn: FloatArray, fit: Fit, steady: bool) -> bool:
+        """Whether rotations of covariance `turn` are known; of a steady device, the turn about the moment roughly."""
+        if not steady:
+            return bool(np.sqrt(np.diag(turn).max()) < MAX_SIGMA[1])
+        moment = fit.rotation @ self.device.moment_in_body
+        across = np.eye(3) - np.outer(moment, moment)
+        left = across @ turn @ across
+        return bool(np.sqrt(np.diag(left).max()) < MAX_SIGMA[1] and moment @ turn @ moment < MAX_ROLL**2)
 
     def _inside(self, fit: Fit) -> bool:
         bounds = zip(self.volume.low, fit.position, self.volume.high, strict=True)

@@ -13,7 +13,7 @@ from smolbot.sensing import Device, Recording
 STEP = 0.95
 """Share of the amplitude by which the models of a linear damping are spaced."""
 
-LEAST = 0.01
+LEAST = 1e-3
 """Share of the amplitude below which an oscillation counts as ended, and no new model is made."""
 
 DAMPING_ERROR = 0.05
@@ -58,18 +58,21 @@ def remaining(device: Device, time: float) -> float:
     return max(math.exp(-device.damping * time), LEAST)
 
 
-def anchor(device: Device, time: float) -> tuple[float, float]:
+def anchor(device: Device, time: float, earliest: float = 0.0) -> tuple[float, float]:
     """The time after the drive whose model serves a segment at `time`, and the amplitude's share from there to here.
 
-    Under exponential damping a shift in time is a change of amplitude and phase, so that the model right
-    after the drive serves all. Under linear damping the rate of decay, seen from the segment, grows as the
-    amplitude falls: models are made anew every 5 %, which leaves 0.1 % of the signal.
+    Under exponential damping a shift in time is a change of amplitude and phase, so that one model serves
+    all. Under linear damping the rate of decay, seen from the segment, grows as the amplitude falls: models
+    are made anew every 5 %, which leaves 0.1 % of the signal. Before `earliest` s, while coils may still
+    ring, each segment has a model of its own.
     """
-    if device.damping_model == "exponential":
-        return 0.0, math.exp(-device.damping * time)
+    if time < earliest:
+        return time, 1.0
     left = remaining(device, time)
-    step = STEP ** round(math.log(left) / math.log(STEP))
-    return (1.0 - step) / device.damping if device.damping > 0 else 0.0, left / step
+    if device.damping_model == "exponential" or device.damping == 0.0:
+        return earliest, left / remaining(device, earliest)
+    step = min(STEP ** round(math.log(left) / math.log(STEP)), remaining(device, earliest))
+    return (1.0 - step) / device.damping, left / step
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from smolbot.localization import basis as time_functions
 from smolbot.localization.chain import Taps, whole_half_periods
 from smolbot.localization.noise import NoiseModel
 from smolbot.localization.problem import LinearModel, Problem, require_enough, usable_channels
+from smolbot.localization.transients import AUDIBLE, decay_columns
 from smolbot.sensing import Device, Recording, SensorArray
 
 BLOCK = 0.5e-3
@@ -40,19 +41,14 @@ def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
 
 
 @lru_cache(maxsize=16)
-def _whitener(
-    noise: NoiseModel, usable: bytes, n_blocks: int, block: float, trend: int
-) -> tuple[FloatArray, FloatArray]:
-    """Inverse Cholesky factor (m, m) of the noise, and the whitened free polynomials (m, ...), orthonormal."""
+def _whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> FloatArray:
+    """Inverse Cholesky factor (m, m) of the noise of all usable channels."""
     used = np.frombuffer(usable, dtype=np.bool_)
     rows = np.repeat(used, n_blocks)
     covariance = noise.covariance(n_blocks, block)[np.ix_(rows, rows)]
     floor = 1e-9 * np.trace(covariance) / len(covariance)
     factor = np.linalg.cholesky(covariance + floor * np.eye(len(covariance)))
-    inverse = np.linalg.inv(factor)
-    powers = np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True)
-    constants = inverse @ np.kron(np.eye(int(used.sum())), powers)
-    return inverse, np.linalg.qr(constants)[0]
+    return np.asarray(np.linalg.inv(factor), dtype=np.float64)
 
 
 @lru_cache(maxsize=64)
@@ -65,16 +61,21 @@ def whitened_model(
     sample_rate: float,
     since: float,
     trend: int = 0,
+    transients: tuple[float, ...] = (),
 ) -> LinearModel:
     """The whitened chain for recordings of one kind, kept for the next one like it.
 
-    Blind to a polynomial of degree `trend` in every channel: 0 for the unknown constant, 1 for a constant and a slope.
+    Blind to a polynomial of degree `trend` in every channel (0 for the unknown constant, 1 for a constant
+    and a slope), and to a decay of each of the time constants `transients`, in s, where it can still be heard.
     """
     used = np.frombuffer(usable, dtype=np.bool_)
     n_channels = int(used.sum())
     chain = blocks(n_samples, sample_rate)
     n_blocks, size = chain.weights.shape
-    whiten, constants = _whitener(noise, usable, n_blocks, size / sample_rate, trend)
+    whiten = _whitener(noise, usable, n_blocks, size / sample_rate)
+    polynomials = np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True)
+    decays = decay_columns(since + (chain.first + 0.5 * size) / sample_rate, transients)
+    constants = np.linalg.qr(whiten @ np.kron(np.eye(n_channels), np.column_stack([polynomials, decays])))[0]
     functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, sensors.bandwidth)
     by_channel = whiten.reshape(-1, n_channels, n_blocks)
     answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
@@ -109,9 +110,14 @@ def _through(projection: FloatArray, functions: FloatArray, n_channels: int) -> 
 
 
 def prepare_whitened(
-    recording: Recording, sensors: SensorArray, device: Device, noise: NoiseModel, trend: int = 0
+    recording: Recording,
+    sensors: SensorArray,
+    device: Device,
+    noise: NoiseModel,
+    trend: int = 0,
+    transients: tuple[float, ...] = (),
 ) -> Problem:
-    """Whiten a recording and make its fit ready; blind to a polynomial of degree `trend` in every channel.
+    """Whiten a recording and make its fit ready; `trend` and `transients` as for `whitened_model`.
 
     Raises
     ------
@@ -130,8 +136,10 @@ def prepare_whitened(
             f"The recording lasts {recording.duration * 1e3:.2f} ms; a half-period of {device.frequency:g} Hz lasts "
             f"{500.0 / device.frequency:.2f} ms, and at least one is needed."
         )
+    since = recording.time_since_drive
+    heard = tuple(tau for tau in transients if since < AUDIBLE * tau)
     model = whitened_model(
-        sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, recording.time_since_drive, trend
+        sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, since, trend, heard
     )
     field = recording.field if usable.all() else np.ascontiguousarray(recording.field[usable])
     return Problem(model, model.vector(field))

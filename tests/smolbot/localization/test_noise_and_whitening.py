@@ -104,7 +104,9 @@ def test_covariance_is_that_of_the_noise(room: Room):
 
 
 @pytest.mark.parametrize("half_periods", [2, 6])
-def test_error_is_within_a_tenth_of_the_bound_and_the_covariance_honest(room: Room, learned: NoiseModel, half_periods: int):
+def test_error_is_within_a_tenth_of_the_bound_and_the_covariance_honest(
+    room: Room, learned: NoiseModel, half_periods: int
+):
     located = Localizer(SENSORS, ACROSS, learned)
     bound = Localizer(SENSORS, ACROSS, room.true_model())
     errors, squares, least = [], [], []
@@ -188,9 +190,9 @@ def test_each_fit_tells_how_far_the_resonance_is_off(room: Room, learned: NoiseM
     located = Localizer(SENSORS, wrong, learned)
     steps, spread = [], []
     for _ in range(40):
-        swing = located.locate_swing(room.recording(6), prior())[1]
-        steps.append(swing.resonance[index])
-        spread.append(swing.resonance_covariance[index, index])
+        step, covariance = located.locate_swing(room.recording(6), prior())[1].resonance()
+        steps.append(step[index])
+        spread.append(covariance[index, index])
     error = np.sqrt(np.mean(spread) / len(steps))
     assert np.mean(steps) == pytest.approx(off, abs=4.0 * error + 0.01)
 

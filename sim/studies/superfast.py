@@ -1,0 +1,308 @@
+"""Superfast localization: one excitation, cut into segments, while the device steps along a line (Figs. 2H, S6)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    REFERENCE_POSITION,
+    RING_DOWN,
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    chosen,
+    columns_of,
+    cut,
+    joined,
+    localizers,
+    open_bench,
+    position_errors,
+    reference_orientation,
+)
+from smolbot.arrays import FloatArray
+from smolbot.localization.localizer import Localizer
+from smolbot.poses import Pose
+from smolbot.sensing import Device, Recording
+
+SEGMENTS = (1, 2, 4, 8)
+"""Half-periods of a segment."""
+
+SECONDS = 2.4
+"""Length of the paper's record."""
+
+TOP_SPEED, STEP, TRAVEL = 0.200, 0.005, 0.050
+"""Of the stage: m/s, m, m. A step takes 50 ms: its speed rises and falls as a squared sine."""
+
+OUTLIERS_MM = (-1.0, 60.0)
+"""x beyond which the paper counts an outlier, seen from where the motion begins."""
+
+BENCHES = 6
+BIN = 0.1
+"""Time, in s, over which sigma is taken."""
+
+LIMIT_MM = 1.0
+
+
+def damped() -> dict[str, Device]:
+    """The device in air: the paper's exponential fit, and its linear one, which ends after 0.9 s."""
+    return {"exponential": characterised(1.6, "exponential"), "linear": characterised(1.1, "linear")}
+
+
+def stepping(times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Track of the stage: rest, then a step, eleven places within `SECONDS`; x runs from -25 to 25 mm."""
+    count = round(TRAVEL / STEP)
+    pause, move = SECONDS / (count + 1), 2.0 * STEP / TOP_SPEED
+    x = np.full_like(times, -0.5 * TRAVEL)
+    for i in range(1, count + 1):
+        part = np.clip((times - i * pause) / move, 0.0, 1.0)
+        x += STEP * (part - np.sin(2 * np.pi * part) / (2 * np.pi))
+    y, z = REFERENCE_POSITION[1:]
+    places = np.stack([x, np.full_like(x, y), np.full_like(x, z)], axis=-1)
+    return places, np.tile(reference_orientation(), (len(times), 1))
+
+
+def work(chunk: Chunk) -> Columns:
+    """One recording on one bench, cut in every way."""
+    device = damped()[chunk["damping"]]
+    bench = open_bench(chunk, device, chunk["mismatch"])
+    found = localizers(bench, chunk["estimators"])
+    half_periods = math.floor(chunk["seconds"] * 2.0 * device.frequency)
+    if chunk["moving"]:
+        recording = bench.record_track(stepping, half_periods, RING_DOWN)
+    else:
+        recording = bench.record(np.array(REFERENCE_POSITION), reference_orientation(), half_periods, RING_DOWN)
+    rows: list[dict[str, Any]] = []
+    kind = {"bench": chunk["bench"], "damping": chunk["damping"], "moving": chunk["moving"]}
+    for name, localizer in found.items():
+        for length in SEGMENTS:
+            poses = localizer.locate_segments(recording, length)
+            rows += [{**kind, "estimator": name, "half_periods": length, **r} for r in _rows(recording, poses, chunk)]
+            if name == "whitened" and length == 4 and not chunk["moving"]:
+                tracked = _rows(recording, _tracked(localizer, recording, poses), chunk)
+                rows += [{**kind, "estimator": "tracked", "half_periods": length, **r} for r in tracked]
+    return columns_of(rows)
+
+
+def _rows(recording: Recording, poses: tuple[Pose, ...], chunk: Chunk) -> list[dict[str, Any]]:
+    times = np.array([pose.time - recording.clock for pose in poses])
+    places = stepping(times)[0] if chunk["moving"] else np.tile(REFERENCE_POSITION, (len(times), 1))
+    speed = np.linalg.norm(stepping(times + 1e-3)[0] - stepping(times - 1e-3)[0], axis=1) / 2e-3
+    rows = []
+    for time, pose, place, pace in zip(times, poses, places, speed if chunk["moving"] else 0.0 * speed, strict=True):
+        error = 1e3 * (pose.position - place)
+        sigma = 1e3 * np.sqrt(np.diag(pose.covariance)[:3])
+        rows.append({
+            "time_s": time, "speed_mm_s": 1e3 * pace, "x_mm": 1e3 * (pose.position[0] + 0.5 * TRAVEL),
+            "true_x_mm": 1e3 * (place[0] + 0.5 * TRAVEL),
+            **{f"error_{axis}_mm": float(error[i]) for i, axis in enumerate("xyz")},
+            **{f"sigma_{axis}_mm": float(sigma[i]) for i, axis in enumerate("xyz")},
+            "trusted": float(pose.trusted),
+        })  # fmt: skip
+    return rows
+
+
+def _tracked(localizer: Localizer, recording: Recording, poses: tuple[Pose, ...]) -> tuple[Pose, ...]:
+    """The same poses through the tracker of a robot that is left alone; each pose itself until it has begun."""
+    from smolbot.motion.robot import Robot
+    from smolbot.shots import Listen, Shot
+    from smolbot.tracking import Tracker
+
+    device = localizer.device
+    robot = Robot.in_liquid(
+        device.moment, 1.7e-3, 1.2, frequency=device.frequency, l0=device.l0, theta_max=device.theta_max
+    )
+    tracker = Tracker(robot, device, None)
+    shot = Shot((Listen(4, device.frequency),))
+    return tuple(tracker.update(shot, pose) or pose for pose in poses)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Benches drawn anew: a device that rests, under either damping, and one that steps."""
+    scale = 1.0 if options.mismatch is None else options.mismatch
+    pieces = []
+    for bench in range(options.poses or BENCHES):
+        for damping, moving, seconds in (
+            ("exponential", False, SECONDS), ("exponential", True, SECONDS), ("linear", False, 0.85),
+        ):  # fmt: skip
+            name = f"{damping}-{'steps' if moving else 'rests'}-{bench:02d}"
+            arguments = {"bench": bench, "damping": damping, "moving": moving, "seconds": seconds, "mismatch": scale}
+            pieces.append((name, arguments))
+    return cut(options, work, pieces)
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Sigma over time at rest, the time until it exceeds 1 mm, and errors and outliers while the device steps."""
+    columns = joined(parts)
+    cases: list[dict[str, Any]] = []
+    rows: list[tuple[str, str]] = []
+    for damping in dict.fromkeys(columns["damping"].tolist()):
+        rows.append((f"at rest, {damping}", "time until sigma of the worst axis exceeds 1 mm"))
+        for name in dict.fromkeys(columns["estimator"].tolist()):
+            for length in SEGMENTS:
+                part = chosen(columns, damping=damping, moving=False, estimator=name, half_periods=length)
+                if not len(part["time_s"]):
+                    continue
+                case = {"kind": "rest", "damping": damping, "estimator": name, "half_periods": length, **at_rest(part)}
+                cases.append(case)
+                rows.append((f"  {name}, N_seg = {length}", _rest_line(case)))
+    rows.append((f"stepping at up to {1e3 * TOP_SPEED:g} mm/s", "rms error of x; outliers as in the paper, x < -1 or > 60 mm"))
+    for name in options.estimators:
+        for length in SEGMENTS:
+            part = chosen(columns, moving=True, estimator=name, half_periods=length)
+            case = {"kind": "steps", "damping": "exponential", "estimator": name, "half_periods": length, **in_motion(part)}
+            cases.append(case)
+            rows.append((f"  {name}, N_seg = {length}", _step_line(case)))
+    scale = 1.0 if options.mismatch is None else options.mismatch
+    rows.append(("mismatch", "none (ideal)" if scale == 0.0 else f"x {scale:g}"))
+    return Outcome(rows, {"cases": cases, "mismatch": scale, "benches": len(np.unique(columns["bench"]))}, columns)
+
+
+def at_rest(part: Columns) -> dict[str, Any]:
+    """Sigma of each axis in bins of time, about each bench's own mean in the bin (at least two segments)."""
+    length = part["half_periods"][0] / (2.0 * characterised().frequency)
+    width = max(BIN, 5.0 * length)
+    number = np.floor(part["time_s"] / width).astype(int)
+    errors = position_errors(part)
+    times, sigmas, offs = [], [], []
+    for n in range(int(number.max()) + 1):
+        inside = number == n
+        parts = [errors[inside & (part["bench"] == b)] for b in np.unique(part["bench"])]
+        parts = [p for p in parts if len(p) > 1]
+        if not parts:
+            continue
+        freedom = sum(len(p) - 1 for p in parts)
+        sigmas.append(np.sqrt(sum(np.sum((p - p.mean(axis=0)) ** 2, axis=0) for p in parts) / freedom))
+        offs.append(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))
+        times.append((n + 0.5) * width)
+    worst = np.max(sigmas, axis=1)
+    return {
+        "time_s": times,
+        "sigma_mm": [s.tolist() for s in sigmas],
+        "rms_mm": [o.tolist() for o in offs],
+        "under_limit_s": crossing(np.array(times), worst),
+        "rms_under_limit_s": crossing(np.array(times), np.max(offs, axis=1)),
+        "lasts_s": float(part["time_s"].max()),
+        "rate_hz": 1.0 / length,
+    }
+
+
+def crossing(times: FloatArray, sigma: FloatArray, limit: float = LIMIT_MM) -> float | None:
+    """When sigma first passes the limit, straight in its logarithm between bins; None if it never does.
+
+    Examples
+    --------
+    >>> print(round(crossing(np.array([0.5, 1.5]), np.array([0.1, 10.0])), 3))
+    1.0
+    """
+    above = np.flatnonzero(sigma > limit)
+    if not above.size:
+        return None
+    i = int(above[0])
+    if i == 0:
+        return float(times[0])
+    a, b = np.log(sigma[i - 1] / limit), np.log(sigma[i] / limit)
+    return float(times[i - 1] - a / (b - a) * (times[i] - times[i - 1]))
+
+
+def in_motion(part: Columns) -> dict[str, Any]:
+    """Errors of x at rest and on the move, and outliers, of a device that steps."""
+    x, error, moves = part["x_mm"], part["error_x_mm"], part["speed_mm_s"] > 10.0
+    outside = (x < OUTLIERS_MM[0]) | (x > OUTLIERS_MM[1])
+    early = part["time_s"] < 1.2
+    return {
+        "n": len(x),
+        "outliers": int(outside.sum()),
+        "rest_rms_mm": _rms(error[early & ~moves]),
+        "move_rms_mm": _rms(error[early & moves]),
+        "move_z_mm": _rms(part["error_z_mm"][early & moves]),
+        "rms_to_the_end_mm": _rms(error[~outside]),
+        "trusted": float(part["trusted"].mean()),
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def _rest_line(case: dict[str, Any]) -> str:
+    until, absolute = case["under_limit_s"], case["rms_under_limit_s"]
+    first = case["sigma_mm"][0]
+    return (
+        f"{f'{until:.2f} s' if until is not None else 'never, over %.2f s' % case['lasts_s']}"
+        f" ({case['rate_hz']:.1f} poses a second; at first {max(first):.3f} mm; rms error "
+        f"{f'{absolute:.2f} s' if absolute is not None else 'never'})"
+    )
+
+
+def _step_line(case: dict[str, Any]) -> str:
+    return (
+        f"first 1.2 s: {case['rest_rms_mm']:.3f} mm at rest, {case['move_rms_mm']:.2f} mm moving (z {case['move_z_mm']:.2f}); "
+        f"to 2.4 s {case['rms_to_the_end_mm']:.2f} mm; {case['outliers']} outliers of {case['n']}"
+    )
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """The steps as they were found, and sigma over time."""
+    from sim.studies.picture import COLORS, OTHERS, limit_line, name_line, slide, titled
+
+    cases, columns = outcome.figures["cases"], outcome.columns
+    best = str(next(n for n in ("whitened", "paper") if n in columns["estimator"]))
+    case = next(c for c in cases if c["kind"] == "rest" and c["damping"] == "exponential"
+                and c["estimator"] == best and c["half_periods"] == 4)  # fmt: skip
+    until = case["under_limit_s"]
+    headline = f"Superfast, 51.8 poses a second from one excitation: under 1 mm for {until or case['lasts_s']:.1f} s"
+    label = "ideal: all mismatches off" if outcome.figures["mismatch"] == 0.0 else f"mismatches x {outcome.figures['mismatch']:g}"
+    subline = f"z = 80 mm, exponential damping 1.6 1/s, steps of 5 mm at up to 200 mm/s; {outcome.figures['benches']} benches, {label}"
+    with slide(path, headline, subline, 1, 2, width_ratios=[1.25, 1.0]) as (left, right):
+        seen = chosen(columns, moving=True, estimator=best, half_periods=4)
+        for bench in np.unique(seen["bench"])[:1]:
+            one = chosen(seen, bench=bench)
+            fine = np.linspace(0.0, SECONDS, 1200)
+            left.plot(fine, 1e3 * (stepping(fine)[0][:, 0] + 0.5 * TRAVEL), color="#222222", lw=1.6, zorder=1)
+            left.plot(one["time_s"], np.clip(one["x_mm"], -8, 66), "o", ms=4.5, color=COLORS[best], alpha=0.85, mew=0)
+        left.set(ylim=(-8, 66), xlim=(0, SECONDS))
+        name_line(left, 0.1, 58, f"{best}, N_seg = 4", COLORS[best])
+        name_line(left, 0.1, 53, "stage", "#222222")
+        titled(left, "Position along the motion, in mm", "time since the first sample, in s")
+        shades = dict(zip(SEGMENTS, OTHERS, strict=True))
+        for length in SEGMENTS:
+            line = next(c for c in cases if c["kind"] == "rest" and c["damping"] == "exponential"
+                        and c["estimator"] == best and c["half_periods"] == length)  # fmt: skip
+            worst = np.max(line["sigma_mm"], axis=1)
+            right.plot(line["time_s"], worst, lw=2.2, color=shades[length])
+            name_line(right, line["time_s"][-1], float(worst[-1]), f"N_seg = {length}", shades[length])
+        for name, color, text in (("paper", COLORS["paper"], "paper, 4"), ("tracked", "#222222", "4, tracked")):
+            lines = [c for c in cases if c["kind"] == "rest" and c["damping"] == "exponential"
+                     and c["estimator"] == name and c["half_periods"] == 4 and name != best]  # fmt: skip
+            for line in lines:
+                worst = np.max(line["rms_mm"] if name == "tracked" else line["sigma_mm"], axis=1)
+                right.plot(line["time_s"], worst, lw=2, ls="--", color=color)
+                name_line(right, line["time_s"][-1], float(worst[-1]), text, color)
+        right.set(yscale="log", xlim=(0, 1.22 * SECONDS), ylim=(0.02, 30))
+        right.set_yticks([0.1, 1, 10], ["0.1", "1", "10"])
+        right.set_xticks([0, 0.5, 1, 1.5, 2])
+        limit_line(right, LIMIT_MM, "1 mm")
+        titled(right, "Sigma of the worst axis at rest, in mm", "time since the first sample, in s")
+
+
+STUDY = Study(
+    name="superfast",
+    title="Superfast: one excitation cut into segments",
+    devices=damped,
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={
+        "segments": SEGMENTS,
+        "ring_down_s": RING_DOWN,
+        "stage": "11 places 5 mm apart, each step 50 ms, at most 200 mm/s",
+        "outliers": "x < -1 mm or > 60 mm from the start of the motion",
+    },
+)
