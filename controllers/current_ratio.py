@@ -95,9 +95,8 @@ class CurrentRatio:
         self.setup = setup
         values = complete_gains(self.gains, gains, "current_ratio")
         if values["i_min_a"] > values["i_max_a"]:
-            raise InputError(
-                f"i_min_a must not exceed i_max_a of current_ratio; got {values['i_min_a']:g} and {values['i_max_a']:g}."
-            )
+            given = f"got {values['i_min_a']:g} and {values['i_max_a']:g}."
+            raise InputError(f"i_min_a must not exceed i_max_a of current_ratio; {given}")
         self._i_min, self._i_max = values["i_min_a"], values["i_max_a"]
         self._most = min(self._i_max, setup.limits.max_current)
         self._threshold = values["p_thr_mm"] * 1e-3

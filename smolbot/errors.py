@@ -22,14 +22,6 @@ class MissingFileError(SmolbotError, FileNotFoundError):
         return str(self.args[0]) if self.args else ""
 
 
-class TableError(SmolbotError, ValueError):
-    """A field table that cannot be read or used; the message has file and line."""
-
-
-class OutsideTableError(SmolbotError, ValueError):
-    """A point outside the volume that a field table covers."""
-
-
 class InterlockError(SmolbotError, ValueError):
     """A shot that breaks a limit of the rig. Nothing of it was played."""
 

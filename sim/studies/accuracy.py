@@ -259,8 +259,10 @@ def draw(outcome: Outcome, path: Path) -> None:
                     means -= means[np.argmin(np.abs(places))]
                     panel.plot(unit * places, unit * means, "-", color=shade[kind], lw=1.0, alpha=0.55,
                                label=kind if bench == part["bench"][0] else None)  # fmt: skip
-            what = f"along {axis}, in mm" if len(axis) == 1 else f"about its own {axis[1]}, in degrees"
-            titled(panel, f"Error {what}")
+            what = f"Error along {axis}, in mm" if len(axis) == 1 else f"About body {axis[1]}, in degrees"
+            titled(panel, what)
+            if len(axis) == 2:
+                panel.set_xticks([0, 90, 180, 270])
             if index == 0:
                 panel.legend(frameon=False, fontsize=9, loc="best")
         for panel, key, what in ((axes[3], "mae_position_mm", "mm"), (axes[7], "mae_rotation_deg", "degrees")):
@@ -270,7 +272,8 @@ def draw(outcome: Outcome, path: Path) -> None:
                 places = np.arange(len(kinds)) + offset * (len(kinds) + 0.7)
                 panel.bar(places, values, color=[shade[k] for k in kinds], width=0.85)
                 for p, v in zip(places, values, strict=True):
-                    panel.text(p, v, f"{v:.2f}" if v >= 0.1 else f"{v:.3f}", ha="center", va="bottom", fontsize=9)
+                    text = f"{v:.2f}" if v >= 0.1 else f"{v:.3f}"
+                    panel.text(p, v, text.removeprefix("0"), ha="center", va="bottom", fontsize=9)
             middle = (len(kinds) - 1) / 2
             panel.set_xticks([middle, middle + len(kinds) + 0.7], ["N = 2, wide", "N = 20, fine"])
             titled(panel, f"MAE in {what}")

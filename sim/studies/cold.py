@@ -150,16 +150,16 @@ def draw(outcome: Outcome, path: Path) -> None:
             right.scatter(shown["off_deg"][mask], np.maximum(shown["off_mm"][mask], 1e-3), **kind)
         for panel in (left, right):
             panel.set_yscale("log")
+            panel.set_ylim(2e-3, 500)
             panel.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
             limit_line(panel, WRONG_MM, "5 mm")
         right.set_xscale("log")
+        right.set_xlim(5e-3, 250)
         right.set_xticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
         limit_line(right, WRONG_DEG, "20°", vertical=True)
         left.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 1.0), fontsize=10, markerscale=1.2)
-        low, high = left.get_ylim()
-        left.set_ylim(low, high * 30)
-        titled(left, "Position error in mm", "true height in mm")
-        titled(right, "Position error in mm", "orientation error in degrees")
+        titled(left, "Position error in mm, against height", "true height in mm")
+        titled(right, "Position error in mm, against orientation error", "orientation error in degrees")
 
 
 STUDY = Study(

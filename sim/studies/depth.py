@@ -38,7 +38,7 @@ LIMIT_MM = 1.0
 FIRST_GUESS_MM = {"characterised": 130.0, "optimised": 190.0}
 """About where the limit lies for the paper's magnet; heights are taken around it."""
 
-AROUND = (0.55, 0.65, 0.75, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
+AROUND = (0.42, 0.55, 0.65, 0.75, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
 
 
 def device_with(case: str, size_mm: float) -> Device:
@@ -94,7 +94,7 @@ def crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) ->
     """
     above = np.flatnonzero(values >= limit)
     if not above.size or above[0] == 0:
-        return math.nan
+        return math.nan  # beyond, or below, all places
     i = int(above[0])
     low, high = math.log(values[i - 1]), math.log(values[i])
     part = (math.log(limit) - low) / (high - low)
@@ -155,11 +155,12 @@ def draw(outcome: Outcome, path: Path) -> None:
                           alpha=1.0 if case == "characterised" or estimator == name else 0.6)  # fmt: skip
                 known = [d for d in line if math.isfinite(d["z_max_mm"])]
                 if known:
-                    name_line(left, known[-1]["size_mm"], known[-1]["z_max_mm"], f"{case}, {estimator}", color,
-                              xytext=(-8, 10), ha="right", fontsize=10)  # fmt: skip
+                    last = known[-1]
+                    name_line(left, last["size_mm"], last["z_max_mm"], f"{case},\n{estimator}", color, fontsize=10)
+        left.set_xlim(right=2.75)
         left.plot([EDGE_MM] * 2, [112.5, 156], "D", color="#777777", ms=8, mfc="white", mew=2, zorder=5)
-        left.annotate("the paper: 110 to 115\nand 156 mm", (EDGE_MM, 112.5), xytext=(12, -24),
-                      textcoords="offset points", color="#777777", fontsize=10)  # fmt: skip
+        left.annotate("the paper: 110 to\n115 and 156 mm", (EDGE_MM, 156.0), xytext=(-14, 34), color="#777777",
+                      textcoords="offset points", fontsize=10, ha="right")  # fmt: skip
         titled(left, "Depth with sigma below 1 mm, in mm", "edge a of the cubic magnet in mm")
         for case in CASES:
             line = [c for c in cases if c["case"] == case and c["size_mm"] == EDGE_MM and c["estimator"] == name]

@@ -10,6 +10,7 @@ from smolbot.arrays import FloatArray
 from smolbot.localization.bounds import Bound, Response, Window, channel_series
 from smolbot.localization.expected import NoiseLevels
 from smolbot.localization.noise import ComplexArray, NoiseModel
+from smolbot.rigfile import RigConfig
 from smolbot.rotations import matrix_from_quaternion
 from smolbot.sensing import Device, SensorArray
 
@@ -29,6 +30,19 @@ class Mismatch:
     place: float = 0.2e-3
     gain: float = 0.005
     tilt: float = float(np.radians(0.3))
+
+
+def levels_of(rig: RigConfig) -> NoiseLevels:
+    """The noise that a rig file expects."""
+    section = rig.sections.noise
+    return NoiseLevels(
+        floor=section.floor_pt_per_rthz * 1e-12,
+        at_1hz=section.at_1hz_pt_per_rthz * 1e-12,
+        mains_frequency=section.mains_hz,
+        mains=section.mains_nt * 1e-9,
+        mains_gradient=section.mains_gradient_nt_per_m * 1e-9,
+        harmonics={int(order): size for order, size in section.harmonics.items()},
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +108,10 @@ def judge(
         now, _ = response.waves(float(phase))
         scale = 1.0 / np.sqrt(np.einsum("nma,nma->na", jacobian, jacobian))
         scaled = jacobian * scale[:, None, :]
-        gain = np.linalg.solve(np.swapaxes(scaled, 1, 2) @ scaled, np.swapaxes(scaled, 1, 2))[:, :3] * scale[:, :3, None]
-        moved = np.einsum("najk,njkp->najp", (gain @ now.reshape(len(now), -1)).reshape(len(poses), 3, *now.shape[1:]),
-                          changes)  # fmt: skip
+        turned = np.swapaxes(scaled, 1, 2)
+        gain = np.linalg.solve(turned @ scaled, turned)[:, :3] * scale[:, :3, None]
+        through = (gain @ now.reshape(len(now), -1)).reshape(len(poses), 3, *now.shape[1:])
+        moved = np.einsum("najk,njkp->najp", through, changes)
         total += np.einsum("najp,nbjp->nab", moved, moved) / len(phases)
     return Judgement(bound, total)
 
@@ -107,7 +122,8 @@ def _sensor_changes(
     """What one standard deviation of each sensor's six errors does to its power series, (n, n_sensors, K, 6)."""
     parts = [mismatch.place * slopes[..., i] for i in range(3)] + [mismatch.gain * values]
     for side in sideways(sensors.axes):
-        parts.append(mismatch.tilt * channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0])
+        tilted = channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0]
+        parts.append(mismatch.tilt * tilted)
     return np.stack(parts, axis=-1)
 
 

@@ -50,7 +50,9 @@ def scatter_of(columns: Columns) -> dict[str, Any]:
     """Mean over the axes of the standard deviation (Eq. S26), and what a reader needs beside it; lengths in mm."""
     errors = position_errors(columns)
     sigmas = [standard_deviation(errors[:, i]) if len(errors) > 1 else float("nan") for i in range(3)]
-    turned = np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0)
+    right = np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) <= 90.0
+    kept = errors[right]
+    apart = [standard_deviation(kept[:, i]) if len(kept) > 1 else float("nan") for i in range(3)]
     return {
         "n": len(errors),
         "sigma_xyz_mm": float(np.mean(sigmas)),
@@ -58,5 +60,6 @@ def scatter_of(columns: Columns) -> dict[str, Any]:
         "mean_by_axis_mm": errors.mean(axis=0).tolist(),
         "rms_mm": rms(errors),
         "untrusted": int(np.sum(columns["trusted"] == 0.0)),
-        "flipped": int(np.sum(turned > 90.0)),
+        "flipped": int(np.sum(~right)),
+        "sigma_xyz_without_flips_mm": float(np.mean(apart)),
     }

@@ -228,7 +228,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Bars on a logarithmic scale."""
-    from sim.studies.picture import BOUND, COLORS, limit_line, slide, titled
+    from sim.studies.picture import BOUND, COLORS, LIMIT, slide, titled
 
     cases = outcome.figures["cases"]
     fast, ratio = cases[0]["locate_ms"], cases[0]["ratio"]
@@ -239,7 +239,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     )
     with slide(path, headline, subline, 1, 2) as axes:
         for panel, case, limits in zip(axes, cases, ((1.0, 50.0), (3.0, 360.0)), strict=True):
-            names = ["smolbot", "paper's estimator,\nin smolbot", "numpy and scipy"]
+            names = ["smolbot", "estimator paper,\nin smolbot", "numpy and scipy"]
             values = [case["locate_ms"], case["paper_ms"], case["plain_ms"]]
             panel.bar(names, values, color=[COLORS["whitened"], COLORS["paper"], BOUND], width=0.6)
             for i, v in enumerate(values):
@@ -247,8 +247,11 @@ def draw(outcome: Outcome, path: Path) -> None:
             panel.set_yscale("log")
             panel.set_ylim(0.05, 2000)
             panel.set_yticks([0.1, 1, 10, 100, 1000], ["0.1", "1", "10", "100", "1000"])
-            limit_line(panel, limits[0], f"{limits[0]:g} ms asked for")
-            limit_line(panel, limits[1], f"the paper: {'40 to 60' if limits[1] == 50 else '360'} ms")
+            panel.set_xlim(-1.25, 2.5)
+            paper = "40 to 60 ms" if limits[1] == 50.0 else "360 ms"
+            for value, text in ((limits[0], f"asked for:\n{limits[0]:g} ms"), (limits[1], f"the paper:\n{paper}")):
+                panel.axhline(value, color=LIMIT, lw=1, ls="--", zorder=0)
+                panel.text(-1.2, value * 1.1, text, color="#777777", fontsize=10, va="bottom")
             titled(panel, f"Time of one pose in ms, N = {case['half_periods']}")
 
 

@@ -152,11 +152,13 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
                 case = {"kind": "rest", "damping": damping, "estimator": name, "half_periods": length, **at_rest(part)}
                 cases.append(case)
                 rows.append((f"  {name}, N_seg = {length}", _rest_line(case)))
-    rows.append((f"stepping at up to {1e3 * TOP_SPEED:g} mm/s", "rms error of x; outliers as in the paper, x < -1 or > 60 mm"))
+    title = "rms error of x; outliers as in the paper, x < -1 or > 60 mm"
+    rows.append((f"stepping at up to {1e3 * TOP_SPEED:g} mm/s", title))
     for name in options.estimators:
         for length in SEGMENTS:
             part = chosen(columns, moving=True, estimator=name, half_periods=length)
-            case = {"kind": "steps", "damping": "exponential", "estimator": name, "half_periods": length, **in_motion(part)}
+            case = {"kind": "steps", "damping": "exponential", "estimator": name, "half_periods": length}
+            case |= in_motion(part)
             cases.append(case)
             rows.append((f"  {name}, N_seg = {length}", _step_line(case)))
     scale = 1.0 if options.mismatch is None else options.mismatch
@@ -234,62 +236,67 @@ def _rms(values: FloatArray) -> float:
 def _rest_line(case: dict[str, Any]) -> str:
     until, absolute = case["under_limit_s"], case["rms_under_limit_s"]
     first = case["sigma_mm"][0]
-    return (
-        f"{f'{until:.2f} s' if until is not None else 'never, over %.2f s' % case['lasts_s']}"
-        f" ({case['rate_hz']:.1f} poses a second; at first {max(first):.3f} mm; rms error "
-        f"{f'{absolute:.2f} s' if absolute is not None else 'never'})"
-    )
+    lasting = f"{until:.2f} s" if until is not None else f"never, over {case['lasts_s']:.2f} s"
+    near = f"{absolute:.2f} s" if absolute is not None else "never"
+    return f"{lasting} ({case['rate_hz']:.1f} poses a second; at first {max(first):.3f} mm; rms error: {near})"
 
 
 def _step_line(case: dict[str, Any]) -> str:
     return (
-        f"first 1.2 s: {case['rest_rms_mm']:.3f} mm at rest, {case['move_rms_mm']:.2f} mm moving (z {case['move_z_mm']:.2f}); "
-        f"to 2.4 s {case['rms_to_the_end_mm']:.2f} mm; {case['outliers']} outliers of {case['n']}"
+        f"first 1.2 s: {case['rest_rms_mm']:.2f} mm at rest, {case['move_rms_mm']:.2f} moving (z "
+        f"{case['move_z_mm']:.2f}); to 2.4 s {case['rms_to_the_end_mm']:.2f} mm; {case['outliers']} of {case['n']} out"
     )
 
 
 def draw(outcome: Outcome, path: Path) -> None:
     """The steps as they were found, and sigma over time."""
-    from sim.studies.picture import COLORS, OTHERS, limit_line, name_line, slide, titled
+    from sim.studies.picture import COLORS, LIMIT, OTHERS, name_line, slide, titled
 
     cases, columns = outcome.figures["cases"], outcome.columns
     best = str(next(n for n in ("whitened", "paper") if n in columns["estimator"]))
-    case = next(c for c in cases if c["kind"] == "rest" and c["damping"] == "exponential"
-                and c["estimator"] == best and c["half_periods"] == 4)  # fmt: skip
+    case = _rest_case(cases, best, 4)
     until = case["under_limit_s"]
     headline = f"Superfast, 51.8 poses a second from one excitation: under 1 mm for {until or case['lasts_s']:.1f} s"
-    label = "ideal: all mismatches off" if outcome.figures["mismatch"] == 0.0 else f"mismatches x {outcome.figures['mismatch']:g}"
-    subline = f"z = 80 mm, exponential damping 1.6 1/s, steps of 5 mm at up to 200 mm/s; {outcome.figures['benches']} benches, {label}"
+    scale = outcome.figures["mismatch"]
+    label = f"mismatches x {scale:g}" if scale else "ideal: all mismatches off"
+    subline = "z = 80 mm, exponential damping 1.6 1/s, steps of 5 mm at up to 200 mm/s; "
+    subline += f"{outcome.figures['benches']} benches, {label}"
     with slide(path, headline, subline, 1, 2, width_ratios=[1.25, 1.0]) as (left, right):
         seen = chosen(columns, moving=True, estimator=best, half_periods=4)
-        for bench in np.unique(seen["bench"])[:1]:
-            one = chosen(seen, bench=bench)
-            fine = np.linspace(0.0, SECONDS, 1200)
-            left.plot(fine, 1e3 * (stepping(fine)[0][:, 0] + 0.5 * TRAVEL), color="#222222", lw=1.6, zorder=1)
-            left.plot(one["time_s"], np.clip(one["x_mm"], -8, 66), "o", ms=4.5, color=COLORS[best], alpha=0.85, mew=0)
+        one = chosen(seen, bench=seen["bench"][0])
+        fine = np.linspace(0.0, SECONDS, 1200)
+        left.plot(fine, 1e3 * (stepping(fine)[0][:, 0] + 0.5 * TRAVEL), color="#222222", lw=1.6, zorder=1)
+        left.plot(one["time_s"], np.clip(one["x_mm"], -8, 66), "o", ms=4.5, color=COLORS[best], alpha=0.85, mew=0)
         left.set(ylim=(-8, 66), xlim=(0, SECONDS))
         name_line(left, 0.1, 58, f"{best}, N_seg = 4", COLORS[best])
         name_line(left, 0.1, 53, "stage", "#222222")
         titled(left, "Position along the motion, in mm", "time since the first sample, in s")
-        shades = dict(zip(SEGMENTS, OTHERS, strict=True))
-        for length in SEGMENTS:
-            line = next(c for c in cases if c["kind"] == "rest" and c["damping"] == "exponential"
-                        and c["estimator"] == best and c["half_periods"] == length)  # fmt: skip
+        labels: list[tuple[float, str, str]] = []
+        for length, shade in zip(SEGMENTS, OTHERS, strict=True):
+            line = _rest_case(cases, best, length)
             worst = np.max(line["sigma_mm"], axis=1)
-            right.plot(line["time_s"], worst, lw=2.2, color=shades[length])
-            name_line(right, line["time_s"][-1], float(worst[-1]), f"N_seg = {length}", shades[length])
+            right.plot(line["time_s"], worst, lw=2.2, color=shade)
+            labels.append((float(worst[-1]), f"N_seg = {length}", shade))
         for name, color, text in (("paper", COLORS["paper"], "paper, 4"), ("tracked", "#222222", "4, tracked")):
-            lines = [c for c in cases if c["kind"] == "rest" and c["damping"] == "exponential"
-                     and c["estimator"] == name and c["half_periods"] == 4 and name != best]  # fmt: skip
-            for line in lines:
-                worst = np.max(line["rms_mm"] if name == "tracked" else line["sigma_mm"], axis=1)
+            if name != best and name in columns["estimator"]:
+                line = _rest_case(cases, name, 4)
+                worst = np.max(line["sigma_mm"], axis=1)
                 right.plot(line["time_s"], worst, lw=2, ls="--", color=color)
-                name_line(right, line["time_s"][-1], float(worst[-1]), text, color)
-        right.set(yscale="log", xlim=(0, 1.22 * SECONDS), ylim=(0.02, 30))
-        right.set_yticks([0.1, 1, 10], ["0.1", "1", "10"])
+                labels.append((float(worst[-1]), text, color))
+        height = 0.0
+        for value, text, color in sorted(labels):
+            height = max(value, 1.32 * height)  # so that names do not lie on each other
+            name_line(right, SECONDS, height, text, color)
+        right.set(yscale="log", xlim=(0, 1.25 * SECONDS), ylim=(0.01, 30))
+        right.set_yticks([0.01, 0.1, 1, 10], ["0.01", "0.1", "1", "10"])
         right.set_xticks([0, 0.5, 1, 1.5, 2])
-        limit_line(right, LIMIT_MM, "1 mm")
+        right.axhline(LIMIT_MM, color=LIMIT, lw=1, ls="--", zorder=0)
         titled(right, "Sigma of the worst axis at rest, in mm", "time since the first sample, in s")
+
+
+def _rest_case(cases: list[dict[str, Any]], estimator: str, length: int) -> dict[str, Any]:
+    wanted = {"kind": "rest", "damping": "exponential", "estimator": estimator, "half_periods": length}
+    return next(c for c in cases if wanted.items() <= c.items())
 
 
 STUDY = Study(

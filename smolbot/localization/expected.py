@@ -42,7 +42,7 @@ class NoiseLevels:
     harmonics: dict[int, float] = field(default_factory=dict)
 
     def model(self, sensors: SensorArray, top: float = 5000.0) -> NoiseModel:
-        """The same as a `NoiseModel` up to `top` Hz: directions and gradients of the lines as likely one way as another."""
+        """The same as a `NoiseModel` up to `top` Hz, lines as likely from one direction as from another."""
         orders = np.array([1, *self.harmonics])
         sizes = np.array([1.0, *self.harmonics.values()])
         frequencies = np.concatenate([[0.0], np.geomspace(1.0, top, 200)])

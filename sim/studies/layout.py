@@ -1,0 +1,251 @@
+"""Where the sensors should stand: a proposed layout over a volume, and one that a search found (N = 2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.common import (
+    RING_DOWN,
+    Chunk,
+    Columns,
+    Options,
+    Outcome,
+    Study,
+    characterised,
+    cut,
+    rig_named,
+)
+from sim.studies.layout_search import Judge, Layout, Search
+from sim.studies.layout_value import AXES, Mismatch, Poses, Volume, judge, levels_of, room_noise
+from smolbot.arrays import FloatArray
+from smolbot.localization.bounds import Window
+from smolbot.localization.expected import expected_covariance
+from smolbot.poses import Pose
+from smolbot.rigfile import RigConfig
+from smolbot.rotations import quaternion_from_matrix
+from smolbot.sensing import Device, SensorArray
+
+HALF_PERIODS = 2
+ROOMS = 4
+"""Drawn directions of the mains, each learned; a layout is judged by all of them together."""
+
+WEIGHT = 0.1
+"""Of what sensors out of place leave beside the noise, as variances: calibration and differences take most of it."""
+
+DESCENTS = 4
+PATIENCE = 400
+"""Changes in a row that may fail before a descent ends."""
+
+MAP_HEIGHT = 0.080
+
+
+def devices() -> dict[str, Device]:
+    """The calibrated device with its moment across the cantilever, and along it."""
+    across = characterised()
+    along = Device(across.moment, np.array([0.0, 0.0, 1.0]), across.l0, across.theta_max, across.frequency,
+                   across.damping, across.damping_model)  # fmt: skip
+    return {"across": across, "along": along}
+
+
+def window(rig: RigConfig) -> Window:
+    """What is listened to."""
+    return Window(HALF_PERIODS, rig.sample_rate, RING_DOWN)
+
+
+def work(chunk: Chunk) -> Columns:
+    """One descent: from the rig's own layout, or from the best of some random ones."""
+    rig = rig_named(chunk["rig"])
+    poses = Volume().poses(3, 2, 0)
+    judged = Judge(
+        tuple(devices().values()), levels_of(rig), window(rig), poses, rig.sensors.bandwidth, Mismatch(),
+        chunk["weight"], ROOMS,
+    )  # fmt: skip
+    rng = np.random.default_rng(chunk.seed)
+    own = layout_of(rig.sensors)
+    start = own if chunk["from_own"] and own is not None else judged.best_of_random(len(rig.sensors), 12, rng)
+    search = Search(judged, start, rng)
+    search.run(chunk["patience"])
+    return {
+        "descent": np.array([chunk.name]),
+        "score_um": np.array([1e6 * search.score]),
+        "steps": np.array([search.steps]),
+        "_places": search.layout.places[None],
+        "_axes": search.layout.axes[None],
+    }
+
+
+def layout_of(sensors: SensorArray) -> Layout | None:
+    """The array as a `Layout`; None where a sensor lies off the plane or looks aslant."""
+    axes = np.argmax(np.abs(sensors.axes), axis=1)
+    straight = bool(np.abs(sensors.axes[np.arange(len(axes)), axes]).min() > 1.0 - 1e-6)
+    flat = bool(np.abs(sensors.positions[:, 2]).max() < 1e-6)
+    found = Layout(np.array(sensors.positions[:, :2]), axes)
+    return found if straight and flat and found.allowed() else None
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """Descents; `--poses` says how many."""
+    pieces = [
+        (f"descent-{i:02d}", {"from_own": i == 0, "weight": WEIGHT, "patience": PATIENCE})
+        for i in range(options.poses or DESCENTS)
+    ]
+    return cut(options, work, pieces)
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """The best layout against the rig's own, judged on poses that the search did not see."""
+    rig = rig_named(options.rig)
+    best = min(parts, key=lambda part: float(part["score_um"][0]))
+    found = Layout(best["_places"][0], best["_axes"][0])
+    proposed = {"rig": rig.sensors, "found": found.sensors(rig.sensors.bandwidth)}
+    poses = Volume().poses(4, 2, 1)
+    values = {name: value(sensors, rig, poses) for name, sensors in proposed.items()}
+    toml = as_toml(found)
+    rows: list[tuple[str, str]] = []
+    for name, one in values.items():
+        rows.append((f"{name} layout", ""))
+        rows += [(f"  {label}", one[key + "_text"]) for key, label in LABELS.items()]
+    rows.append(("found layout, to paste into [sensors]", ""))
+    rows += [(f"  {line.partition(' = ')[0]}", line.partition(" = ")[2]) for line in toml.splitlines()]
+    figures = {
+        "layouts": {n: {k: v for k, v in one.items() if not k.endswith("_text")} for n, one in values.items()},
+        "found": {"positions_mm": np.round(1e3 * proposed["found"].positions, 1).tolist(),
+                  "axes": ["xyz"[a] for a in found.axes]},
+        "toml": toml,
+        "ratio": values["found"]["bound_um"] / values["rig"]["bound_um"],
+    }  # fmt: skip
+    columns: Columns = {key: np.concatenate([p[key] for p in parts]) for key in ("descent", "score_um", "steps")}
+    for name, sensors in proposed.items():
+        columns[f"_map_{name}"] = bound_map(sensors, rig)
+        columns[f"_places_{name}"], columns[f"_axes_{name}"] = sensors.positions, sensors.axes
+    return Outcome(rows, figures, columns)
+
+
+LABELS = {
+    "bound": "bound, rms per axis over the volume",
+    "reference": "bound at (0, 0, 80 mm)",
+    "correlation": "correlation of z with amplitude",
+    "systematic": "sensors 0.2 mm, 0.5 %, 0.3 deg off",
+    "paper": "estimator paper, rms per axis",
+}
+
+
+def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
+    """Figures of one layout, over both devices and all rooms."""
+    levels, listened = levels_of(rig), window(rig)
+    center = Poses(np.array([[0.0, 0.0, MAP_HEIGHT]] * 8), Volume().poses(2, 1, 2).rotations)
+    bound, reference, systematic, correlation, paper = [], [], [], [], []
+    for device in devices().values():
+        for room in range(ROOMS):
+            noise = room_noise(sensors, levels, room)
+            judged = judge(sensors, device, noise, listened, poses, Mismatch())
+            bound.append(judged.bound.position_rms)
+            systematic.append(judged.systematic_rms)
+            correlation.append(np.abs(judged.bound.height_amplitude_correlation))
+            reference.append(judge(sensors, device, noise, listened, center, Mismatch()).bound.position_rms)
+        for place, turn in zip(poses.positions[::4], poses.rotations[::4], strict=True):
+            pose = Pose(0.0, place, quaternion_from_matrix(turn), np.eye(6))
+            covariance = expected_covariance(
+                sensors, device, levels, pose, HALF_PERIODS, listened.sample_rate, listened.since
+            )
+            paper.append(np.sqrt(np.trace(covariance[:3, :3]) / 3.0))
+    out: dict[str, Any] = {
+        "bound_um": 1e6 * _rms(bound), "reference_um": 1e6 * _rms(reference), "systematic_um": 1e6 * _rms(systematic),
+        "correlation": float(np.median(correlation)), "worst_correlation": float(np.max(correlation)),
+        "paper_um": 1e6 * _rms(paper), "worst_bound_um": 1e6 * float(np.max(bound)),
+    }  # fmt: skip
+    out |= {
+        "bound_text": f"{out['bound_um']:.0f} µm (worst pose {out['worst_bound_um']:.0f} µm)",
+        "reference_text": f"{out['reference_um']:.0f} µm, rms over orientations",
+        "correlation_text": f"{out['correlation']:.3f} (median; worst {out['worst_correlation']:.3f})",
+        "systematic_text": f"{out['systematic_um']:.0f} µm, uncalibrated, to first order",
+        "paper_text": f"{out['paper_um']:.0f} µm",
+    }
+    return out
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def as_toml(layout: Layout) -> str:
+    """Lines for the ``[sensors]`` section of a rig file.
+
+    Examples
+    --------
+    >>> print(as_toml(Layout(np.array([[0.01, -0.02], [0.0, 0.03]]), np.array([2, 0]))))
+    positions_mm = [[10, -20, 0], [0, 30, 0]]
+    axes = ["z", "x"]
+    """
+    order = np.lexsort((layout.places[:, 1], layout.places[:, 0], -layout.axes))
+    places = ", ".join(f"[{1e3 * x:.0f}, {1e3 * y:.0f}, 0]" for x, y in layout.places[order] + 0.0)
+    axes = ", ".join(f'"{"xyz"[a]}"' for a in layout.axes[order])
+    return f"positions_mm = [{places}]\naxes = [{axes}]"
+
+
+MAP = np.linspace(-0.02, 0.02, 9)
+"""x and y of the map, in m."""
+
+
+def bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
+    """Bound in µm over `MAP` (rows: y) at `MAP_HEIGHT`, over both devices, four orientations and two rooms."""
+    places = np.array([[x, y, MAP_HEIGHT] for y in MAP for x in MAP])
+    turns = Volume().poses(2, 1, 3).rotations[:4]
+    poses = Poses(np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1)))
+    found = [
+        judge(sensors, device, room_noise(sensors, levels_of(rig), room), window(rig), poses, Mismatch()).bound
+        for device in devices().values()
+        for room in range(2)
+    ]
+    squares = np.mean([b.position_rms**2 for b in found], axis=0).reshape(len(places), len(turns)).mean(axis=1)
+    drawn: FloatArray = 1e6 * np.sqrt(squares).reshape(len(MAP), len(MAP))
+    return drawn
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Both layouts, and the bound that each gives at 80 mm."""
+    from sim.studies.picture import OTHERS, slide, titled
+
+    figures, columns = outcome.figures, outcome.columns
+    before, after = figures["layouts"]["rig"], figures["layouts"]["found"]
+    less = [round(100 * (1 - after[key] / before[key])) for key in ("bound_um", "systematic_um")]
+    headline = f"Sensor places found by a search: {less[0]} % less noise, {less[1]} % less from sensors out of place"
+    subline = "Cramer-Rao bound, rms per axis, N = 2, |x|, |y| ≤ 20 mm, z 50 to 100 mm, moment across and along"
+    both = np.concatenate([columns["_map_rig"], columns["_map_found"]])
+    colors = dict(zip("xyz", (OTHERS[1], OTHERS[3], "#1d4e6b"), strict=True))
+    edge = 1e3 * float(MAP[-1])
+    with slide(path, headline, subline, 1, 2, wspace=0.3, left=0.06, right=0.9) as axes:
+        for panel, (name, title) in zip(axes, (("rig", "rig file"), ("found", "found")), strict=True):
+            image = panel.imshow(
+                columns[f"_map_{name}"], origin="lower", extent=(-edge, edge, -edge, edge), cmap="YlGnBu",
+                vmin=both.min(), vmax=both.max(), interpolation="bilinear", zorder=1,
+            )  # fmt: skip
+            style: dict[str, Any] = {"color": "white", "ha": "center", "va": "center", "fontweight": "bold", "zorder": 4}
+            for place, axis in zip(1e3 * columns[f"_places_{name}"], columns[f"_axes_{name}"], strict=True):
+                letter = "xyz"[int(np.argmax(np.abs(axis)))]
+                panel.plot(place[0], place[1], "o", ms=19, color=colors[letter], mec="white", mew=1.5, zorder=3)
+                panel.text(place[0], place[1], letter, **style)
+            one = figures["layouts"][name]
+            text = f"{title}: noise {one['bound_um']:.0f} µm, sensors off {one['systematic_um']:.0f} µm"
+            titled(panel, text, "x in mm", "y in mm")
+            panel.set(xlim=(-80, 80), ylim=(-80, 80), aspect="equal")
+        bar = axes[1].inset_axes((1.06, 0.0, 0.04, 1.0))
+        axes[1].figure.colorbar(image, cax=bar, label="bound at z = 80 mm, in µm")
+
+
+STUDY = Study(
+    name="layout",
+    title="Sensor layout: the bound over a volume, N = 2",
+    devices=devices,
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={
+        "volume_mm": [[1e3 * v for v in Volume().low], [1e3 * v for v in Volume().high]],
+        "half_periods": HALF_PERIODS, "rooms": ROOMS, "weight": WEIGHT, "axes": AXES.tolist(),
+        "square_mm": 150.0, "apart_mm": 10.0,
+    },
+)  # fmt: skip
