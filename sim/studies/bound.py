@@ -35,8 +35,9 @@ from sim.studies.cramer_rao import bound, position_bound
 
 HALF_PERIODS = (1, 2, 6, 20)
 CHUNK = 500
-PHASES = 24
-"""Phases of the oscillation, between 0 and pi, at which the bound is computed; poses take it from between them."""
+PHASES = {1: 24, 2: 12}
+"""Phases of the oscillation, between 0 and pi, at which the bound is computed; poses take it from between them. Long
+windows hardly know the phase: 4 do."""
 
 
 def work(chunk: Chunk) -> Columns:
@@ -47,7 +48,8 @@ def work(chunk: Chunk) -> Columns:
     rng = rng_of(chunk)
     rows: list[dict[str, Any]] = []
     for half_periods in HALF_PERIODS:
-        grid = np.pi * np.arange(PHASES + 1) / PHASES
+        count = PHASES.get(half_periods, 4)
+        grid = np.pi * np.arange(count + 1) / count
         bounds = [position_bound(bound(bench, position, orientation, half_periods, p)) for p in grid[:-1]]
         for _ in range(chunk["poses"]):
             recording = bench.record(position, orientation, half_periods)

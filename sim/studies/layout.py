@@ -82,8 +82,7 @@ def layout_of(sensors: SensorArray) -> Layout | None:
     axes = np.argmax(np.abs(sensors.axes), axis=1)
     straight = bool(np.abs(sensors.axes[np.arange(len(axes)), axes]).min() > 1.0 - 1e-6)
     flat = bool(np.abs(sensors.positions[:, 2]).max() < 1e-6)
-    found = Layout(np.array(sensors.positions[:, :2]), axes)
-    return found if straight and flat and found.allowed() else None
+    return Layout(np.array(sensors.positions[:, :2]), axes) if straight and flat else None
 
 
 def chunks(options: Options) -> list[Chunk]:
@@ -223,7 +222,13 @@ def draw(outcome: Outcome, path: Path) -> None:
                 columns[f"_map_{name}"], origin="lower", extent=(-edge, edge, -edge, edge), cmap="YlGnBu",
                 vmin=both.min(), vmax=both.max(), interpolation="bilinear", zorder=1,
             )  # fmt: skip
-            style: dict[str, Any] = {"color": "white", "ha": "center", "va": "center", "fontweight": "bold", "zorder": 4}
+            style: dict[str, Any] = {
+                "color": "white",
+                "ha": "center",
+                "va": "center",
+                "fontweight": "bold",
+                "zorder": 4,
+            }
             for place, axis in zip(1e3 * columns[f"_places_{name}"], columns[f"_axes_{name}"], strict=True):
                 letter = "xyz"[int(np.argmax(np.abs(axis)))]
                 panel.plot(place[0], place[1], "o", ms=19, color=colors[letter], mec="white", mew=1.5, zorder=3)

@@ -93,12 +93,13 @@ def pose_bound(
     trend : int
         Degree of the polynomial that is free in every channel: 0 for a constant, 1 for a constant and a slope.
     block : float, in s
-        Samples are averaged over blocks of at most this length.
+        Samples are averaged over blocks of at most this length: by default the estimator's, which cost up to 3 %
+        against far shorter ones.
 
     Raises
     ------
     InputError
-        If the window holds too few blocks for the unknowns.
+        If the window holds too few blocks for the unknowns, or blocks are too short for the noise model.
     """
     return Response(sensors, device, noise, window, amplitude=amplitude, trend=trend, block=block).bound(
         positions, rotations
@@ -134,7 +135,7 @@ class Response:
         kept = free[:, trend + 1 :]  # what the free polynomials leave
         n = len(sensors)
         middle = np.einsum("ta,itju,ub->iajb", kept, covariance.reshape(n, n_blocks, n, n_blocks), kept, optimize=True)
-        whiten = np.linalg.inv(np.linalg.cholesky(middle.reshape(n * kept.shape[1], -1)))
+        whiten = _inverse_factor(middle.reshape(n * kept.shape[1], -1), noise, size / window.sample_rate)
         self._whiten = np.einsum("mja,ta->mjt", whiten.reshape(len(whiten), n, -1), kept, optimize=True)
         self._basis = time_functions.time_basis(device, chain, window.sample_rate, window.since, sensors.bandwidth)
 
@@ -201,6 +202,18 @@ def channel_series(
             time_functions.power_matrix(), places[i], np.ascontiguousarray(turns[i]), values[i], slopes[i],
         )  # fmt: skip
     return values, slopes
+
+
+def _inverse_factor(covariance: FloatArray, noise: NoiseModel, block: float) -> FloatArray:
+    """Inverse Cholesky factor."""
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"Blocks of {block * 1e3:.3f} ms reach beyond the {noise.frequencies[-1]:.0f} Hz that the noise model "
+            "describes; give longer blocks, or a model that goes further."
+        ) from None
+    return np.asarray(np.linalg.inv(factor), dtype=np.float64)
 
 
 def _inverse(information: FloatArray) -> FloatArray:

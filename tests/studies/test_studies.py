@@ -189,6 +189,7 @@ def test_rates_are_those_of_the_timeline():
 
 def test_damping_costs_precision_and_the_trend_says_so(monkeypatch):
     monkeypatch.setattr(damping, "DAMPINGS", (0.0, 40.0))
+    monkeypatch.setattr(damping, "HALF_PERIODS", (2,))
     options = small("damping", poses=16, estimators=("whitened",))
     outcome = damping.conclude(options, run_chunks(damping.chunks(options)))
     assert all(trend["slope_um_s"] > 0 for trend in outcome.figures["trends"])

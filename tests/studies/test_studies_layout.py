@@ -1,0 +1,125 @@
+"""Layouts: the search's arithmetic is the bound's, errors of sensors are what fits of them give, results hold."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.studies import layout as study
+from sim.studies.common import Options, rig_named
+from sim.studies.layout_search import BLOCK, Judge, Layout, Search
+from sim.studies.layout_value import Mismatch, Poses, Volume, judge, levels_of, room_noise
+from smolbot.localization.bounds import pose_bound
+from smolbot.localization.problem import Problem
+from smolbot.localization.whitening import whitened_model
+from smolbot.rigfile import load_rig
+from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+
+RIG = load_rig("tank")
+LEVELS = levels_of(RIG)
+DEVICES = tuple(study.devices().values())
+WINDOW = study.window(RIG)
+POSES = Volume().poses(2, 1, 0)
+
+
+def judge_of(weight: float, draws: int = 2) -> Judge:
+    return Judge(DEVICES, LEVELS, WINDOW, POSES, RIG.sensors.bandwidth, Mismatch(), weight, draws)
+
+
+def start() -> Layout:
+    found = study.layout_of(RIG.sensors)
+    assert found is not None
+    return found
+
+
+def test_score_of_the_search_is_the_bound():
+    layout = start()
+    judged = judge_of(0.0)
+    score = judged.score(layout, judged.shares(layout))
+    squares = []
+    for device in DEVICES:
+        for room in range(2):
+            noise = room_noise(RIG.sensors, LEVELS, room, 2500.0)
+            bound = pose_bound(RIG.sensors, device, noise, POSES.positions, POSES.rotations, WINDOW, block=BLOCK)
+            squares.append(bound.position_rms**2)
+    assert score == pytest.approx(np.sqrt(np.mean(squares)), rel=0.03)  # two phases instead of four
+
+
+def test_score_counts_sensors_out_of_place_as_the_judgement_does():
+    layout = start()
+    with_errors, without = (judge_of(w, 1) for w in (1.0, 0.0))
+    squares = with_errors.score(layout, with_errors.shares(layout)) ** 2
+    squares -= without.score(layout, without.shares(layout)) ** 2
+    noise = room_noise(RIG.sensors, LEVELS, 0)
+    expected = np.mean([judge(RIG.sensors, d, noise, WINDOW, POSES, Mismatch()).systematic_rms ** 2 for d in DEVICES])
+    assert np.sqrt(squares) == pytest.approx(np.sqrt(expected), rel=0.1)
+
+
+def test_sensors_out_of_place_do_to_a_fit_what_was_expected():
+    """Noiseless data of sensors moved, turned and scaled at random, fitted by the whitened estimator."""
+    sensors, mismatch = RIG.sensors, Mismatch(0.05e-3, 0.00125, np.radians(0.075))
+    device = replace(DEVICES[0], amplitude=DEVICES[0].theta_max, amplitude_std=100.0)
+    noise = room_noise(sensors, LEVELS, 0)
+    position, rotation = np.array([0.0, 0.0, 0.07]), matrix_from_quaternion(np.array([0.5, 0.5, -0.5, 0.5]))
+    n = WINDOW.n_samples(device.frequency)
+    model = whitened_model(sensors, device, noise, np.ones(10, dtype=bool).tobytes(), n, WINDOW.sample_rate, 0.02)
+    rng, errors = np.random.default_rng(3), []
+    for _ in range(150):
+        phase = float(rng.uniform(0, np.pi))
+        tilts = mismatch.tilt * rng.standard_normal((10, 3))
+        axes = [matrix_from_quaternion(quaternion_from_rotation_vector(t)) @ a
+                for t, a in zip(tilts, sensors.axes, strict=True)]  # fmt: skip
+        gains = 1.0 + mismatch.gain * rng.standard_normal((10, 1))
+        moved = model.positions + mismatch.place * rng.standard_normal((10, 3))
+        true = replace(model, positions=moved, axes=np.array(axes) * gains)
+        size = device.theta_max / np.radians(30.0)
+        data = true.response(position, rotation, phase, size)[0]
+        errors.append(Problem(model, data).fit(position, rotation, phase, size).position - position)
+    expected = judge(sensors, device, noise, WINDOW, Poses(position[None], rotation[None]), mismatch).systematic_rms[0]
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(expected, rel=0.2)
+
+
+def test_a_search_only_improves_and_keeps_the_rules():
+    judged = judge_of(0.1, 1)
+    search = Search(judged, judged.best_of_random(10, 2, np.random.default_rng(1)), np.random.default_rng(0))
+    scores = [search.score]
+    for _ in range(30):
+        search.step()
+        scores.append(search.score)
+        assert search.layout.allowed()
+    assert np.all(np.diff(scores) <= 0)
+    assert scores[-1] < scores[0]
+    np.testing.assert_allclose(search.layout.places, np.round(search.layout.places, 3))
+
+
+@pytest.mark.parametrize(
+    ("places", "axes"),
+    [([[0, 0], [0.005, 0]], [0, 2]), ([[0, 0], [0.08, 0]], [0, 2]), ([[0, 0], [0.03, 0]], [2, 2])],
+    ids=["too close", "outside", "one axis"],
+)
+def test_layouts_that_break_a_rule_are_not_allowed(places, axes):
+    assert not Layout(np.array(places, dtype=float), np.array(axes)).allowed()
+
+
+def test_toml_is_read_back_as_the_same_layout():
+    layout = start()
+    read = tomllib.loads(study.as_toml(layout))
+    found = {(*place[:2], axis) for place, axis in zip(read["positions_mm"], read["axes"], strict=True)}
+    assert found == {(*np.round(1e3 * p), "xyz"[a]) for p, a in zip(layout.places, layout.axes, strict=True)}
+
+
+def test_study_reports_both_layouts_and_draws_them(tmp_path):
+    options = Options("layout", seed=3, jobs=1, poses=1)
+    chunk = study.chunks(options)[0]
+    short = replace(chunk, arguments={**chunk.arguments, "patience": 3})
+    outcome = study.conclude(options, [short.work(short)])
+    layouts = outcome.figures["layouts"]
+    assert set(layouts) == {"rig", "found"}
+    assert 50 < layouts["rig"]["bound_um"] < 500
+    assert 0.5 < layouts["rig"]["correlation"] < 1.0
+    assert len(outcome.figures["found"]["axes"]) == len(rig_named("tank").sensors)
+    study.draw(outcome, tmp_path / "layout.png")
+    assert (tmp_path / "layout.png").stat().st_size > 10_000
