@@ -30,7 +30,7 @@ from smolbot.worlds import Rig
 Status = Literal["completed", "stopped", "lost", "timeout", "failed"]
 
 
-RESONANCE_EVERY = 3
+RESONANCE_EVERY = 5
 """Cycles between two looks at the resonance, which changes slowly."""
 
 

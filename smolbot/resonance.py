@@ -12,13 +12,13 @@ from smolbot.sensing import Device
 START = np.array([0.3, 3.0])
 """How far frequency (Hz) and damping (1/s) may be off at the start."""
 
-WANDER = np.array([0.02, 0.3])
+WANDER = np.array([0.01, 0.15])
 """How far they may change in the square root of a second: temperature, liquid, fields."""
 
 FLOOR = np.array([0.05, 0.5])
 """What a model that is slightly off leaves in every single estimate."""
 
-WORTHWHILE = np.array([0.04, 0.03])
+WORTHWHILE = np.array([0.08, 0.06])
 """Change of frequency (Hz) and relative change of damping from which a new device is worth its making."""
 
 SURE = 4.0

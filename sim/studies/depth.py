@@ -156,26 +156,27 @@ def draw(outcome: Outcome, path: Path) -> None:
                 known = [d for d in line if math.isfinite(d["z_max_mm"])]
                 if known:
                     last = known[-1]
-                    name_line(left, last["size_mm"], last["z_max_mm"], f"{case},\n{estimator}", color, fontsize=10)
+                    shift = (6, 12 if (case, estimator) == ("characterised", name) else -8)
+                    name_line(left, last["size_mm"], last["z_max_mm"], f"{case},\n{estimator}", color, fontsize=10,
+                              xytext=shift)  # fmt: skip
         left.set_xlim(right=2.75)
         left.plot([EDGE_MM] * 2, [112.5, 156], "D", color="#777777", ms=8, mfc="white", mew=2, zorder=5)
-        left.annotate("the paper: 110 to\n115 and 156 mm", (EDGE_MM, 156.0), xytext=(-14, 34), color="#777777",
-                      textcoords="offset points", fontsize=10, ha="right")  # fmt: skip
+        left.plot([], [], "D", color="#777777", ms=8, mfc="white", mew=2, label="the paper: 110 to 115, and 156 mm")
+        left.legend(frameon=False, loc="upper left", labelcolor="#777777")
         titled(left, "Depth with sigma below 1 mm, in mm", "edge a of the cubic magnet in mm")
         for case in CASES:
             line = [c for c in cases if c["case"] == case and c["size_mm"] == EDGE_MM and c["estimator"] == name]
             x = [c["height_mm"] for c in line]
             right.plot(x, [c["bound_mm"] for c in line], color=BOUND, lw=8, solid_capstyle="round", zorder=1)
             right.plot(x, [c["sigma_xyz_mm"] for c in line], "o-", color=shade[case], lw=2)
-            name_line(
-                right, x[2], line[2]["sigma_xyz_mm"], f"{case}, N = {CASES[case][1]}", shade[case], xytext=(10, -8)
-            )
+            shift_by: dict[str, Any] = {"xytext": (10, -8)}
+            if case == "characterised":
+                shift_by = {"xytext": (-10, 8), "ha": "right"}
+            name_line(right, x[3], line[3]["sigma_xyz_mm"], f"{case}, N = {CASES[case][1]}", shade[case], **shift_by)
         right.set_yscale("log")
         right.set_yticks([0.05, 0.1, 0.2, 0.5, 1, 2, 5], ["0.05", "0.1", "0.2", "0.5", "1", "2", "5"])
         limit_line(right, 1.0, "1 mm")
-        titled(
-            right, "Standard deviation for the paper's magnet, in mm (grey: bound)", "height above the sensors in mm"
-        )
+        titled(right, "Sigma for the paper's magnet, in mm (grey: bound)", "height above the sensors in mm")
 
 
 STUDY = Study(

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.static_bench import StaticBench
 from sim.studies.common import Columns, position_errors, prior_near, reference_orientation, rms
-from sim.studies.cramer_rao import bound, position_bound
+from sim.studies.cramer_rao import bound
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.statistics import standard_deviation
 
@@ -39,11 +39,11 @@ def scatter_rows(
 
 
 def mean_bound(bench: StaticBench, height: float, half_periods: int) -> float:
-    """Cramer-Rao bound in mm at (0, 0, `height` m), rms over axes and phases."""
+    """Cramer-Rao bound in mm at (0, 0, `height` m) of what `scatter_of` calls sigma_xyz: mean of the three axes."""
     position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
     phases = np.pi * np.arange(PHASES) / PHASES
-    values = [position_bound(bound(bench, position, orientation, half_periods, float(p))) for p in phases]
-    return 1e3 * float(np.sqrt(np.mean(np.square(values))))
+    covariance = np.mean([bound(bench, position, orientation, half_periods, float(p)) for p in phases], axis=0)
+    return 1e3 * float(np.mean(np.sqrt(np.diag(covariance)[:3])))
 
 
 def scatter_of(columns: Columns) -> dict[str, Any]:

@@ -136,7 +136,7 @@ def prepare_whitened(
             f"The recording lasts {recording.duration * 1e3:.2f} ms; a half-period of {device.frequency:g} Hz lasts "
             f"{500.0 / device.frequency:.2f} ms, and at least one is needed."
         )
-    since = recording.time_since_drive
+    since = round(recording.time_since_drive, 8)  # 10 ns: rounding of a clock makes no new kind of recording
     heard = tuple(tau for tau in transients if since < AUDIBLE * tau)
     model = whitened_model(
         sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, since, trend, heard
