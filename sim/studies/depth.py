@@ -169,10 +169,11 @@ def draw(outcome: Outcome, path: Path) -> None:
             x = [c["height_mm"] for c in line]
             right.plot(x, [c["bound_mm"] for c in line], color=BOUND, lw=8, solid_capstyle="round", zorder=1)
             right.plot(x, [c["sigma_xyz_mm"] for c in line], "o-", color=shade[case], lw=2)
+            at = 6 if case == "characterised" else 3
             shift_by: dict[str, Any] = {"xytext": (10, -8)}
             if case == "characterised":
                 shift_by = {"xytext": (-10, 8), "ha": "right"}
-            name_line(right, x[3], line[3]["sigma_xyz_mm"], f"{case}, N = {CASES[case][1]}", shade[case], **shift_by)
+            name_line(right, x[at], line[at]["sigma_xyz_mm"], f"{case}, N = {CASES[case][1]}", shade[case], **shift_by)
         right.set_yscale("log")
         right.set_yticks([0.05, 0.1, 0.2, 0.5, 1, 2, 5], ["0.05", "0.1", "0.2", "0.5", "1", "2", "5"])
         limit_line(right, 1.0, "1 mm")
