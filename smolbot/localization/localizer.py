@@ -29,8 +29,12 @@ MIN_R_SQUARED = 0.7
 MIN_AMPLITUDE = 0.05
 """Share of the stop below which a swing is no better than the mains line next to it."""
 
-TRENDS = (0, 1)
-"""Degrees of the polynomial that is free in every channel of a segment, the next one where the last leaves too much."""
+TREND_FROM = (6.0, 10.0)
+"""Half-periods from which a slope, and a slope and a curve, are left free in every channel: each costs at most 1.5 %
+of the bound there. Tools that move past, or a device that moves, make them; a constant alone would not do."""
+
+LEAST_TREND = 1
+"""Degree up to which a short window is freed where it would else not be understood."""
 
 MISFIT = 3.0
 """Variance of whitened residuals above which something else than noise is heard."""
@@ -64,6 +68,11 @@ class Swing:
     _problem: Problem
     _fit: Fit
     _variance: float
+
+    @property
+    def misfit(self) -> float:
+        """Variance of the residuals: of whitened data about 1 where noise is all that is left."""
+        return self._fit.sse / max(self._problem.data.size - 8, 1)
 
     def resonance(self) -> tuple[FloatArray, FloatArray]:
         """By how much frequency (Hz) and damping (1/s) seem to be off, shape (2,), and their covariance (2, 2)."""
@@ -153,12 +162,26 @@ class Localizer:
 
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, Swing]:
         """`locate`, and what was learned of the oscillation along with the pose."""
-        problem = self.prepare(recording)
+        first = self.free_trend(recording)
+        pose, swing = self._locate_with(recording, prior, first)
+        if self.estimator == "whitened" and first < LEAST_TREND and swing.misfit > MISFIT:
+            other = self._locate_with(recording, prior, first + 1)
+            if other[1].misfit < 0.5 * swing.misfit:
+                return other
+        return pose, swing
+
+    def _locate_with(self, recording: Recording, prior: Pose | None, trend: int) -> tuple[Pose, Swing]:
+        problem = self.prepare(recording, trend)
         if prior is None:
             found = best_fits(problem, self.volume)
         else:
             found = self._from_prior(problem, np.asarray(prior.position), prior.rotation)
         return self._pose(problem, found, recording, prior)
+
+    def free_trend(self, recording: Recording) -> int:
+        """Degree of the polynomial that is left free in every channel: as high as costs next to nothing."""
+        half_periods = 2.0 * self.device.frequency * recording.duration
+        return int(np.searchsorted(TREND_FROM, half_periods + 0.01)) if self.estimator == "whitened" else 0
 
     def locate_segments(self, recording: Recording, half_periods: int) -> tuple[Pose, ...]:
         """Poses of consecutive segments of `half_periods` each (superfast mode); the rest is left out.
@@ -188,7 +211,8 @@ class Localizer:
         anchored, share = anchor(self.device, segment.time_since_drive, ringing)
         heard = replace(segment, time_since_drive=anchored)
         outcomes: list[tuple[float, Pose, Swing]] = []
-        for trend in TRENDS if self.estimator == "whitened" else (0,):
+        lowest = self.free_trend(segment)
+        for trend in range(lowest, max(lowest, LEAST_TREND if self.estimator == "whitened" else 0) + 1):
             problem = self.prepare(heard, trend)
             problem = Problem(replace(problem.model, device=shared.scaled(self.device, share)), problem.data)
             if prior is None:
@@ -197,9 +221,8 @@ class Localizer:
                 phase, amplitude = problem.phase_and_amplitude(prior.position, prior.rotation)
                 found = [problem.fit(prior.position, prior.rotation, phase, amplitude)]
             pose, swing = self._pose(problem, found, segment, prior, steady=True)
-            misfit = (1.0 - pose.r_squared) * problem.total_sum_of_squares / max(problem.data.size - 8, 1)
-            outcomes.append((misfit, pose, swing))
-            if misfit < MISFIT:
+            outcomes.append((swing.misfit, pose, swing))
+            if swing.misfit < MISFIT:
                 break
         best = outcomes[-1] if outcomes[-1][0] < 0.5 * outcomes[0][0] else outcomes[0]
         return best[1], best[2], share
