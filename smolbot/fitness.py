@@ -10,17 +10,21 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.config import Fault
 from smolbot.errors import ConfigError
+from smolbot.localization.bounds import Window, pose_bound
 from smolbot.localization.chain import WINDOW
-from smolbot.localization.expected import NoiseLevels, expected_covariance
+from smolbot.localization.expected import expected_covariance
+from smolbot.localization.levels import NoiseLevels
+from smolbot.localization.problem import MIN_OUTPUTS
 from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes
+from smolbot.rigfile import RigConfig
+from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.shots import Excite, Listen, RingDown, Shot
 
 if TYPE_CHECKING:
     from smolbot.missionfile import Mission
 
-LEAST_DIFFERENCES = 6
-"""Fewest same-axis differences that can hold the eight unknowns of a fit over a few samples."""
+ROOMS = 3
+"""Drawn directions of the mains that an expected error is averaged over."""
 
 
 def fitness_faults(mission: Mission) -> list[Fault]:
@@ -90,8 +94,8 @@ def _sensor_faults(mission: Mission) -> list[Fault]:
     parallel = np.abs(axes @ axes.T) > np.cos(np.radians(2.0))
     differences = int(np.sum(np.tril(parallel, -1).any(axis=1)))  # each with an earlier sensor of its direction
     faults = []
-    if differences < LEAST_DIFFERENCES:
-        message = f"its {len(axes)} sensors form {differences} same-axis differences; a pose needs {LEAST_DIFFERENCES}."
+    if differences < MIN_OUTPUTS:
+        message = f"its {len(axes)} sensors form {differences} same-axis differences; a pose needs {MIN_OUTPUTS}."
         faults.append(Fault(("rig",), message))
     least = 2.0 * frequency * WINDOW
     if mission.rig.sample_rate < least:
@@ -113,16 +117,10 @@ def _tolerance_faults(mission: Mission) -> list[Fault]:
     return [Fault(("controller", "tolerance_mm"), message)]
 
 
-def expected_error(mission: Mission, places: int = 5) -> float:
-    """Horizontal rms error of one pose, in m, the worst of some places along the path."""
-    return float(np.max(expected_errors(mission, np.linspace(0.0, mission.path.length, places))))
-
-
-def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
-    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path."""
-    rig, device = mission.rig, mission.robot.device
+def noise_levels(rig: RigConfig) -> NoiseLevels:
+    """What the rig's room is expected to sound like."""
     section = rig.sections.noise
-    noise = NoiseLevels(
+    return NoiseLevels(
         floor=section.floor_pt_per_rthz * 1e-12,
         at_1hz=section.at_1hz_pt_per_rthz * 1e-12,
         mains_frequency=section.mains_hz,
@@ -130,17 +128,54 @@ def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
         mains_gradient=section.mains_gradient_nt_per_m * 1e-9,
         harmonics={int(order): size for order, size in section.harmonics.items()},
     )
-    errors = []
-    for point, heading in zip(mission.path.at(arc), mission.path.tangent(arc), strict=True):
-        orientation = quaternion_from_axes(heading, np.array([0.0, 0.0, 1.0]), "zy")
-        covariance = expected_covariance(
+
+
+def expected_error(mission: Mission, places: int = 5) -> float:
+    """Horizontal rms error of one pose, in m, the worst of some places along the path."""
+    return float(np.max(expected_errors(mission, np.linspace(0.0, mission.path.length, places))))
+
+
+def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
+    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path.
+
+    Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned.
+    """
+    points = mission.path.at(arc)
+    up = np.array([0.0, 0.0, 1.0])
+    headings = [quaternion_from_axes(heading, up, "zy") for heading in mission.path.tangent(arc)]
+    find = _whitened if mission.sections.localization.estimator == "whitened" else _paper
+    covariances = find(mission, points, headings)
+    errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+    return errors
+
+
+def _whitened(mission: Mission, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+    """Covariances (n, 6, 6) of the whitened estimator."""
+    rig = mission.rig
+    window = Window(mission.cycle.half_periods, rig.sample_rate, mission.cycle.ring_down)
+    rotations = np.array([matrix_from_quaternion(q) for q in headings])
+    learned = mission.sections.localization.quiet_s > 0.0
+    rooms = [noise_levels(rig).room(rig.sensors, seed) for seed in range(ROOMS)] if learned else []
+    found = [
+        pose_bound(rig.sensors, mission.robot.device, noise, points, rotations, window).covariance[:, :6, :6]
+        for noise in rooms or [noise_levels(rig).model(rig.sensors)]
+    ]
+    return np.mean(found, axis=0)
+
+
+def _paper(mission: Mission, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+    """Covariances (n, 6, 6) of the paper's estimator."""
+    rig, cycle = mission.rig, mission.cycle
+    found = [
+        expected_covariance(
             rig.sensors,
-            device,
-            noise,
-            Pose(0.0, point, orientation, np.eye(6)),
-            mission.cycle.half_periods,
+            mission.robot.device,
+            noise_levels(rig),
+            Pose(0.0, point, heading, np.eye(6)),
+            cycle.half_periods,
             rig.sample_rate,
-            mission.cycle.ring_down,
+            cycle.ring_down,
         )
-        errors.append(np.sqrt(covariance[0, 0] + covariance[1, 1]))
-    return np.array(errors)
+        for point, heading in zip(points, headings, strict=True)
+    ]
+    return np.array(found)

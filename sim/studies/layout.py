@@ -19,8 +19,9 @@ from sim.studies.common import (
     rig_named,
 )
 from sim.studies.layout_search import Judge, Layout, Search
-from sim.studies.layout_value import AXES, Mismatch, Poses, Volume, judge, levels_of, room_noise
+from sim.studies.layout_value import AXES, Mismatch, Poses, Volume, judge
 from smolbot.arrays import FloatArray
+from smolbot.fitness import noise_levels
 from smolbot.localization.bounds import Window
 from smolbot.localization.expected import expected_covariance
 from smolbot.poses import Pose
@@ -63,7 +64,7 @@ def work(chunk: Chunk) -> Columns:
     rig = rig_named(chunk["rig"])
     poses = Volume().poses(3, 2, 0)
     judged = Judge(
-        tuple(devices().values()), levels_of(rig), window(rig), poses, rig.sensors.bandwidth, Mismatch(),
+        tuple(devices().values()), noise_levels(rig), window(rig), poses, rig.sensors.bandwidth, Mismatch(),
         chunk["weight"], ROOMS,
     )  # fmt: skip
     rng = np.random.default_rng(chunk.seed)
@@ -137,12 +138,12 @@ LABELS = {
 
 def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
     """Figures of one layout, over both devices and all rooms."""
-    levels, listened = levels_of(rig), window(rig)
+    levels, listened = noise_levels(rig), window(rig)
     center = Poses(np.array([[0.0, 0.0, MAP_HEIGHT]] * 8), Volume().poses(2, 1, 2).rotations)
     bound, reference, systematic, correlation, paper = [], [], [], [], []
     for device in devices().values():
         for room in range(ROOMS):
-            noise = room_noise(sensors, levels, FRESH + room)
+            noise = levels.room(sensors, FRESH + room)
             judged = judge(sensors, device, noise, listened, poses, Mismatch())
             bound.append(judged.bound.position_rms)
             systematic.append(judged.systematic_rms)
@@ -198,7 +199,7 @@ def bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
     turns = Volume().poses(2, 1, 3).rotations[:4]
     poses = Poses(np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1)))
     found = [
-        judge(sensors, device, room_noise(sensors, levels_of(rig), FRESH + room), window(rig), poses, Mismatch()).bound
+        judge(sensors, device, noise_levels(rig).room(sensors, FRESH + room), window(rig), poses, Mismatch()).bound
         for device in devices().values()
         for room in range(2)
     ]

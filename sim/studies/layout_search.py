@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sim.studies.layout_value import AXES, HALF_WIDTH, MIN_DISTANCE, Mismatch, Poses, drawn_lines, sideways
+from sim.studies.layout_value import AXES, HALF_WIDTH, MIN_DISTANCE, Mismatch, Poses, sideways
 from smolbot.arrays import FloatArray
 from smolbot.localization import basis as time_functions
 from smolbot.localization.bounds import Window, channel_series
-from smolbot.localization.expected import NoiseLevels
+from smolbot.localization.levels import NoiseLevels
 from smolbot.localization.whitening import blocks
 from smolbot.sensing import Device, SensorArray
 
@@ -173,7 +173,7 @@ class Judge:
         overlap = self._waves.T @ self._waves
         total = 0.0
         for draw in range(self.draws):
-            phasors = drawn_lines(sensors, self.levels, np.random.default_rng(draw))
+            phasors = self.levels.drawn_lines(sensors, np.random.default_rng(draw))
             mixers = [_mixer(phasors[:, j]) for j in range(len(sensors))]
             inside = np.linalg.inv(np.eye(len(overlap)) + sum(m @ overlap @ m.T for m in mixers))
             heard = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)

@@ -8,9 +8,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.localization.bounds import Bound, Response, Window, channel_series
-from smolbot.localization.expected import NoiseLevels
-from smolbot.localization.noise import ComplexArray, NoiseModel
-from smolbot.rigfile import RigConfig
+from smolbot.localization.noise import NoiseModel
 from smolbot.rotations import matrix_from_quaternion
 from smolbot.sensing import Device, SensorArray
 
@@ -30,19 +28,6 @@ class Mismatch:
     place: float = 0.2e-3
     gain: float = 0.005
     tilt: float = float(np.radians(0.3))
-
-
-def levels_of(rig: RigConfig) -> NoiseLevels:
-    """The noise that a rig file expects."""
-    section = rig.sections.noise
-    return NoiseLevels(
-        floor=section.floor_pt_per_rthz * 1e-12,
-        at_1hz=section.at_1hz_pt_per_rthz * 1e-12,
-        mains_frequency=section.mains_hz,
-        mains=section.mains_nt * 1e-9,
-        mains_gradient=section.mains_gradient_nt_per_m * 1e-9,
-        harmonics={int(order): size for order, size in section.harmonics.items()},
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,30 +110,6 @@ def _sensor_changes(
         tilted = channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0]
         parts.append(mismatch.tilt * tilted)
     return np.stack(parts, axis=-1)
-
-
-def drawn_lines(sensors: SensorArray, levels: NoiseLevels, rng: np.random.Generator) -> ComplexArray:
-    """Peak phasors (n_lines, n_sensors) of one room's mains: directions, gradients and phases drawn, sizes as given."""
-    orders = np.array([1, *levels.harmonics])
-    sizes = np.array([1.0, *levels.harmonics.values()])
-    out = np.empty((len(orders), len(sensors)), dtype=np.complex128)
-    for k, size in enumerate(sizes / (1.0 + 1j * orders * levels.mains_frequency / sensors.bandwidth)):
-        direction = rng.standard_normal(3)
-        direction *= levels.mains / np.linalg.norm(direction)
-        gradient = rng.standard_normal((3, 3))
-        gradient = gradient + gradient.T
-        gradient -= np.eye(3) * np.trace(gradient) / 3.0
-        gradient *= np.sqrt(3.0) * levels.mains_gradient / np.linalg.norm(gradient)
-        first, second = np.exp(2j * np.pi * rng.random(2))
-        field = first * direction + second * (sensors.positions @ gradient)
-        out[k] = size * np.einsum("ij,ij->i", sensors.axes, field)
-    return out
-
-
-def room_noise(sensors: SensorArray, levels: NoiseLevels, seed: int, top: float = 5000.0) -> NoiseModel:
-    """The noise of one drawn room, as an estimator knows it that has learned it well."""
-    lines = drawn_lines(sensors, levels, np.random.default_rng(seed))
-    return replace(levels.model(sensors, top), lines=lines[:, :, None] * lines[:, None, :].conj())
 
 
 def sideways(axes: FloatArray) -> tuple[FloatArray, FloatArray]:

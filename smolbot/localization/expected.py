@@ -2,61 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.localization import basis as time_functions
 from smolbot.localization.chain import Taps
-from smolbot.localization.noise import NoiseModel, field_covariance
+from smolbot.localization.levels import NoiseLevels
 from smolbot.localization.problem import paper_model
 from smolbot.poses import Pose
 from smolbot.sensing import Device, SensorArray
-
-
-@dataclass(frozen=True)
-class NoiseLevels:
-    """Magnetic noise as a few numbers. SI units.
-
-    Attributes
-    ----------
-    floor : float, in T/sqrt(Hz)
-        White part of each sensor.
-    at_1hz : float, in T/sqrt(Hz)
-        Sensor noise at 1 Hz; falls as 1/f in power to the floor.
-    mains_frequency : float, in Hz
-    mains : float, in T
-        Peak of the uniform part at the mains frequency.
-    mains_gradient : float, in T/m
-        Peak of its change per metre, root mean square over directions.
-    harmonics : mapping of int to float
-        Order, and size relative to the first.
-    """
-
-    floor: float
-    at_1hz: float
-    mains_frequency: float
-    mains: float
-    mains_gradient: float
-    harmonics: dict[int, float] = field(default_factory=dict)
-
-    def model(self, sensors: SensorArray, top: float = 5000.0) -> NoiseModel:
-        """The same as a `NoiseModel` up to `top` Hz, lines as likely from one direction as from another."""
-        orders = np.array([1, *self.harmonics])
-        sizes = np.array([1.0, *self.harmonics.values()])
-        frequencies = np.concatenate([[0.0], np.geomspace(1.0, top, 200)])
-        density = self.floor**2 + max(self.at_1hz**2 - self.floor**2, 0.0) / np.maximum(frequencies, 1.0)
-        lines = self.mains_frequency * orders
-        space = field_covariance(sensors, self.mains, self.mains_gradient).astype(np.complex128)
-        power = sizes**2 / (1.0 + (lines / sensors.bandwidth) ** 2)
-        return NoiseModel(
-            line_frequencies=lines,
-            lines=power[:, None, None] * space,
-            frequencies=frequencies,
-            spectrum=(density / (1.0 + (frequencies / sensors.bandwidth) ** 2))[:, None, None] * np.eye(len(sensors)),
-            block=0.0,
-        )
 
 
 def expected_covariance(

@@ -11,7 +11,8 @@ import pytest
 from sim.studies import layout as study
 from sim.studies.common import Options, rig_named
 from sim.studies.layout_search import BLOCK, Judge, Layout, Search
-from sim.studies.layout_value import Mismatch, Poses, Volume, judge, levels_of, room_noise
+from sim.studies.layout_value import Mismatch, Poses, Volume, judge
+from smolbot.fitness import noise_levels
 from smolbot.localization.bounds import pose_bound
 from smolbot.localization.problem import Problem
 from smolbot.localization.whitening import whitened_model
@@ -19,7 +20,7 @@ from smolbot.rigfile import load_rig
 from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
 RIG = load_rig("tank")
-LEVELS = levels_of(RIG)
+LEVELS = noise_levels(RIG)
 DEVICES = tuple(study.devices().values())
 WINDOW = study.window(RIG)
 POSES = Volume().poses(2, 1, 0)
@@ -42,7 +43,7 @@ def test_score_of_the_search_is_the_bound():
     squares = []
     for device in DEVICES:
         for room in range(2):
-            noise = room_noise(RIG.sensors, LEVELS, room, 2500.0)
+            noise = LEVELS.room(RIG.sensors, room, 2500.0)
             bound = pose_bound(RIG.sensors, device, noise, POSES.positions, POSES.rotations, WINDOW, block=BLOCK)
             squares.append(bound.position_rms**2)
     assert score == pytest.approx(np.sqrt(np.mean(squares)), rel=0.03)  # two phases instead of four
@@ -53,7 +54,7 @@ def test_score_counts_sensors_out_of_place_as_the_judgement_does():
     with_errors, without = (judge_of(w, 1) for w in (1.0, 0.0))
     squares = with_errors.score(layout, with_errors.shares(layout)) ** 2
     squares -= without.score(layout, without.shares(layout)) ** 2
-    noise = room_noise(RIG.sensors, LEVELS, 0)
+    noise = LEVELS.room(RIG.sensors, 0)
     expected = np.mean([judge(RIG.sensors, d, noise, WINDOW, POSES, Mismatch()).systematic_rms ** 2 for d in DEVICES])
     assert np.sqrt(squares) == pytest.approx(np.sqrt(expected), rel=0.1)
 
@@ -62,7 +63,7 @@ def test_sensors_out_of_place_do_to_a_fit_what_was_expected():
     """Noiseless data of sensors moved, turned and scaled at random, fitted by the whitened estimator."""
     sensors, mismatch = RIG.sensors, Mismatch(0.05e-3, 0.00125, np.radians(0.075))
     device = replace(DEVICES[0], amplitude=DEVICES[0].theta_max, amplitude_std=100.0)
-    noise = room_noise(sensors, LEVELS, 0)
+    noise = LEVELS.room(sensors, 0)
     position, rotation = np.array([0.0, 0.0, 0.07]), matrix_from_quaternion(np.array([0.5, 0.5, -0.5, 0.5]))
     n = WINDOW.n_samples(device.frequency)
     model = whitened_model(sensors, device, noise, np.ones(10, dtype=bool).tobytes(), n, WINDOW.sample_rate, 0.02)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from smolbot.localization.basis import REFERENCE_ANGLE
-from smolbot.localization.expected import NoiseLevels, expected_covariance
+from smolbot.localization.expected import expected_covariance
+from smolbot.localization.levels import NoiseLevels
 from smolbot.localization.problem import prepare_paper
 from smolbot.rotations import quaternion_from_matrix, rotation_error
 from smolbot.sensing import Recording

@@ -12,6 +12,7 @@ from smolbot.errors import InputError
 from smolbot.localization import kernels
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.localizer import Localizer
+from smolbot.localization.noise import NoiseModel
 from smolbot.localization.problem import prepare_paper
 from smolbot.poses import Pose
 from smolbot.rotations import (
@@ -65,7 +66,8 @@ def angle(pose: Pose, truth: Pose, *, along=False) -> float:
 @pytest.mark.parametrize(("place", "heading"), [((4, -6, 80), 35), ((-8, 5, 60), 160), ((0, 0, 70), -80)])
 def test_a_noise_free_pose_is_found_cold_and_warm(array, devices, pose_at, hear, name, place, heading, estimator):
     device, truth = devices[name], pose_at(place, heading)
-    recording, localizer = hear(array, device, truth), Localizer(array, device, estimator=estimator)
+    quiet_room = NoiseModel.assumed(array, mains=2e-9, mains_gradient=6e-9)
+    recording, localizer = hear(array, device, truth), Localizer(array, device, quiet_room, estimator)
     for found in (localizer.locate(recording), localizer.locate(recording, nearby(truth))):
         assert found.trusted
         assert at_the_truth(found, truth, estimator, within=5e-6)

@@ -7,8 +7,8 @@ import pytest
 
 from smolbot.errors import InputError
 from smolbot.localization.bounds import Window, pose_bound
-from smolbot.localization.expected import NoiseLevels
 from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.levels import NoiseLevels
 from smolbot.localization.whitening import whitened_model
 from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
 from smolbot.sensing import Device, SensorArray

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from smolbot.errors import InputError
-from smolbot.localization.expected import NoiseLevels
 from smolbot.localization.forward import deflection, envelope, sensor_field
+from smolbot.localization.levels import NoiseLevels
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.segments import GATE, SharedAmplitude, anchor, cut
 from smolbot.rotations import quaternion_from_axes, rotation_error
