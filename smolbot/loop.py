@@ -17,6 +17,7 @@ from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise import NoiseModel
 from smolbot.localization.transients import QUIET_AFTER, learn_time_constant
+from smolbot.noisewatch import NoiseWatch
 from smolbot.paths import Curve
 from smolbot.poses import Pose
 from smolbot.resonance import Resonance
@@ -30,8 +31,8 @@ from smolbot.worlds import Rig
 Status = Literal["completed", "stopped", "lost", "timeout", "failed"]
 
 
-RESONANCE_EVERY = 5
-"""Cycles between two looks at the resonance, which changes slowly."""
+LEARN_EVERY = 5
+"""Cycles between two looks at the resonance and the noise, which change slowly."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,7 @@ class Loop:
         self.quiet = quiet
         self.events: list[Event] = []
         self.resonance = Resonance(localizer.device)
+        self.noise_watch = NoiseWatch(len(localizer.sensors))
         self.listeners = listeners
         self._clock = clock
         self._begun = False
@@ -218,16 +220,16 @@ class Loop:
             except InputError:  # too few usable channels: a missed window, counted by the tracker
                 pose = swing = None
         tracked = self.tracker.update(shot, pose, swing)
-        if swing is not None and tracked is not None and tracked.trusted:
-            self._follow_resonance(tracked.time, swing)
+        if recording is not None and swing is not None and tracked is not None and tracked.trusted:
+            self._heard += 1
+            if self._heard % LEARN_EVERY == 0:
+                self._follow_resonance(tracked.time, swing)
+                self._refresh_noise(tracked.time, swing, recording)
         answer = self._command(shot)
         done = self._clock()
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard))
 
     def _follow_resonance(self, time: float, swing: Swing) -> None:
-        self._heard += 1
-        if self._heard % RESONANCE_EVERY:
-            return
         device = self.resonance.update(time, *swing.resonance())
         if device is None:
             return
@@ -236,6 +238,16 @@ class Loop:
         self.events.append(
             Event(time, "device retuned", {"frequency_hz": device.frequency, "damping_per_s": device.damping})
         )
+
+    def _refresh_noise(self, time: float, swing: Swing, recording: Recording) -> None:
+        """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
+        if self.localizer.estimator != "whitened":
+            return
+        ratios = self.noise_watch.update(*swing.energies(recording, self.localizer.noise))
+        if ratios is None:
+            return
+        self.localizer = self.localizer.with_noise(self.localizer.noise.rescaled(ratios))
+        self.events.append(Event(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]}))
 
     def _command(self, shot: Shot) -> Command:
         if self.tracker.pose is None:

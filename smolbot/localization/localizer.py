@@ -12,6 +12,7 @@ from smolbot.errors import InputError
 from smolbot.localization import kernels
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.cold_start import SearchVolume, best_fits
+from smolbot.localization.leftover import energies
 from smolbot.localization.noise import NoiseModel
 from smolbot.localization.problem import Fit, Problem, prepare_paper
 from smolbot.localization.segments import SharedAmplitude, anchor, cut
@@ -73,6 +74,10 @@ class Swing:
     def misfit(self) -> float:
         """Variance of the residuals: of whitened data about 1 where noise is all that is left."""
         return self._fit.sse / max(self._problem.data.size - 8, 1)
+
+    def energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
+        """What is left in each channel, and what `noise` foretells, each (n_sensors,) in units of the noise."""
+        return energies(self._problem.model, self._fit, recording, noise)
 
     def resonance(self) -> tuple[FloatArray, FloatArray]:
         """By how much frequency (Hz) and damping (1/s) seem to be off, shape (2,), and their covariance (2, 2)."""

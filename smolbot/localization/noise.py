@@ -7,7 +7,7 @@ smooth in frequency. Both are stationary, so together they give the covariance o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -124,6 +124,11 @@ class NoiseModel:
             spectrum=density[:, None, None] * np.eye(n, dtype=np.complex128),
             block=1.0 / BLOCK_RATE,
         )
+
+    def rescaled(self, ratios: FloatArray) -> NoiseModel:
+        """The same with the smooth part of each sensor `ratios` (n_sensors,) times as strong in power; lines stay."""
+        by = np.sqrt(np.asarray(ratios, dtype=np.float64))
+        return replace(self, spectrum=self.spectrum * np.outer(by, by))
 
     def save(self, path: str | Path) -> None:
         """Write to a ``.npz`` file."""

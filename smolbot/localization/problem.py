@@ -50,6 +50,10 @@ class LinearModel:
         The data vector's answer to each time function in each channel.
     slopes : ndarray, shape (2, n_out, n_functions, n_channels)
         Change of `matrix` per Hz of the resonance, and per 1/s of the damping.
+    functions : ndarray, shape (n_functions, n_taps)
+        The time functions themselves, as the chain gives them.
+    free : ndarray, shape (n_taps, n_free)
+        Courses that are free in every channel, and tell nothing of the device.
     separable : bool
         True where `mixing` acts on channels alone, for every tap alike.
     white : bool
@@ -64,6 +68,8 @@ class LinearModel:
     mixing: FloatArray
     matrix: FloatArray
     slopes: FloatArray
+    functions: FloatArray
+    free: FloatArray
     separable: bool
     white: bool
 
@@ -112,10 +118,10 @@ class LinearModel:
         fraction of the reference angle; derivatives for the rotation are for e in exp(e) R. `matrix`
         stands in for the model's own, such as one of its slopes.
         """
-        out = np.zeros(len(self.matrix))
-        jacobian = np.zeros((len(out), compiled.N_PARAMETERS))
         place = (np.ascontiguousarray(position, dtype=float), np.ascontiguousarray(rotation))
         first = self.matrix if matrix is None else matrix
+        out = np.zeros(len(first))
+        jacobian = np.zeros((len(out), compiled.N_PARAMETERS))
         _kernels.model(first, *self.constants[1:], *place, float(phase), float(amplitude), out, jacobian)
         return out, jacobian
 
@@ -151,6 +157,8 @@ def paper_model(
         mixing=mixing,
         matrix=through(functions),
         slopes=np.stack([through(change) for change in changes]),
+        functions=functions,
+        free=np.zeros((functions.shape[1], 0)),
         separable=True,
         white=False,
     )

@@ -75,7 +75,8 @@ def whitened_model(
     whiten = _whitener(noise, usable, n_blocks, size / sample_rate)
     polynomials = np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True)
     decays = decay_columns(since + (chain.first + 0.5 * size) / sample_rate, transients)
-    constants = np.linalg.qr(whiten @ np.kron(np.eye(n_channels), np.column_stack([polynomials, decays])))[0]
+    free = np.column_stack([polynomials, decays])
+    constants = np.linalg.qr(whiten @ np.kron(np.eye(n_channels), free))[0]
     functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, sensors.bandwidth)
     by_channel = whiten.reshape(-1, n_channels, n_blocks)
     answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
@@ -98,6 +99,8 @@ def whitened_model(
         mixing=np.ascontiguousarray(projection),
         matrix=np.ascontiguousarray(matrix),
         slopes=np.stack([_through(projection, change, n_channels) for change in changes]),
+        functions=functions,
+        free=free,
         separable=False,
         white=True,
     )

@@ -321,6 +321,22 @@ def test_pause_holds_the_robot_and_resume_lets_it_go_on(plain):
     assert modes[20] == "track"
 
 
+def test_a_sensor_that_becomes_noisy_on_the_way_is_found_and_weighed_less(fly_wrapped):
+    rng = np.random.default_rng(0)
+
+    def noisy(n, heard):
+        field = heard.field.copy()
+        field[5] += 4e-9 * rng.standard_normal(field.shape[1])
+        return replace(heard, field=field)
+
+    settings = {"path.points_mm": "[[-4.0, 0.0], [4.0, 0.0]]", "rig.tank.mismatch.scale": "0"}
+    run, _ = fly_wrapped(load_mission("line", settings=SHORT | settings), spoil=noisy)
+    ratios = [e.detail["power_ratios"] for e in run.events if e.what == "noise refreshed"]
+    assert run.status == "completed"
+    assert np.argmax(ratios[0]) == 5
+    assert ratios[0][5] > 3.0
+
+
 class RigContract:
     """What every rig promises. Inherit it and give ``rig``: an open one, with a robot in reach."""
 
