@@ -34,7 +34,9 @@ from smolbot.sensing import DampingModel, Device, Recording
 from smolbot.shots import Excite, Listen, RingDown, Shot
 
 if TYPE_CHECKING:
-    from smolbot.localization.ringdown import DeviceFit, Hum, RingDownFit
+    from smolbot.localization.devicefit import DeviceFit
+    from smolbot.localization.ringdown import RingDownFit
+    from smolbot.localization.thinning import Hum
     from smolbot.worlds import Rig
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
@@ -338,7 +340,7 @@ class _Calibrator:
         return measure(heard, self.rig.sensors, self.device, hum=self.hum, search=1.0, damping_model=model).damping
 
     def fit(self, heard: Recording, device: Device | None = None, *, known_time: bool = False) -> DeviceFit:
-        from smolbot.localization.ringdown import fit_device
+        from smolbot.localization.devicefit import fit_device
 
         return fit_device(
             heard, self.rig.sensors, device or self.device, self.position, self.orientation,

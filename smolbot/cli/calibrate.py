@@ -13,7 +13,7 @@ from smolbot.errors import InputError
 
 if TYPE_CHECKING:
     from smolbot.calibration import Calibration
-    from smolbot.localization.ringdown import Hum
+    from smolbot.localization.thinning import Hum
     from smolbot.rigfile import RigConfig
     from smolbot.robotfile import RobotConfig
 
@@ -104,7 +104,7 @@ def find_target(
 
 def expected_hum(rig: RigConfig) -> Hum:
     """Mains lines as the rig file expects them."""
-    from smolbot.localization.ringdown import Hum
+    from smolbot.localization.thinning import Hum
 
     noise = rig.sections.noise
     first = max(1e-9 * noise.mains_nt, 1e-10)

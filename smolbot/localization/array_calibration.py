@@ -16,7 +16,8 @@ import numpy as np
 
 from smolbot.arrays import FloatArray, frozen
 from smolbot.errors import InputError
-from smolbot.localization.ringdown import Hum, Thinned, power_coefficients, thin
+from smolbot.localization.devicefit import power_coefficients
+from smolbot.localization.thinning import Hum, Thinned, thin
 from smolbot.poses import Pose
 from smolbot.rotations import rotation_error
 from smolbot.sensing import Device, Recording, SensorArray

@@ -249,7 +249,10 @@ class Localizer:
     def _pose(
         self, problem: Problem, found: list[Fit], recording: Recording, prior: Pose | None, *, steady: bool = False
     ) -> tuple[Pose, Swing]:
-        """The best fit as a pose; `steady`: of twins that sound alike, the one that turned less since the prior."""
+        """The best fit as a pose; of twins that sound alike, the one that turned less since the prior.
+
+        A `steady` device is listened to again and again, so its turn about the moment need be known roughly only.
+        """
         best, flip_margin, odds = found[0], 1.0, np.inf
         along = self.device.along_cantilever
         variance = 1.0 if problem.model.white else best.sse / max(problem.data.size - 8, 1)
@@ -257,7 +260,7 @@ class Localizer:
             best, other = self._both_twins(problem, best)
             flip_margin = float(max(1.0, np.sqrt(other.sse / max(best.sse, 1e-300))))
             odds = (other.sse - best.sse) / variance
-            if steady and prior is not None and odds < MIN_ODDS and _turned(other, prior) < _turned(best, prior):
+            if prior is not None and odds < MIN_ODDS and _turned(other, prior) < _turned(best, prior):
                 best = other
         rivals = [f for f in found[1:] if not (along and _is_twin(f, best)) and not _same(f, best)]
         if rivals:

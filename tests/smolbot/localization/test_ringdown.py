@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from smolbot.errors import InputError
-from smolbot.localization.ringdown import Hum, fit_device, measure, thin
+from smolbot.localization.devicefit import fit_device
+from smolbot.localization.ringdown import measure
+from smolbot.localization.thinning import Hum, thin
 from smolbot.sensing import SensorArray
 
 RATE = 50_000.0
