@@ -137,7 +137,7 @@ def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
             f"{int(np.sum(~np.isfinite(samples.volts)))} of {samples.volts.size} are not."
         )
     full = FULL * min(section.range_ut * section.sensitivity_v_per_ut, section.adc_range_v)
-    field = samples.volts * (1e-6 / section.sensitivity_v_per_ut)
+    field = samples.volts * (1e-6 / section.sensitivity_v_per_ut) / rig.sensor_gains[:, None]
     recordings, notes = [], []
     for shot in range(n_shots):
         volts = samples.volts[shot]
