@@ -60,7 +60,7 @@ def calibrate_array(
 
     Without TRACK the rig's own stage visits places by itself; the simulated tank has one.
     """
-    from smolbot.cli.calibrate import expected_hum
+    from smolbot.cli.calibrate import check_writable, expected_hum
     from smolbot.cli.localize import find_device
     from smolbot.knowntrack import from_files, on_stage, ringing
     from smolbot.localization.array_calibration import calibrate_sensors
@@ -74,12 +74,13 @@ def calibrate_array(
     settings = {key.removeprefix("rig."): value for key, value in settings_from(set_).items()}
     config = load_rig(rig, settings or None)
     name, believed = find_device(robot, device)
+    path = out or Path(f"{config.name}_sensors.toml")
+    check_writable(path)
     shots = on_stage(config, believed, poses, seed, keep) if track is None else from_files(track, samples, config)
     used, known, left_out = ringing(shots, config, believed, expected_hum(config))
     found = calibrate_sensors(
         [s.recording for s in used], [s.pose for s in used], config.sensors, known, hum=expected_hum(config)
     )
-    path = out or Path(f"{config.name}_sensors.toml")
     better = found.held_out.better
     if better:
         write_sensors(path, sensors_file(found, config))
