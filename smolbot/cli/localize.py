@@ -146,7 +146,9 @@ def locate_all(
         used = _cut(recording, localizer.device.frequency, segments or half_periods or 1, half_periods)
         try:
             poses: Sequence[Pose] = (
-                (localizer.locate(used, prior),) if segments is None else localizer.locate_segments(used, segments)
+                (localizer.locate(used, prior),)
+                if segments is None
+                else localizer.locate_segments(used, segments, prior)
             )
         except InputError as error:
             faults.append(f"shot {number}: {error}")
