@@ -23,10 +23,10 @@ FAR = 5e-3
 
 
 def calibrate_array(
+    rig: Annotated[str, typer.Option("--rig", help="Rig whose sensors heard it, by name or path.")],
     track: Annotated[
-        Path | None, typer.Argument(help="Known track: .csv, a row per recording; see below.", metavar="[TRACK]")
+        Path | None, typer.Argument(help="Known track: .csv, a row per recording; see above.", metavar="TRACK")
     ] = None,
-    rig: Annotated[str, typer.Option("--rig", help="Rig whose sensors heard it, by name or path.")] = "tank",
     samples: Annotated[
         Path | None, typer.Option(help="Samples of all rows, a shot each, where the track has no column 'file'.")
     ] = None,

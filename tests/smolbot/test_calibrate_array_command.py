@@ -27,7 +27,7 @@ ACROSS = "x_mm,y_mm,z_mm,along_x,along_y,along_z,swing_x,swing_y,swing_z"
 
 def run(monkeypatch, capsys, *arguments):
     """Exit code and what was printed on standard output and standard error."""
-    monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate-array", *map(str, arguments)])
+    monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate-array", "--rig", "tank", *map(str, arguments)])
     with pytest.raises(SystemExit) as left:
         main()
     printed = capsys.readouterr()
@@ -42,8 +42,8 @@ def stage(tmp_path_factory):
         patch.chdir(folder)
         patch.setattr(
             sys, "argv",
-            ["smolbot", "calibrate-array", "--seed", str(SEED), "--poses", str(POSES), "--keep", "kept", "--json",
-             "--out", "sensors.toml"],
+            ["smolbot", "calibrate-array", "--rig", "tank", "--seed", str(SEED), "--poses", str(POSES), "--keep",
+             "kept", "--json", "--out", "sensors.toml"],
         )  # fmt: skip
         text: list[str] = []
         patch.setattr(sys.stdout, "write", text.append)
@@ -212,6 +212,17 @@ def test_bad_tracks_are_refused_with_line_and_column(tmp_path, monkeypatch, caps
     assert error.count("\n") == 1
     with pytest.raises(InputError, match=says):
         raise InputError(error)
+
+
+def test_an_array_that_stands_where_it_is_believed_to_is_left_alone(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "s.toml"
+    code, printed, _ = run(
+        monkeypatch, capsys, "--seed", 4, "--set", "rig.tank.mismatch.scale=0.0", "--out", out, "--json"
+    )
+    told = json.loads(printed)
+    assert (code, told["verdict"], told["sensors_file"], out.exists()) == (1, "failed", None, False)
+    spread = np.array(told["positions_mm"]["value"]) - 1e3 * load_rig("tank").sensors.positions
+    assert np.sqrt(np.mean((spread / np.array(told["positions_mm"]["std"])) ** 2)) < 1.8
 
 
 def test_a_track_that_is_longer_than_its_recordings_is_refused(stage, tmp_path, monkeypatch, capsys):
