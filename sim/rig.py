@@ -58,7 +58,7 @@ class TankRig:
         self._tank = Tank(rig, robot, settings, start, seed, gui=gui, ideal=ideal)
         self.witness: Witness | None = TankWitness(self._tank.history)
         self._excitation = NominalExcitation(rig)
-        self._rate = rig.sample_rate
+        self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
         self._turnaround = rig.turnaround
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
         self._last_drive: tuple[Excite, float] | None = None
@@ -127,5 +127,5 @@ class TankRig:
                 since = start - self._last_drive[1] if drive is not None and self._last_drive else math.inf
                 n = round(window.duration * self._rate)
                 field, saturated = self._tank.listen(start, n)
-                heard = Recording(field, self._rate, since, saturated, drive, start)
+                heard = Recording(field / self._gains, self._rate, since, saturated, drive, start)
         return heard

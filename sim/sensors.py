@@ -35,10 +35,12 @@ class TrueSensors:
         sensor_rng: np.random.Generator,
         constant_rng: np.random.Generator,
     ) -> None:
-        section, nominal = rig.sections.sensors, rig.sensors
+        section = rig.sections.sensors
+        nominal = section.array  # what was built, whatever a calibration says of it
         tilts = [matrix_from_quaternion(quaternion_from_rotation_vector(t)) for t in truth.sensor_tilts]
         self.positions = np.ascontiguousarray(nominal.positions + truth.sensor_places)
-        self.axes = np.einsum("nij,nj->ni", np.array(tilts), nominal.axes) * truth.sensor_gains[:, None]
+        self.axes = np.einsum("nij,nj->ni", np.array(tilts), nominal.axes)
+        self.axes *= (truth.sensor_gains * section.gain_of_each)[:, None]
         self.rate = section.sample_rate_hz
         self._tau = 1.0 / (2 * math.pi * nominal.bandwidth) if np.isfinite(nominal.bandwidth) else 0.0
         self.lead = LEAD_TIME_CONSTANTS * self._tau

@@ -95,6 +95,7 @@ class StaticBench:
         self.sensors: SensorArray = rig.sensors
         self.device = device
         self.rate = rig.sample_rate
+        self._gains = rig.sensor_gains[:, None]
         self.clock = 0.0
         self.last: Swing | None = None
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 1])))
@@ -222,7 +223,7 @@ class StaticBench:
         saturated: BoolArray = self.true_sensors.measure(field, clock)
         self.clock = clock + n / self.rate + float(self._rng.uniform(*GAP))
         drive = Excite((5.0, 5.0), self.device.frequency, DRIVE_CYCLES) if np.isfinite(since) else None
-        return Recording(field, self.rate, since, saturated, drive, clock)
+        return Recording(field / self._gains, self.rate, since, saturated, drive, clock)
 
     def _heard(self, disturbance: Disturbance, n: int) -> FloatArray:
         """A disturbing field along the true axes, after the sensors' low pass."""
@@ -257,6 +258,8 @@ def with_sensors(rig: RigConfig, positions: FloatArray, axes: FloatArray) -> Rig
     update = {
         "positions_mm": [tuple(1e3 * float(v) for v in row) for row in places],
         "axes": [tuple(float(v) for v in row) for row in directions],
+        "gains": None,
+        "calibrated": None,
     }
     section = rig.sections.sensors.model_copy(update=update)
     return RigConfig(rig.document, rig.sections.model_copy(update={"sensors": section}))

@@ -8,8 +8,10 @@ from smolbot.config import Document, Fault, validate
 
 if TYPE_CHECKING:
     from sim.rig import TankRig
+    from sim.stage import TankStage
     from smolbot.rigfile import RigConfig
     from smolbot.robotfile import RobotConfig
+    from smolbot.sensing import Device
 
 
 class TankWorld:
@@ -55,3 +57,10 @@ class TankWorld:
             raise rig.document.error(faults)
         place = np.asarray(start, dtype=np.float64)
         return TankRig(rig, robot, settings, place, seed, gui=gui, ideal=ideal)
+
+    @staticmethod
+    def stage(rig: RigConfig, device: Device, seed: int) -> TankStage:
+        """The sensors of the tank drawn from `seed`, with the device on a positioning stage instead of in liquid."""
+        from sim.stage import TankStage
+
+        return TankStage(rig, device, seed)

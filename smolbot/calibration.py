@@ -115,8 +115,8 @@ class Plan:
         for name in ("ring_down", "sweep_span"):
             if not 0 < getattr(self, name) < np.inf:
                 raise InputError(f"Calibration {name} must be positive; got {getattr(self, name)}.")
-        if self.height_std < 0:
-            raise InputError(f"Calibration height_std must not be negative, in m; got {self.height_std}.")
+        if not 0 <= self.height_std < np.inf:
+            raise InputError(f"Calibration height_std must be 0 or more, in m, and finite; got {self.height_std}.")
 
 
 @dataclass(frozen=True)
@@ -181,11 +181,17 @@ def calibrate(
     SignalLostError
         If no excitation direction makes the device ring loudly enough.
     InputError, InterlockError, RigError
-        For a height of no use; as the rig raises them.
+        For a height or a sweep of no use; as the rig raises them.
     """
     if not 0.005 < height < 1.0:
         raise InputError(f"height must be the known z of the device above the sensors, in m; got {height:g}.")
-    return _Calibrator(rig, device, height, plan or Plan(), hum, progress or (lambda _: None)).run()
+    plan = plan or Plan()
+    if plan.sweep_span >= 0.5 * device.frequency:
+        raise InputError(
+            f"Calibration sweep_span must be below half the believed frequency, {0.5 * device.frequency:g} Hz; "
+            f"got {plan.sweep_span:g}."
+        )
+    return _Calibrator(rig, device, height, plan, hum, progress or (lambda _: None)).run()
 
 
 class _Calibrator:

@@ -3,55 +3,32 @@
 from __future__ import annotations
 
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from smolbot.arrays import FloatArray
+from smolbot.arrays import FloatArray, frozen
 from smolbot.config import Document, Fault, FileModel
 from smolbot.errors import ConfigError
 from smolbot.library import find_file
 from smolbot.limits import Limits
 from smolbot.sensing import SensorArray
+from smolbot.sensorsfile import (
+    CalibratedSensors,
+    Direction,
+    NotNegative,
+    Positive,
+    SensorsSection,
+    Vector,
+    load_sensors,
+)
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable, FlatCoil, RoundCoil
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Vector = tuple[float, float, float]
 Range = tuple[float, float]
-
-
-def _points_somewhere(value: Vector) -> Vector:
-    if not any(value):
-        raise ValueError("must have a direction; got three zeros.")
-    return value
-
-
-Direction = Annotated[Vector, AfterValidator(_points_somewhere)]
-
-
-class SensorsSection(FileModel):
-    """Single-axis magnetometers and the converter behind them."""
-
-    positions_mm: Annotated[list[Vector], Field(min_length=1)]
-    axes: list[Literal["x", "y", "z"] | Direction]
-    sample_rate_hz: Positive = 50_000.0
-    bandwidth_hz: Positive = 1000.0
-    range_ut: Positive = 10.0
-    sensitivity_v_per_ut: Positive = 1.0
-    adc_bits: Annotated[int, Field(ge=8, le=32)] = 16
-    adc_range_v: Positive = 10.0
-
-    @model_validator(mode="after")
-    def _one_axis_each(self) -> SensorsSection:
-        if len(self.axes) != len(self.positions_mm):
-            raise ValueError(
-                f"{len(self.positions_mm)} positions_mm but {len(self.axes)} axes; each sensor needs both."
-            )
-        return self
 
 
 class CoilSection(FileModel):
@@ -206,11 +183,31 @@ class RigConfig:
         return tuple(coil.name for coil in self.sections.coils)
 
     @cached_property
+    def calibrated(self) -> CalibratedSensors:
+        """The array and its gains as they are believed: of the sensors file, if the rig file names one."""
+        section, path = self.sections.sensors, self.sensors_file
+        if path is None:
+            return CalibratedSensors(section.array, frozen(section.gain_of_each))
+        return load_sensors(path, self.name, section)
+
+    @property
+    def sensors_file(self) -> Path | None:
+        """The sensors file that the rig file names, beside it or from where we are."""
+        name = self.sections.sensors.calibrated
+        if name is None:
+            return None
+        beside = self.document.path.parent / name
+        return beside if beside.is_file() else Path(name)
+
+    @property
     def sensors(self) -> SensorArray:
         """The array as it is believed to stand."""
-        section = self.sections.sensors
-        axes = [np.eye(3)["xyz".index(a)] if isinstance(a, str) else np.array(a) for a in section.axes]
-        return SensorArray(np.array(section.positions_mm) * 1e-3, np.array(axes), section.bandwidth_hz)
+        return self.calibrated.array
+
+    @property
+    def sensor_gains(self) -> FloatArray:
+        """Believed gains relative to the sensitivity, shape (n_sensors,); a recording in T is divided by them."""
+        return self.calibrated.gains
 
     @property
     def sample_rate(self) -> float:
@@ -327,7 +324,10 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
     faults += _world_faults(document)
     if sections is None or faults:
         raise document.error(faults)
-    return RigConfig(document, sections)
+    config = RigConfig(document, sections)
+    if sections.sensors.calibrated is not None:
+        _ = config.calibrated  # its faults are told before anything opens
+    return config
 
 
 def _world_faults(document: Document) -> list[Fault]:

@@ -21,6 +21,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError, MissingFileError
 from smolbot.sensing import Recording
+from smolbot.soundness import check_units, unsound_channels
 
 if TYPE_CHECKING:
     from smolbot.rigfile import RigConfig
@@ -29,9 +30,6 @@ KEYS = ("volts", "sample_rate_hz", "time_since_drive_ms", "clock_s")
 """What a file of samples may hold; all but the last are needed."""
 
 SUFFIXES = (".npz", ".mat", ".h5", ".hdf5", ".csv")
-
-FULL = 0.999
-"""Share of the range beyond which a sample counts as saturated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +83,8 @@ def read_samples(path: str | Path, *, quiet: bool = False) -> Samples:
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: samples are read from {', '.join(SUFFIXES)}; got '{path.suffix or 'no suffix'}'.")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file of samples.")
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file.")
     suffix = path.suffix.lower()
@@ -119,13 +119,14 @@ def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
     Raises
     ------
     InputError
-        For another number of channels than the rig has sensors, or a sample that is not a number: says which.
+        For another number of channels than the rig has sensors, a sample that is not a number, or a file whose
+        values are too large or too small to be volts: says which.
     """
     section = rig.sections.sensors
     n_shots, n_channels, n = samples.volts.shape
     wanted = len(rig.sensors)
     if n_channels != wanted:
-        turned = " The array looks transposed: channels come before samples." if n == wanted else ""
+        turned = " The array looks transposed: channels come before samples." if wanted in (n, n_shots) else ""
         raise InputError(
             f"{samples.path}: volts has {n_channels} channels; rig '{rig.name}' has {wanted} sensors.{turned}"
         )
@@ -136,21 +137,20 @@ def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
             f"{samples.path}: {where} is {samples.volts[shot, channel, sample]}; every sample must be a number. "
             f"{int(np.sum(~np.isfinite(samples.volts)))} of {samples.volts.size} are not."
         )
-    full = FULL * min(section.range_ut * section.sensitivity_v_per_ut, section.adc_range_v)
-    field = samples.volts * (1e-6 / section.sensitivity_v_per_ut)
+    check_units(samples.path, samples.volts, rig)
+    field = samples.volts * (1e-6 / section.sensitivity_v_per_ut) / rig.sensor_gains[:, None]
     recordings, notes = [], []
     for shot in range(n_shots):
-        volts = samples.volts[shot]
-        saturated = np.max(np.abs(volts), axis=1) >= full
-        dead = ~saturated & (np.ptp(volts, axis=1) == 0.0)
+        unsound = unsound_channels(samples.volts[shot], samples.sample_rate, rig)
         said = []
-        for name, bad in (("saturated", saturated), ("dead (constant)", dead)):
+        for why, bad in unsound.items():
             if bad.any():
                 which = ", ".join(str(i) for i in np.flatnonzero(bad))
-                said.append(f"left out: {name} channel{'s' if bad.sum() > 1 else ''} {which}")
+                said.append(f"left out: {why} channel{'s' if bad.sum() > 1 else ''} {which}")
         recordings.append(
             Recording(
-                field[shot], samples.sample_rate, float(samples.time_since_drive[shot]), saturated | dead,
+                field[shot], samples.sample_rate, float(samples.time_since_drive[shot]),
+                np.any(list(unsound.values()), axis=0),
                 clock=float(samples.clock[shot]),
             )
         )  # fmt: skip
@@ -172,7 +172,9 @@ def _check_keys(path: Path, values: Mapping[str, Any], quiet: bool) -> None:
             "sample_rate_hz": "samples per second of each channel",
             "time_since_drive_ms": "from the end of the excitation to the first sample",
         }
-        header = f" Put it into a header line, such as '# {missing[0]} = 20'." if path.suffix.lower() == ".csv" else ""
+        spoken = [key for key in missing if key != "volts"]
+        header = f" Put it into a header line, such as '# {spoken[0]} = 20'." if spoken else ""
+        header = header if path.suffix.lower() == ".csv" else ""
         told = "; ".join(f"{key} ({how[key]})" for key in missing)
         raise InputError(f"{path}: missing {told}.{header}")
 
@@ -180,7 +182,7 @@ def _check_keys(path: Path, values: Mapping[str, Any], quiet: bool) -> None:
 def _numbers(path: Path, key: str, value: Any) -> FloatArray:
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in "iufb":
+        if array.dtype.kind not in "iuf":
             raise ValueError(f"they are of type {array.dtype}")
         return array.astype(np.float64)
     except (TypeError, ValueError) as error:
@@ -200,6 +202,8 @@ def _read_npz(path: Path) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as held:
             return {key: held[key] for key in held.files}
+    except EOFError as error:
+        raise InputError(f"{path}: cannot be read as .npz: the file is empty.") from error
     except (OSError, ValueError, zipfile.BadZipFile, AttributeError) as error:
         raise InputError(f"{path}: cannot be read as .npz: {error}.") from error
 
@@ -249,6 +253,10 @@ def _read_csv(path: Path) -> dict[str, Any]:
             if equals:
                 values[key.strip()] = _cell(path, number, key.strip(), text)
         elif line.strip():
+            if ";" in line and "," in line:
+                raise InputError(
+                    f"{path}:{number}: has both ',' and ';'. Write decimals with a point, 0.5 and not 0,5."
+                )
             cells = line.replace(";", ",").replace("\t", ",").split(",")
             if not rows and not named and not any(_is_number(c) for c in cells):
                 named = True

@@ -19,6 +19,13 @@ class Witness(Protocol):
         """True pose at `time` s on the rig's clock; only times already played can be asked."""
 
 
+class Stage(Protocol):
+    """A device in a holder, which is brought to known places over the sensors of a rig, driven and heard."""
+
+    def record(self, position: FloatArray, orientation: FloatArray, half_periods: int) -> Recording:
+        """What the sensors hear after a drive, with the holder at `position` (3,) m and `orientation` (4,)."""
+
+
 @runtime_checkable
 class Rig(Protocol):
     """A world that plays shots. The tank, the bench and the twin keep the same promise."""

@@ -52,6 +52,7 @@ def calibrate(
     rig_config, robot_config, start = find_target(target, robot, settings_from(set_))
     _check_height(z_mm, rig_config)
     path = out or Path(f"{robot_config.name}_device.toml")
+    check_writable(path)
     world = load_world(rig_config.world, rig_config.document)
     rig = world.open(rig_config, robot_config, start, seed)
     try:
@@ -66,6 +67,14 @@ def calibrate(
     write_device(path, config)
     _show(found, robot_config.name, rig_config.name, path, json)
     raise typer.Exit(0 if found.stops_reached else 1)
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a file that cannot be written before time is spent on what it shall hold."""
+    if path.is_dir():
+        raise InputError(f"--out {path}: is a folder; name a file.")
+    if not path.parent.is_dir():
+        raise InputError(f"--out {path}: there is no folder {path.parent}.")
 
 
 def find_target(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from smolbot.devicefile import DeviceConfig
     from smolbot.localization.localizer import Localizer
     from smolbot.poses import Pose
+    from smolbot.quietsamples import Quiet
     from smolbot.rigfile import RigConfig
     from smolbot.samplefile import Shots
     from smolbot.sensing import Device, Recording
@@ -65,17 +65,21 @@ def localize(
     name, known = find_device(robot, device)
     held = read_samples(samples)
     shots = recordings_from(held, rig_config)
-    localizer = make_localizer(rig_config, known, estimator, quiet)
-    rows = locate_all(localizer, shots, half_periods, superfast)
+    localizer, heard = make_localizer(rig_config, known, estimator, quiet, held.sample_rate)
+    try:
+        rows = locate_all(localizer, shots if heard is None else heard.taken_from(shots), half_periods, superfast)
+    except InputError as error:
+        raise InputError(f"{samples}: {error}") from error
     head = {
         "samples": str(samples), "rig": rig_config.name, "robot": name, "device": str(device) if device else None,
+        "quiet": None if heard is None else heard.told,
         "estimator": localizer.estimator, "shots": len(shots.recordings), "sample_rate_hz": held.sample_rate,
         "trusted": sum(row["trusted"] for row in rows),
     }  # fmt: skip
     if out is not None:
         _write(out, head, rows)
     _show(head, rows, out, json)
-    raise typer.Exit(_exit_code(rows))
+    raise typer.Exit(0 if any(row["trusted"] for row in rows) else 1)
 
 
 def find_device(robot: str | None, device: Path | None) -> tuple[str, Device]:
@@ -97,25 +101,25 @@ def find_device(robot: str | None, device: Path | None) -> tuple[str, Device]:
     return found.robot, found.device
 
 
-def make_localizer(rig: RigConfig, device: Device, estimator: str | None, quiet: Path | None) -> Localizer:
+def make_localizer(
+    rig: RigConfig, device: Device, estimator: str | None, quiet: Path | None, rate: float
+) -> tuple[Localizer, Quiet | None]:
     """A localizer for the rig's array, with the noise learned from quiet samples where they are given.
 
     Raises
     ------
     InputError
-        If this version's localizer has no such estimator, or learns no noise.
+        If the localizer has no such estimator, or nothing can be learned for samples of that rate (Hz).
     """
     from smolbot.localization.localizer import Localizer
 
     options: dict[str, Any] = {} if estimator is None else {"estimator": estimator}
-    if quiet is not None:
-        if "noise" not in inspect.signature(Localizer).parameters:
-            raise InputError(f"--quiet {quiet}: this version of smolbot learns no noise; leave the option out.")
-        from smolbot.localization.noise import NoiseModel
-        from smolbot.samplefile import read_samples, recordings_from
+    if quiet is None:
+        return Localizer(sensors=rig.sensors, device=device, **options), None
+    from smolbot.quietsamples import learn_quiet
 
-        options["noise"] = NoiseModel.learn(recordings_from(read_samples(quiet, quiet=True), rig).recordings)
-    return Localizer(sensors=rig.sensors, device=device, **options)
+    heard = learn_quiet(quiet, rig, rate)
+    return Localizer(sensors=rig.sensors, device=device, noise=heard.noise, **options), heard
 
 
 def locate_all(
@@ -133,22 +137,28 @@ def locate_all(
     Raises
     ------
     InputError
-        If the recordings are shorter than what is asked for.
+        If the recordings are shorter than what is asked for, or no shot could be fitted at all.
     """
     rows: list[Row] = []
+    faults: list[str] = []
     prior: Pose | None = None
     for number, (recording, said) in enumerate(zip(shots.recordings, shots.notes, strict=True)):
         used = _cut(recording, localizer.device.frequency, segments or half_periods or 1, half_periods)
         try:
             poses: Sequence[Pose] = (
-                (localizer.locate(used, prior),) if segments is None else localizer.locate_segments(used, segments)
+                (localizer.locate(used, prior),)
+                if segments is None
+                else localizer.locate_segments(used, segments, prior)
             )
         except InputError as error:
+            faults.append(f"shot {number}: {error}")
             rows.append(_lost(number, used, "; ".join(filter(None, [said, str(error)]))))
             continue
         for segment, pose in enumerate(poses):
             rows.append(_row(number, segment, pose, said))
             prior = pose if pose.trusted else prior
+    if len(faults) == len(shots.recordings):
+        raise InputError(faults[0] if len(faults) == 1 else f"no shot can be located; {faults[0]}")
     return rows
 
 
@@ -187,13 +197,6 @@ def _lost(number: int, recording: Recording, note: str) -> Row:
     return row | {"shot": number, "segment": 0, "time_s": recording.middle, "r_squared": 0.0, "flip_margin": 1.0} | {
         "trusted": 0, "note": note,
     }  # fmt: skip
-
-
-def _exit_code(rows: list[Row]) -> int:
-    """0 with a trusted pose, 1 with none, 2 where no shot could be fitted at all."""
-    if any(row["trusted"] for row in rows):
-        return 0
-    return 2 if all(math.isnan(row["x_mm"]) for row in rows) else 1
 
 
 def _write(out: Path, head: dict[str, Any], rows: list[Row]) -> None:

@@ -188,19 +188,20 @@ class Localizer:
         half_periods = 2.0 * self.device.frequency * recording.duration
         return int(np.searchsorted(TREND_FROM, half_periods + 0.01)) if self.estimator == "whitened" else 0
 
-    def locate_segments(self, recording: Recording, half_periods: int) -> tuple[Pose, ...]:
+    def locate_segments(self, recording: Recording, half_periods: int, prior: Pose | None = None) -> tuple[Pose, ...]:
         """Poses of consecutive segments of `half_periods` each (superfast mode); the rest is left out.
 
         One drive swings through all of them, so the amplitude is learned along the way, and a pose starts from
-        the one before. A device that moves within a segment changes its static field too; where that
-        shows, a slope in every channel is left free as well.
+        the one before; the first from `prior`, or cold where there is none or it leads nowhere. A device that
+        moves within a segment changes its static field too; where that shows, a slope in every channel is left
+        free as well.
         """
         shared = SharedAmplitude.of(self.device)
         poses: list[Pose] = []
-        prior: Pose | None = None
+        told = prior
         for segment in cut(recording, self.device, half_periods):
             shared = shared.at(self.device, segment.time_since_drive)
-            pose, swing, share = self._locate_segment(segment, prior, shared)
+            pose, swing, share = self._locate_segment(segment, prior, shared, stale=prior is told)
             poses.append(pose)
             if pose.trusted:
                 shared = shared.narrowed(swing.amplitude / share, float(np.sqrt(swing.covariance[6, 6])) / share)
@@ -209,9 +210,12 @@ class Localizer:
         return tuple(poses)
 
     def _locate_segment(
-        self, segment: Recording, prior: Pose | None, shared: SharedAmplitude
+        self, segment: Recording, prior: Pose | None, shared: SharedAmplitude, *, stale: bool
     ) -> tuple[Pose, Swing, float]:
-        """Pose of a segment, its swing as of the time that its model was made for, and the amplitude's share then."""
+        """Pose of a segment, its swing as of the time that its model was made for, and the amplitude's share then.
+
+        `stale`: the prior is of before this recording, and a fit from it that explains little is started cold as well.
+        """
         ringing = AUDIBLE * max(self.transients, default=0.0)
         anchored, share = anchor(self.device, segment.time_since_drive, ringing)
         heard = replace(segment, time_since_drive=anchored)
@@ -222,6 +226,8 @@ class Localizer:
             problem = Problem(replace(problem.model, device=shared.scaled(self.device, share)), problem.data)
             if prior is None:
                 found = best_fits(problem, self.volume)
+            elif stale:
+                found = self._from_prior(problem, np.asarray(prior.position), prior.rotation)
             else:
                 phase, amplitude = problem.phase_and_amplitude(prior.position, prior.rotation)
                 found = [problem.fit(prior.position, prior.rotation, phase, amplitude)]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from smolbot.arrays import FloatArray
+from smolbot.arrays import BoolArray, FloatArray
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,6 +63,9 @@ class NoiseModel:
     def learn(cls, quiet: Sequence[Recording]) -> NoiseModel:
         """Learn from recordings without a signal; ten seconds in all are plenty.
 
+        A channel that is saturated or silent in all of them says nothing of its noise, and is taken to be as noisy
+        as the others and unrelated to them. Recordings in which another one is, are left out if any are left.
+
         Parameters
         ----------
         quiet : sequence of Recording
@@ -71,7 +74,7 @@ class NoiseModel:
         Raises
         ------
         InputError
-            If there is none, they differ, are too short, or hold values that are not finite.
+            If there is none, they differ, are too short, hold values that are not finite, or no channel is alive.
         """
         from smolbot.localization.spectra import learn_spectra
 
@@ -84,10 +87,33 @@ class NoiseModel:
             if recording.duration < 1.5 * SEGMENT:
                 least = f"at least {1.5 * SEGMENT:g} s are needed."
                 raise InputError(f"Quiet recording {number} lasts {recording.duration:.3f} s; {least}")
-            bad = np.flatnonzero(~np.isfinite(recording.field.sum(axis=1)))
-            if bad.size:
-                raise InputError(f"Quiet recording {number}: channel {int(bad[0])} holds values that are not finite.")
-        return learn_spectra(quiet)
+            lost = np.flatnonzero(~np.isfinite(recording.field.sum(axis=1)))
+            if lost.size:
+                raise InputError(f"Quiet recording {number}: channel {int(lost[0])} holds values that are not finite.")
+        silent = np.array([r.saturated | (np.ptp(r.field, axis=1) == 0.0) for r in quiet])
+        clean = [not np.any(each & ~silent.all(axis=0)) for each in silent]
+        chosen = [r for r, good in zip(quiet, clean, strict=True) if good] or list(quiet)
+        bad: BoolArray = np.asarray(silent.all(axis=0) if any(clean) else silent.any(axis=0))
+        if bad.all():
+            raise InputError("Every channel of the quiet recordings is saturated or silent: nothing can be learned.")
+        if not bad.any():
+            return learn_spectra(chosen)
+        alive = [replace(r, field=r.field[~bad], saturated=r.saturated[~bad]) for r in chosen]
+        return learn_spectra(alive)._with_strangers(bad)
+
+    def _with_strangers(self, strange: BoolArray) -> NoiseModel:
+        """The model of all channels, those of `strange` as noisy as this model's own are on average."""
+
+        known = np.flatnonzero(~strange)
+
+        def wider(matrices: ComplexArray) -> ComplexArray:
+            out = np.zeros((len(matrices), len(strange), len(strange)), dtype=np.complex128)
+            out[:, known[:, None], known] = matrices
+            own = np.real(np.einsum("fjj->fj", matrices)).mean(axis=1)
+            out[:, strange, strange] = own[:, None]
+            return out
+
+        return replace(self, lines=wider(self.lines), spectrum=wider(self.spectrum))
 
     @classmethod
     def assumed(

@@ -16,6 +16,7 @@ from smolbot.errors import InputError
 from smolbot.localization import basis as time_functions
 from smolbot.localization import kernels as compiled
 from smolbot.localization.chain import Taps, difference_matrix, taps
+from smolbot.localization.forward import envelope
 from smolbot.sensing import Device, Recording, SensorArray
 
 _kernels: Any = compiled  # the type of a compiled function says nothing of its arguments
@@ -223,13 +224,20 @@ MIN_OUTPUTS = 6
 """Fewest differences, or channels, that can hold the eight unknowns of a fit."""
 
 
-def usable_channels(recording: Recording, sensors: SensorArray) -> BoolArray:
+LEAST_RATE = 10.0
+"""Samples per period of the device, below which its swing is not followed."""
+
+FADED = 1e-6
+"""Share of the swing below which nothing is left to hear."""
+
+
+def usable_channels(recording: Recording, sensors: SensorArray, device: Device) -> BoolArray:
     """Channels that take part: not saturated, finite.
 
     Raises
     ------
     InputError
-        If the recording does not fit the sensors, or no drive preceded it.
+        If the recording does not fit sensors or device, no drive preceded it, or it was too long ago.
     """
     heard = len(recording.field)
     if heard != len(sensors):
@@ -238,6 +246,17 @@ def usable_channels(recording: Recording, sensors: SensorArray) -> BoolArray:
         raise InputError(
             "A pose needs a recording after a drive, with time_since_drive of at least 0 s; "
             f"got {recording.time_since_drive}."
+        )
+    if recording.sample_rate < LEAST_RATE * device.frequency:
+        raise InputError(
+            f"The recording has {recording.sample_rate:g} samples per second; a device of {device.frequency:g} Hz "
+            f"needs at least {LEAST_RATE * device.frequency:g}. Is the rate in Hz?"
+        )
+    since = recording.time_since_drive
+    if not float(envelope(device, np.array([since]))[0]) > FADED:
+        raise InputError(
+            f"Nothing is left of the swing {1e3 * since:g} ms after the drive (damping {device.damping:g} 1/s, "
+            f"{device.damping_model}). Is the time in ms?"
         )
     finite = np.isfinite(recording.field.sum(axis=1))  # a sum with nan or infinity is neither
     usable: BoolArray = finite & ~recording.saturated
@@ -263,7 +282,7 @@ def prepare_paper(recording: Recording, sensors: SensorArray, device: Device) ->
         If channels do not match the sensors, too few of them can be used, the recording holds no
         half-period, or no drive preceded it.
     """
-    usable = usable_channels(recording, sensors)
+    usable = usable_channels(recording, sensors, device)
     require_enough(int(usable.sum()), "channels", usable)
     model = paper_model(
         sensors,

@@ -26,6 +26,9 @@ ComplexArray = npt.NDArray[np.complex128]
 BLOCKS_PER_PERIOD = 20
 """Averages per period of the device that a recording is thinned to."""
 
+LEAST_RATE = 10.0
+"""Samples per period of the device, below which its swing is not followed."""
+
 BLOCK_NOISE = 2e-10
 """Expected noise of one block, in T; only its ratio to the sizes of the nuisances counts."""
 
@@ -168,6 +171,11 @@ def thin(
         raise InputError(
             f"Only {int(used.sum())} channels can be used, at least 4 are needed; saturated, dead or not finite: "
             f"{', '.join(str(i) for i in np.flatnonzero(~used))}."
+        )
+    if recording.sample_rate < LEAST_RATE * frequency:
+        raise InputError(
+            f"The recording has {recording.sample_rate:g} samples per second; a device of {frequency:g} Hz needs at "
+            f"least {LEAST_RATE * frequency:g}. Is the rate in Hz?"
         )
     block = max(1, int(recording.sample_rate / (BLOCKS_PER_PERIOD * frequency)))
     count = samples.shape[1] // block

@@ -87,6 +87,11 @@ def whitened_model(
     strength = TYPICAL * np.repeat([0.6 ** (k - 1) / factorial(k) for k in powers], n_channels)
     values, vectors = np.linalg.eigh((flat * strength).T @ (flat * strength))
     kept = values > FAINTEST**2
+    if not kept.any():
+        raise InputError(
+            f"Nothing of a swing would be heard {1e3 * since:g} ms after the drive, in noise as it was learned: is "
+            "that time right, and was the device still in the quiet recordings?"
+        )
     directions = (flat * strength) @ (vectors[:, kept] / np.sqrt(values[kept]))  # orthonormal columns
     matrix = (directions.T @ flat).reshape(int(kept.sum()), len(functions), n_channels)
     projection = directions.T @ whiten - (directions.T @ constants) @ (constants.T @ whiten)
@@ -128,7 +133,7 @@ def prepare_whitened(
         If channels do not match the sensors or the noise model, too few of them can be used, the
         recording is shorter than half a period, or no drive preceded it.
     """
-    usable = usable_channels(recording, sensors)
+    usable = usable_channels(recording, sensors, device)
     if noise.n_sensors != len(sensors):
         raise InputError(f"The noise model knows {noise.n_sensors} sensors; the sensor array has {len(sensors)}.")
     usable &= np.ptp(recording.field, axis=1) > 0.0  # a silent channel has nothing to say

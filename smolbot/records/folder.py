@@ -46,6 +46,9 @@ class RunFolder:
             ("robot.toml", mission.robot.document),
         ):
             (self.path / name).write_text(as_used(document), encoding="utf-8")
+        sensors = mission.rig.sensors_file
+        if sensors is not None:
+            (self.path / "sensors.toml").write_text(sensors.read_text(encoding="utf-8"), encoding="utf-8")
         self._json("provenance.json", provenance(seed, settings, world))
 
     def record(self, moment: Moment) -> None:

@@ -12,6 +12,7 @@ from smolbot.localization.forward import deflection, envelope, sensor_field
 from smolbot.localization.levels import NoiseLevels
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.segments import GATE, SharedAmplitude, anchor, cut
+from smolbot.poses import Pose
 from smolbot.rotations import quaternion_from_axes, rotation_error
 from smolbot.sensing import Device, Recording, SensorArray
 
@@ -76,6 +77,40 @@ def test_every_segment_of_clean_data_finds_the_truth(device, estimator):
         assert np.linalg.norm(rotation_error(pose.orientation, ORIENTATION)) < 0.05
         assert pose.trusted
     np.testing.assert_allclose(np.diff([p.time for p in poses]), 4 / 207.0, atol=2.0 / RATE)
+
+
+@pytest.mark.parametrize("device", [EXPONENTIAL, LINEAR])
+def test_a_pose_of_the_shot_before_makes_the_first_segment_certain(device):
+    """Half a period alone does not tell where in the dark it is; near a known pose it does."""
+    recording = heard(device, seconds=0.1, noise=2e-10)
+    localizer = Localizer(SENSORS, device, NOISE)
+    near = Pose(0.0, POSITION + 1e-3, ORIENTATION, np.eye(6) * 1e-6)
+    cold, warm = localizer.locate_segments(recording, 1)[0], localizer.locate_segments(recording, 1, near)[0]
+    assert not cold.trusted
+    assert warm.trusted
+    assert np.abs(warm.position - POSITION).max() < 5e-4
+
+
+def test_a_pose_that_is_no_longer_true_does_no_harm():
+    recording = heard(EXPONENTIAL, seconds=0.1, noise=2e-10)
+    localizer = Localizer(SENSORS, EXPONENTIAL, NOISE)
+    far = Pose(0.0, POSITION + np.array([0.03, -0.03, 0.02]), np.array([0.5, 0.5, 0.5, 0.5]), np.eye(6) * 1e-6)
+    for led, cold in zip(localizer.locate_segments(recording, 2, far), localizer.locate_segments(recording, 2)):
+        assert led.trusted
+        assert led.position == pytest.approx(cold.position, abs=1e-5)
+        assert abs(led.orientation @ cold.orientation) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_of_two_orientations_that_sound_alike_the_series_keeps_the_known_one():
+    """With the moment along the cantilever a half turn about it changes nothing that is heard."""
+    device = replace(EXPONENTIAL, moment_in_body=np.array([0.0, 0.0, 1.0]))
+    w, x, y, z = ORIENTATION
+    turned = np.array([-z, y, -x, w])
+    recording = heard(device, seconds=0.1)
+    for known in (ORIENTATION, turned):
+        prior = Pose(0.0, POSITION, known, np.eye(6) * 1e-6)
+        poses = Localizer(SENSORS, device, NOISE).locate_segments(recording, 4, prior)
+        assert all(abs(p.orientation @ known) > 0.99 for p in poses)
 
 
 def test_amplitude_is_learned_along_the_way():
