@@ -9,6 +9,7 @@ import numpy as np
 
 from smolbot.arrays import BoolArray, FloatArray
 from smolbot.errors import InputError
+from smolbot.localization.problem import MIN_OUTPUTS
 
 if TYPE_CHECKING:
     from smolbot.rigfile import RigConfig
@@ -33,7 +34,7 @@ CREST = (2.5, 100.0)
 
 
 def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
-    """Refuse a file in which every channel is saturated or dead, or moves by less than a converter can tell.
+    """Refuse a file with too few channels within range, all of them dead, or none that moves by a converter's step.
 
     Raises
     ------
@@ -44,11 +45,13 @@ def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
     full = _full(rig)
     largest, swing = np.abs(volts).max(axis=2), np.ptp(volts, axis=2)
     told = f"{path}: volts must be in V, at {section.sensitivity_v_per_ut:g} V/µT as rig '{rig.name}' says"
-    if np.all(largest >= full):
-        least = int(np.argmin(largest.min(axis=0)))
+    free = np.sum(largest < full, axis=1)
+    if np.all(free < MIN_OUTPUTS):
+        typical = int(np.argsort(largest.min(axis=0))[largest.shape[1] // 2])
         raise InputError(
-            f"{told}: every channel is saturated; even channel {least} reaches {largest.min():.4g}, the range is "
-            f"{full / FULL:.4g}. Are they in mV, nT or counts, or is the constant field not nulled?"
+            f"{told}: at most {free.max()} of {largest.shape[1]} channels are not saturated; channel {typical} reaches "
+            f"{largest[:, typical].min():.4g}, the range is {full / FULL:.4g}. "
+            "Are they in mV, nT or counts, or is the constant field not nulled?"
         )
     if volts.shape[2] < 2:
         return

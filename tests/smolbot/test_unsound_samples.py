@@ -64,9 +64,15 @@ BAD = {
         lambda v: {"volts": 1e-6 * v},
         r"must be in V, .* channel \d moves most, by .*e-08, .* Are they in T",
     ),
-    "millivolt": (lambda v: {"volts": 1e3 * v}, r"every channel is saturated; even channel \d reaches .* in mV, nT"),
-    "huge constant": (lambda v: {"volts": v + 1e6}, "every channel is saturated; .* the constant field not nulled"),
-    "counts": (lambda v: {"volts": (3277 * v).astype(np.int16)}, "every channel is saturated"),
+    "millivolt": (
+        lambda v: {"volts": 1e3 * v},
+        r"at most \d of 10 channels are not saturated; channel \d reaches .* in mV, nT",
+    ),
+    "huge constant": (
+        lambda v: {"volts": v + 1e6},
+        "at most 0 of 10 channels are not saturated; .* the constant field not nulled",
+    ),
+    "counts": (lambda v: {"volts": (3277 * v).astype(np.int16)}, "at most 0 of 10 channels are not saturated"),
     "all dead": (lambda v: {"volts": 0 * v + 0.2}, r"every channel is dead: constant, channel 0 at 0\.2 V"),
     "flags": (lambda v: {"volts": v > 0}, "volts must be real numbers: they are of type bool"),
     "kilohertz": (
@@ -178,7 +184,7 @@ def test_a_channel_that_fails_for_part_of_the_window_is_left_out_and_named(run, 
     poses = json.loads(out)["poses"]
     assert code == 0
     assert [row["note"] for row in poses] == ["", f"left out: {says} channel 2", ""]
-    assert poses[1]["x_mm"] == pytest.approx(PLACES[1][0], abs=1.0)
+    assert poses[1]["x_mm"] == pytest.approx(PLACES[1][0], abs=2.0)  # nine sensors, each slightly off
 
 
 @pytest.mark.parametrize("bits", [12, 16, 24])
