@@ -93,39 +93,38 @@ def model(
     # one row of weights for each (power, channel): the sum over a power's functions, now and per rad of phase
     width = (n_powers - 1) * n_channels
     now = np.zeros(width)
-    ahead = np.zeros(width)
-    series_now = np.zeros((width, 8))
+    series_now = np.zeros((8, width))
     for k in range(1, n_powers):
         for j in range(n_channels):
             row = (k - 1) * n_channels + j
             for p in range(6):
-                series_now[row, p] = slopes[j, k, p] * size[k]
-            series_now[row, 6] = values[j, k] * size[k]
-            series_now[row, 7] = k * values[j, k] * size[k - 1]
+                series_now[p, row] = slopes[j, k, p] * size[k]
+            series_now[6, row] = values[j, k] * size[k]
+            series_now[7, row] = k * values[j, k] * size[k - 1]
+    ahead = np.zeros((n_functions, n_channels))  # what each function in each channel adds per rad of phase
+    for f in range(n_functions):
+        k = labels[f, 0]
+        for j in range(n_channels):
+            ahead[f, j] = turn[f, 1] * values[j, k] * size[k]
     for i in range(n_out):
         now[:] = 0.0
-        ahead[:] = 0.0
+        per_phase = 0.0
         for f in range(n_functions):
             start = (labels[f, 0] - 1) * n_channels
-            c, d = turn[f, 0], turn[f, 1]
+            c = turn[f, 0]
             for j in range(n_channels):
                 now[start + j] += c * matrix[i, f, j]
-                ahead[start + j] += d * matrix[i, f, j]
-        j0 = j1 = j2 = j3 = j4 = j5 = j6 = j7 = total = 0.0
-        for row in range(width):
-            w = now[row]
-            j0 += w * series_now[row, 0]
-            j1 += w * series_now[row, 1]
-            j2 += w * series_now[row, 2]
-            j3 += w * series_now[row, 3]
-            j4 += w * series_now[row, 4]
-            j5 += w * series_now[row, 5]
-            total += w * series_now[row, 6]
-            j7 += w * series_now[row, 7]
-            j6 += ahead[row] * series_now[row, 6]
-        out[i] = total
-        jacobian[i, 0], jacobian[i, 1], jacobian[i, 2], jacobian[i, 3] = j0, j1, j2, j3
-        jacobian[i, 4], jacobian[i, 5], jacobian[i, 6], jacobian[i, 7] = j4, j5, j6, j7
+            for j in range(n_channels):
+                per_phase += ahead[f, j] * matrix[i, f, j]
+        for p in range(8):
+            total = 0.0
+            for row in range(width):
+                total += now[row] * series_now[p, row]
+            if p == 6:
+                out[i] = total
+            else:
+                jacobian[i, p] = total
+        jacobian[i, 6] = per_phase
 
 
 @njit(cache=True)
@@ -288,25 +287,9 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
     """Phase and amplitude that fit `data` best at a fixed pose; exact for small amplitudes."""
     n_out = data.shape[0]
     first = np.zeros(n_out)
-    second = np.zeros(n_out)
     jacobian = np.zeros((n_out, 8))
     model(matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
-    model(
-        matrix,
-        labels,
-        positions,
-        axes,
-        moment,
-        l0,
-        angles,
-        powers,
-        position,
-        rotation,
-        -0.5 * np.pi,
-        guess,
-        second,
-        jacobian,
-    )
+    second = -jacobian[:, 6]  # of the first harmonic, a quarter of a turn away
     aa, ab, bb, ay, by = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n_out):
         aa += first[i] * first[i]
@@ -348,7 +331,7 @@ def covariance(normal, variance):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def tapped(field, first, weights):
     """Weighted sums (n_sensors, n_out) of raw samples (n_sensors, n), each row less its own first sample.
 
@@ -367,7 +350,7 @@ def tapped(field, first, weights):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def mixed(mixing, samples):
     """`mixing` (n_rows, n) times `samples` (n, m), row by row in one vector; no threads of a linear algebra library."""
     n_rows, n, m = mixing.shape[0], samples.shape[0], samples.shape[1]
