@@ -276,6 +276,7 @@ def draw(outcome: Outcome, path: Path) -> None:
                     panel.text(p, v, text.removeprefix("0"), ha="center", va="bottom", fontsize=9)
             middle = (len(kinds) - 1) / 2
             panel.set_xticks([middle, middle + len(kinds) + 0.7], ["N = 2, wide", "N = 20, fine"])
+            panel.margins(y=0.12)
             titled(panel, f"MAE in {what}")
 
 
