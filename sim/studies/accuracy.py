@@ -10,25 +10,17 @@ from typing import Any
 import numpy as np
 
 from sim.static_bench import StaticBench
-from sim.studies.common import (
+from sim.studies.benches import (
     REFERENCE_POSITION,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
     characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
     localizers,
     open_bench,
     pose_row,
     prior_near,
     reference_orientation,
-    rng_of,
 )
+from sim.studies.columns import chosen, columns_of, joined
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 from smolbot.arrays import FloatArray
 from smolbot.localization.array_calibration import ArrayCalibration, calibrate_sensors
 from smolbot.localization.localizer import Localizer

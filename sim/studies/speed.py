@@ -11,24 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
+from sim.studies.benches import (
     REFERENCE_POSITION,
     RING_DOWN,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
     characterised,
-    cut,
-    executor_for,
     localizers,
     open_bench,
     prior_near,
     reference_orientation,
-    rng_of,
-    run_chunks,
 )
+from sim.studies.running import executor_for, run_chunks
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 from smolbot.arrays import FloatArray
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
