@@ -298,8 +298,8 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
     rules = (least, steepest, slack)
     store, order, basis = np.empty((4, 4, max(n, 4))), np.empty(4, np.int64), np.empty(4, np.int64)
     middle = math.atan2(way[1], way[0])
-    half = 0.5 * math.pi if head_first else math.pi
-    width = 0.5 * math.pi / steps
+    half = 0.5 * math.pi - 1.01 * slack if head_first else math.pi
+    width = half / (steps if head_first else 2 * steps)
     count = 2 * steps + 1 if head_first else 4 * steps  # the wanted direction itself is among them
     pick = 1 if size >= 0.0 else 0
     values, trial, currents = np.empty(count), np.empty(n), np.zeros(n)
@@ -346,3 +346,45 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
 def field_and_force(b, g, currents):
     """Field (3,) in T and grad|B| (3,) in T/m of coils with fields b (n, 3) and gradients g (n, 3, 3) per A."""
     return _true_force(b, g, currents)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def forces_by_field(b, g, low, high, ways, angles, rules):
+    """Strongest grad|B| along a way for every direction of the field, at many places.
+
+    Parameters
+    ----------
+    b, g : ndarray, shape (m, n_coils, 3), (m, n_coils, 3, 3)
+        Field (T/A) and gradient (T/(A m)) at each place.
+    low, high : ndarray, shape (n_coils,), in A
+    ways : ndarray, shape (m, 2)
+        Unit vectors.
+    angles : ndarray, shape (k,), in rad
+        Directions of the field.
+    rules : tuple
+        Least field in T, largest tangent of its slope, and of the angle by which the force may miss the way.
+
+    Returns
+    -------
+    ndarray, shape (m, k), in T/m
+        0 where nothing fits.
+    """
+    m, n = b.shape[0], b.shape[1]
+    out = np.zeros((m, angles.shape[0]))
+    store, order, basis = np.empty((4, 4, max(n, 4))), np.empty(4, np.int64), np.empty(4, np.int64)
+    trial = np.empty(n)
+    for i in range(m):
+        strong = steep = 1e-30
+        for c in range(n):
+            span = max(abs(low[c]), abs(high[c]))
+            strong = max(strong, span * math.sqrt(b[i, c, 0] ** 2 + b[i, c, 1] ** 2))
+            for j in range(3):
+                steep = max(steep, span * max(abs(g[i, c, j, 0]), abs(g[i, c, j, 1])))
+        own_b, own_g = b[i] / strong, g[i] / steep
+        own_rules = (rules[0] / strong, rules[1], rules[2])
+        for k in range(angles.shape[0]):
+            force, _ = _at_angle(
+                angles[k], ways[i], -1.0, own_rules, own_b, own_g, low, high, store, order, basis, trial
+            )
+            out[i, k] = max(force, 0.0) * steep
+    return out
