@@ -52,7 +52,7 @@ def _solve(matrix, right, size):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, currents):
+def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multipliers, currents):
     """Maximise rows[FORCE] . I with rows[order] I = wanted[order] and low <= I <= high; False without a solution.
 
     Every basis is tried. Its multipliers put every other current on one of its bounds, and the equations give the basic
@@ -74,6 +74,7 @@ def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, curren
                 currents[c] = high[c] if left > 0.0 else low[c]
             for i in range(size):
                 currents[basis[i]] = 0.0
+                multipliers[i] = work[i]
             for k in range(size):
                 work[k] = wanted[order[k]]
                 for c in range(n):
@@ -152,44 +153,77 @@ def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, st
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work, currents):
+def _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+    """Best currents with some rules (1: way, 2: field, 3: both) as equations; their number, 0 without a solution."""
+    n = low.shape[0]
+    order[0], order[1], size = BESIDE, FORCE, 2 if cool else 1
+    if rules & 1:
+        for c in range(n):
+            rows[ACROSS, c] = work[3, c] - side * rows[FORCE, c]
+        order[size] = ACROSS
+        size += 1
+    if rules & 2:
+        order[size] = FIELD
+        size += 1
+    if cool:
+        fits = _coolest(rows, wanted, order, size, low, high, matrix, work[0], work[1], work[2], currents)
+    else:
+        fits = _strongest(rows, wanted, order, size, low, high, basis, matrix, work[0], work[1], currents)
+    return size if fits else 0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _misses(rows, wanted, slack, work, currents):
+    """Force across the way, or 0 where it is small enough, and whether the field is strong enough."""
+    force = across = field = 0.0
+    for c in range(currents.shape[0]):
+        force += rows[FORCE, c] * currents[c]
+        across += work[3, c] * currents[c]
+        field += rows[FIELD, c] * currents[c]
+    return across if abs(across) > slack * abs(force) + 1e-9 else 0.0, field >= wanted[FIELD] - 1e-9
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
     """Best currents for given rows: the rules that may be slack are added in turn, until all of them hold.
 
-    The optimum with some of the rules left out, if it keeps to them, is the optimum.
+    The optimum with some of the rules left out, if it keeps to them, is the optimum. So is one with some of them taken
+    as equations, if their multipliers have the right signs: the set that was right for the last direction is tried
+    first. `memory` holds that set and side.
     """
     n = low.shape[0]
-    for k in range(n):
-        work[3, k] = rows[ACROSS, k]
-    for with_field in (False, True):
-        for with_way in (False, True):
-            order[0], order[1], size = BESIDE, FORCE, 2 if cool else 1
-            if with_way:
-                order[size] = ACROSS
-                size += 1
-            if with_field:
-                order[size] = FIELD
-                size += 1
-            if cool:
-                fits = _coolest(rows, wanted, order, size, low, high, matrix, work[0], work[1], work[2], currents)
-            else:
-                fits = _strongest(rows, wanted, order, size, low, high, basis, matrix, work[0], currents)
-            if not fits:
-                return False
-            force = across = field = 0.0
-            for c in range(n):
-                force += rows[FORCE, c] * currents[c]
-                across += work[3, c] * currents[c]
-                field += rows[FIELD, c] * currents[c]
-            off = abs(across) > slack * abs(force) + 1e-9
-            if not off and field >= wanted[FIELD] - 1e-9:
+    for c in range(n):
+        work[3, c] = rows[ACROSS, c]
+    rules, side = int(memory[0]), memory[1]
+    if rules > 0:
+        size = _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents)
+        if size:
+            across, strong = _misses(rows, wanted, slack, work, currents)
+            right = across == 0.0 and strong
+            toward = -1.0 if cool else 1.0
+            for k in range(size):
+                if order[k] == ACROSS and toward * side * work[1, k] < -1e-12:
+                    right = False
+                if order[k] == FIELD and toward * work[1, k] > 1e-12:
+                    right = False
+            if right:
                 return True
-            if with_way or not off:
+    memory[0] = -1.0
+    for with_field in (0, 2):
+        side = 0.0
+        for with_way in (0, 1):
+            rules = with_way + with_field
+            if not _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+                return False
+            across, strong = _misses(rows, wanted, slack, work, currents)
+            if across == 0.0 and strong:
+                memory[0], memory[1] = rules, side
+                return True
+            if with_way or across == 0.0:
                 if with_field:
                     return False
                 break  # only the field is too weak
             side = math.copysign(slack, across)
-            for c in range(n):
-                rows[ACROSS, c] = work[3, c] - side * rows[FORCE, c]
     return False
 
 
@@ -199,6 +233,7 @@ def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, cur
     least, steepest, slack = rules
     n = b.shape[0]
     rows, wanted, matrix, work = store[0], store[1, 0], store[2], store[3]
+    warm, cold = store[1, 1], store[1, 2]  # what the last direction came to, of strongest and coolest currents
     ux, uy = math.cos(angle), math.sin(angle)
     tilt = side = 0.0
     for _ in range(12):
@@ -213,17 +248,19 @@ def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, cur
             rows[FIELD, c] = ux * b[c, 0] + uy * b[c, 1] - side * b[c, 2]
         wanted[BESIDE] = wanted[ACROSS] = 0.0
         wanted[FIELD], wanted[FORCE] = least, size
-        if not _programme(rows, wanted, False, slack, low, high, order, basis, matrix, work, currents):
-            return -1e300, -1e300
-        if size >= 0.0:
+        if size < 0.0 or cold[0] < 0.0:
+            if not _programme(rows, wanted, False, slack, low, high, order, basis, matrix, work, warm, currents):
+                return -1e300, -1e300
             force = 0.0
             for c in range(n):
                 force += rows[FORCE, c] * currents[c]
                 rows[ACROSS, c] = work[3, c]
             if force < size:
                 return -1e300, -1e300
-            if not _programme(rows, wanted, True, slack, low, high, order, basis, matrix, work, currents):
-                return -1e300, -1e300
+        if size >= 0.0 and not _programme(
+            rows, wanted, True, slack, low, high, order, basis, matrix, work, cold, currents
+        ):
+            return -1e300, -1e300
         field = up = 0.0
         for c in range(n):
             field += currents[c] * (ux * b[c, 0] + uy * b[c, 1])
@@ -240,8 +277,8 @@ def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, cur
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _true_force(b, g, currents):
-    """Field (3,) in T, and grad|B| (3,) in T/m, of all coils together."""
+def field_and_force(b, g, currents):
+    """Field (3,) in T and grad|B| (3,) in T/m of coils with fields b (n, 3) and gradients g (n, 3, 3) per A."""
     n = b.shape[0]
     field, force = np.zeros(3), np.zeros(3)
     for c in range(n):
@@ -296,7 +333,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
                 steep = max(steep, span * abs(g[c, i, j]))
     b, g, size, least = b / strong, g / steep, size / steep, least / strong
     rules = (least, steepest, slack)
-    store, order, basis = np.empty((4, 4, max(n, 4))), np.empty(4, np.int64), np.empty(4, np.int64)
+    store, order, basis = np.full((4, 4, max(n, 4)), -1.0), np.empty(4, np.int64), np.empty(4, np.int64)
     middle = math.atan2(way[1], way[0])
     half = 0.5 * math.pi - 1.01 * slack if head_first else math.pi
     width = half / (steps if head_first else 2 * steps)
@@ -325,7 +362,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
             a, z = max(a, middle - half), min(z, middle + half)
         points = (a + GOLDEN * (z - a), z - GOLDEN * (z - a))
         heights = (math.nan, math.nan)
-        for _ in range(14):
+        for _ in range(12):
             fresh = 0 if math.isnan(heights[0]) else 1
             for side in range(fresh, 2 if math.isnan(heights[1]) else 1):
                 found = _at_angle(points[side], way, size, rules, b, g, low, high, store, order, basis, trial)
@@ -343,9 +380,13 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def field_and_force(b, g, currents):
-    """Field (3,) in T and grad|B| (3,) in T/m of coils with fields b (n, 3) and gradients g (n, 3, 3) per A."""
-    return _true_force(b, g, currents)
+def strongest_alone(b, g, high):
+    """The largest grad|B|, in T/m, that one coil gives alone at its limit, high (n_coils,) in A."""
+    most = 0.0
+    for c in range(high.shape[0]):
+        _, slope = field_and_force(b[c : c + 1], g[c : c + 1], high[c : c + 1])
+        most = max(most, math.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2))
+    return most
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -371,7 +412,7 @@ def forces_by_field(b, g, low, high, ways, angles, rules):
     """
     m, n = b.shape[0], b.shape[1]
     out = np.zeros((m, angles.shape[0]))
-    store, order, basis = np.empty((4, 4, max(n, 4))), np.empty(4, np.int64), np.empty(4, np.int64)
+    store, order, basis = np.full((4, 4, max(n, 4)), -1.0), np.empty(4, np.int64), np.empty(4, np.int64)
     trial = np.empty(n)
     for i in range(m):
         strong = steep = 1e-30

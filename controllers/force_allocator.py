@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from controllers.allocation import field_and_force, search
+from controllers.allocation import field_and_force, search, strongest_alone
 from smolbot.arrays import BoolArray, FloatArray, as_floats
 from smolbot.errors import InputError, SmolbotError
 
@@ -186,7 +187,8 @@ class ForceAllocator:
         if found is None:
             raise self._unreachable(position, field, gradient, way, force)
         total, slope = field_and_force(field, gradient, found)
-        miss = abs(float(np.arctan2(way[0] * slope[1] - way[1] * slope[0], way @ slope[:2]))) if found.any() else 0.0
+        across, along = way[0] * slope[1] - way[1] * slope[0], way[0] * slope[0] + way[1] * slope[1]
+        miss = abs(math.atan2(across, along)) if found.any() else 0.0
         return Allocation(found, total, self.moment * slope, miss)
 
     def reach(self, position: FloatArray, directions: int = 72) -> ForceReach:
@@ -238,10 +240,7 @@ class ForceAllocator:
         value, currents = self._exact(field, gradient, way, wanted)
         enough = wanted
         if wanted < 0.0:
-            alone = [
-                float(np.linalg.norm(field_and_force(field, gradient, row)[1])) for row in np.diag(self._high)
-            ]  # T/m, of each coil at its limit
-            enough = WEAK * max(alone)
+            enough = WEAK * strongest_alone(field, gradient, self._high)
         for nudge in self._nudges:
             if value > 0.0 and value >= enough * (1.0 - 1e-6):
                 break
