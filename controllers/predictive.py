@@ -126,6 +126,7 @@ class Predictive:
         self._adaptation = Adaptation()
         self._planned: _Plan | None = None
         self._hurry = 1.0
+        self._warm_up()
 
     @property
     def learned(self) -> Adaptation:
@@ -179,6 +180,14 @@ class Predictive:
                 continue
             force[i], error[i] = np.linalg.norm(found.force[:2]), found.direction_error
         return Reach(points, force, error)
+
+    def _warm_up(self) -> None:
+        """Plan once, so that nothing is compiled or loaded while a robot waits for its next window."""
+        middle = np.mean(self.setup.table.bounds, axis=0)
+        pose = Pose(0.0, middle, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((6, 6)))
+        self.reset(Curve(np.array([middle, middle + np.array([1e-3, 0.0, 0.0])])), pose)
+        self.command(pose)
+        self._course, self._planned, self._hurry = None, None, 1.0
 
     def _heading(self, pose: Pose) -> float:
         ahead = pose.rotation @ self.setup.device.moment_in_body
