@@ -230,6 +230,7 @@ class Predictive:
             )  # fmt: skip
             if best is None or cost < best[0]:
                 best = cost, duration, currents, ends
+            starts = currents[None]  # the other duration asks for much the same
         assert best is not None
         _, duration, currents, ends = best
         end = ends[0]
