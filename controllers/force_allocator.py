@@ -16,8 +16,9 @@ from smolbot.errors import InputError, SmolbotError
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
 
-STEPS, STEPS_OF_FEW = 12, 48
-"""Directions of the field tried per quarter turn, before the best are refined; three coils leave no other freedom."""
+STEPS, STEPS_OF_BOTH, STEPS_OF_FEW = 12, 24, 48
+"""Directions of the field tried per quarter turn, before the best are refined: head first, by either end (whose peaks
+are narrower), and with three coils, which leave no other freedom."""
 
 SLOPES = (0.3, 10.0)
 """Tangents of the field's slope out of the plane, tried in turn: a floating robot hardly follows the second."""
@@ -28,7 +29,7 @@ SLACK = float(np.tan(np.radians(0.1)))
 NUDGES = np.radians([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
 """Angles by which a direction may be missed, tried from the smallest where the wanted one is out of reach, or weak."""
 
-WEAK = 0.35
+WEAK = 0.1
 """Share of the strongest single coil's pull below which a force that points exactly is called weak."""
 
 
@@ -149,7 +150,7 @@ class ForceAllocator:
         if not self.least_field > 0.0:
             raise InputError(f"least_field must be above 0: without a field no moment aligns; got {least_field} T.")
         self._low = np.zeros(table.n_coils) if unipolar else -self._high
-        self._steps = STEPS if table.n_coils > 3 else STEPS_OF_FEW
+        self._steps = STEPS_OF_FEW if table.n_coils <= 3 else STEPS if head_first else STEPS_OF_BOTH
         self._nudges = NUDGES[tolerance + 1e-9 >= NUDGES]
 
     def currents(self, position: FloatArray, direction: FloatArray, force: float | None = None) -> FloatArray:
