@@ -4,13 +4,15 @@ from __future__ import annotations
 
 
 def warm_up() -> None:
-    """Fly the first seconds of the shortest mission, and draw it; what that needs is compiled and cached."""
+    """Fly the first seconds of two missions, and draw them; what that needs is compiled and cached."""
     import tempfile
 
     import smolbot
 
     with tempfile.TemporaryDirectory() as folder:
-        smolbot.run("line", seed=0, out=f"{folder}/warm-up", stop__max_duration_s=2.0, localization__quiet_s=1.0)
+        for mission in ("line", "r_path"):
+            out = f"{folder}/{mission}"
+            smolbot.run(mission, seed=0, out=out, stop__max_duration_s=2.0, localization__quiet_s=1.0)
 
 
 if __name__ == "__main__":

@@ -7,13 +7,16 @@ from statistics import median
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
+from controllers import ForceAllocator
+from controllers.predictive import Predictive
 from smolbot.flying import fly
 from smolbot.localization.chain import filtered
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import load_mission
+from smolbot.preview import _Rollout
 from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
 
 RATE = 50_000.0
@@ -89,3 +92,52 @@ def test_real_time_factor_of_the_tank_and_the_share_of_localization(benchmark):
         f"localization, tracking and control take {computing / run.wall:.0%} of the time, the world the rest"
     )
     assert run.status == "completed"
+
+
+@pytest.mark.benchmark(group="ratios")
+def test_an_allocation_against_one_start_of_slsqp(benchmark):
+    setup = load_mission("line").setup()
+    allocator = ForceAllocator(setup.table, 8.0, setup.robot.moment, least_field=1e-3)
+    here, way = np.array([4e-3, 2e-3, 0.06]), np.array([0.6, 0.8, 0.0])
+    b, g = setup.table.field(here[None])[:, 0], setup.table.gradient(here[None])[:, 0]
+
+    def pull(currents):
+        field = currents @ b
+        return field, np.einsum("c,cij,i->j", currents, g, field)[:2] / np.linalg.norm(field)
+
+    def plain():
+        rules = [
+            {"type": "eq", "fun": lambda i: way[0] * pull(i)[1][1] - way[1] * pull(i)[1][0]},
+            {"type": "ineq", "fun": lambda i: 1e3 * np.linalg.norm(pull(i)[0]) - 1.0},
+        ]
+        start = np.array([4.0, 1.0, 5.0, 2.0])
+        return minimize(lambda i: -pull(i)[1] @ way[:2], start, method="SLSQP", bounds=[(0, 8)] * 4, constraints=rules)
+
+    benchmark.pedantic(plain, rounds=3, iterations=1)
+    slow, fast = seconds(plain, 10), seconds(lambda: allocator.currents(here, way), 200)
+    print(
+        f"\nallocation: {fast * 1e3:.3f} ms; scipy's SLSQP from one start {slow * 1e3:.1f} ms: {slow / fast:.0f} times"
+    )
+
+
+@pytest.mark.benchmark(group="ratios")
+def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
+    mission = load_mission("r_path")
+    law = Predictive(mission.setup(), {})
+    times = []
+    real = law.command
+
+    def timed(pose):
+        begin = time.perf_counter()
+        command = real(pose)
+        times.append(time.perf_counter() - begin)
+        return command
+
+    rollout = _Rollout(mission)
+    law.command = timed
+    rollout.controller = law
+    assert benchmark.pedantic(rollout.fly, rounds=1, iterations=1) is None
+    middle, most = 1e3 * np.median(times), 1e3 * np.percentile(times, 99)
+    print(
+        f"\npredictive: {middle:.2f} ms a step, p99 {most:.2f} ms, of {1e3 * mission.rig.turnaround:g} ms of turnaround"
+    )

@@ -53,7 +53,7 @@ def test_a_mission_that_would_not_end_is_a_no_go_for_exactly_its_reason(missions
     assert np.isfinite(seen.rate_limit)
 
 
-@pytest.mark.parametrize("name", ["line", "r_small"])
+@pytest.mark.parametrize("name", ["line", "r_path", "r_small"])
 def test_a_shipped_mission_is_a_go(name):
     mission = load_mission(name)
     seen = preview(mission)
@@ -74,7 +74,7 @@ def test_the_timeline_limits_the_rate_and_the_turnaround_lowers_it(line):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["line", "r_small"])
+@pytest.mark.parametrize("name", ["line", "r_path", "r_small"])
 def test_the_expected_duration_is_within_15_percent_of_the_flown_one(name):
     flown = [run(name, seed=seed).duration for seed in range(1, 9)]
     assert np.mean(flown) == pytest.approx(preview(load_mission(name)).duration, rel=0.15)

@@ -202,7 +202,7 @@ def test_a_mission_that_does_not_exist_is_told_which_do(tmp_path):
         with pytest.raises(MissingFileError) as error:
             load_mission(name)
         assert isinstance(error.value, FileNotFoundError)
-        assert "line, r_small" in str(error.value)
+        assert "line, r_path, r_small" in str(error.value)
         assert "\n" not in str(error.value)
     with pytest.raises(MissingFileError, match="Did you mean r_small"):
         load_mission("r_smal")

@@ -1,0 +1,431 @@
+"""Compiled search for the coil currents whose true force points where it is wanted.
+
+A moment that has aligned with the field B feels F = |m| grad|B|. Along any given direction u of the field, u = B / |B|,
+
+    F_i / |m| = u . dB/dx_i = sum_c I_c (u . dB_c/dx_i)
+
+is linear in the currents. So for each u the strongest force along d is a linear programme (no field beside u, next to
+no force across d, enough field along u, bounds), and the least heat for a wanted force a quadratic one. What is left
+is a search over the angle of u in the horizontal plane. A field out of the plane, where the robot is not in the coils'
+own, is found by repetition: it tilts u.
+
+Kernels that call each other share this file, since numba's cache does not see a change in another one.
+"""
+
+# mypy: disable-error-code="no-untyped-call,no-untyped-def"
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+BESIDE, FORCE, ACROSS, FIELD = 0, 1, 2, 3  # rows: field beside u, force along and across d, field along u
+GOLDEN = 0.3819660112501051
+TIGHT = 1e-9  # share of a bound by which a current may miss it before it is put on it
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _solve(matrix, right, size):
+    """Solve in place by elimination with pivots; False where the matrix is singular."""
+    for i in range(size):
+        pivot = i
+        for r in range(i + 1, size):
+            if abs(matrix[r, i]) > abs(matrix[pivot, i]):
+                pivot = r
+        if abs(matrix[pivot, i]) < 1e-11:
+            return False
+        if pivot != i:
+            for c in range(size):
+                matrix[i, c], matrix[pivot, c] = matrix[pivot, c], matrix[i, c]
+            right[i], right[pivot] = right[pivot], right[i]
+        for r in range(i + 1, size):
+            share = matrix[r, i] / matrix[i, i]
+            for c in range(i, size):
+                matrix[r, c] -= share * matrix[i, c]
+            right[r] -= share * right[i]
+    for i in range(size - 1, -1, -1):
+        for c in range(i + 1, size):
+            right[i] -= matrix[i, c] * right[c]
+        right[i] /= matrix[i, i]
+    return True
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multipliers, currents):
+    """Maximise rows[FORCE] . I with rows[order] I = wanted[order] and low <= I <= high; False without a solution.
+
+    Every basis is tried. Its multipliers put every other current on one of its bounds, and the equations give the basic
+    ones. A basis whose currents keep to their bounds is optimal.
+    """
+    n = low.shape[0]
+    for i in range(size):
+        basis[i] = i
+    while True:
+        for i in range(size):
+            for k in range(size):
+                matrix[i, k] = rows[order[k], basis[i]]
+            work[i] = rows[FORCE, basis[i]]
+        if _solve(matrix, work, size):
+            for c in range(n):
+                left = rows[FORCE, c]
+                for k in range(size):
+                    left -= work[k] * rows[order[k], c]
+                currents[c] = high[c] if left > 0.0 else low[c]
+            for i in range(size):
+                currents[basis[i]] = 0.0
+                multipliers[i] = work[i]
+            for k in range(size):
+                work[k] = wanted[order[k]]
+                for c in range(n):
+                    work[k] -= rows[order[k], c] * currents[c]
+                for i in range(size):
+                    matrix[k, i] = rows[order[k], basis[i]]
+            if _solve(matrix, work, size):
+                fits = True
+                for i in range(size):
+                    c = basis[i]
+                    slack = TIGHT * (high[c] - low[c])
+                    if not low[c] - slack <= work[i] <= high[c] + slack:
+                        fits = False
+                        break
+                    currents[c] = min(max(work[i], low[c]), high[c])
+                if fits:
+                    return True
+        at = size - 1
+        while at >= 0 and basis[at] == n - size + at:
+            at -= 1
+        if at < 0:
+            return False
+        basis[at] += 1
+        for i in range(at + 1, size):
+            basis[i] = basis[i - 1] + 1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, step, currents):
+    """Minimise |I|² with rows[order] I = wanted[order] and low <= I <= high; False if no solution was found.
+
+    At the optimum I = clip(rows^T y); y follows by Newton steps on the concave dual, halved where they overshoot.
+    """
+    n = low.shape[0]
+    for k in range(size):
+        multipliers[k] = step[k] = 0.0
+    best = -1e300
+    for _ in range(40):
+        value = 0.0
+        for k in range(size):
+            work[k] = wanted[order[k]]
+            value += multipliers[k] * wanted[order[k]]
+            for j in range(size):
+                matrix[k, j] = 0.0
+        for c in range(n):
+            pull = 0.0
+            for k in range(size):
+                pull += multipliers[k] * rows[order[k], c]
+            current = min(max(pull, low[c]), high[c])
+            currents[c] = current
+            value += 0.5 * current * current - pull * current
+            free = 1.0 if low[c] <= pull <= high[c] else 1e-7
+            for k in range(size):
+                work[k] -= rows[order[k], c] * current
+                for j in range(size):
+                    matrix[k, j] += free * rows[order[k], c] * rows[order[j], c]
+        if value < best - 1e-12 * abs(best):
+            for k in range(size):
+                step[k] *= 0.5
+                multipliers[k] -= step[k]
+            continue
+        best = value
+        miss = 0.0
+        for k in range(size):
+            miss = max(miss, abs(work[k]))
+        if miss < 1e-9:
+            return True
+        for k in range(size):
+            matrix[k, k] += 1e-10
+        if not _solve(matrix, work, size):
+            return False
+        for k in range(size):
+            step[k] = work[k]
+            multipliers[k] += step[k]
+    return False
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+    """Best currents with some rules (1: way, 2: field, 3: both) as equations; their number, 0 without a solution."""
+    n = low.shape[0]
+    order[0], order[1], size = BESIDE, FORCE, 2 if cool else 1
+    if rules & 1:
+        for c in range(n):
+            rows[ACROSS, c] = work[3, c] - side * rows[FORCE, c]
+        order[size] = ACROSS
+        size += 1
+    if rules & 2:
+        order[size] = FIELD
+        size += 1
+    if cool:
+        fits = _coolest(rows, wanted, order, size, low, high, matrix, work[0], work[1], work[2], currents)
+    else:
+        fits = _strongest(rows, wanted, order, size, low, high, basis, matrix, work[0], work[1], currents)
+    return size if fits else 0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _misses(rows, wanted, slack, work, currents):
+    """Force across the way, or 0 where it is small enough, and whether the field is strong enough."""
+    force = across = field = 0.0
+    for c in range(currents.shape[0]):
+        force += rows[FORCE, c] * currents[c]
+        across += work[3, c] * currents[c]
+        field += rows[FIELD, c] * currents[c]
+    return across if abs(across) > slack * abs(force) + 1e-9 else 0.0, field >= wanted[FIELD] - 1e-9
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
+    """Best currents for given rows: the rules that may be slack are added in turn, until all of them hold.
+
+    The optimum with some of the rules left out, if it keeps to them, is the optimum. So is one with some of them taken
+    as equations, if their multipliers have the right signs: the set that was right for the last direction is tried
+    first. `memory` holds that set and side.
+    """
+    n = low.shape[0]
+    for c in range(n):
+        work[3, c] = rows[ACROSS, c]
+    rules, side = int(memory[0]), memory[1]
+    if rules > 0:
+        size = _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents)
+        if size:
+            across, strong = _misses(rows, wanted, slack, work, currents)
+            right = across == 0.0 and strong
+            toward = -1.0 if cool else 1.0
+            for k in range(size):
+                if order[k] == ACROSS and toward * side * work[1, k] < -1e-12:
+                    right = False
+                if order[k] == FIELD and toward * work[1, k] > 1e-12:
+                    right = False
+            if right:
+                return True
+    memory[0] = -1.0
+    for with_field in (0, 2):
+        side = 0.0
+        for with_way in (0, 1):
+            rules = with_way + with_field
+            if not _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+                return False
+            across, strong = _misses(rows, wanted, slack, work, currents)
+            if across == 0.0 and strong:
+                memory[0], memory[1] = rules, side
+                return True
+            if with_way or across == 0.0:
+                if with_field:
+                    return False
+                break  # only the field is too weak
+            side = math.copysign(slack, across)
+    return False
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, currents):
+    """Best currents for a field along `angle`: force along `way` and minus their heat; -1e300 where nothing fits."""
+    least, steepest, slack = rules
+    n = b.shape[0]
+    rows, wanted, matrix, work = store[0], store[1, 0], store[2], store[3]
+    warm, cold = store[1, 1], store[1, 2]  # what the last direction came to, of strongest and coolest currents
+    ux, uy = math.cos(angle), math.sin(angle)
+    tilt = side = 0.0
+    for _ in range(12):
+        cosine = 1.0 / math.sqrt(1.0 + tilt * tilt)
+        vx, vy, vz = ux * cosine, uy * cosine, tilt * cosine
+        for c in range(n):
+            fx = vx * g[c, 0, 0] + vy * g[c, 1, 0] + vz * g[c, 2, 0]
+            fy = vx * g[c, 0, 1] + vy * g[c, 1, 1] + vz * g[c, 2, 1]
+            rows[FORCE, c] = way[0] * fx + way[1] * fy
+            rows[ACROSS, c] = way[0] * fy - way[1] * fx
+            rows[BESIDE, c] = ux * b[c, 1] - uy * b[c, 0]
+            rows[FIELD, c] = ux * b[c, 0] + uy * b[c, 1] - side * b[c, 2]
+        wanted[BESIDE] = wanted[ACROSS] = 0.0
+        wanted[FIELD], wanted[FORCE] = least, size
+        if size < 0.0 or cold[0] < 0.0:
+            if not _programme(rows, wanted, False, slack, low, high, order, basis, matrix, work, warm, currents):
+                return -1e300, -1e300
+            force = 0.0
+            for c in range(n):
+                force += rows[FORCE, c] * currents[c]
+                rows[ACROSS, c] = work[3, c]
+            if force < size:
+                return -1e300, -1e300
+        if size >= 0.0 and not _programme(
+            rows, wanted, True, slack, low, high, order, basis, matrix, work, cold, currents
+        ):
+            return -1e300, -1e300
+        field = up = 0.0
+        for c in range(n):
+            field += currents[c] * (ux * b[c, 0] + uy * b[c, 1])
+            up += currents[c] * b[c, 2]
+        before, tilt = tilt, up / max(field, 1e-30)
+        side = math.copysign(1.0 / steepest, up)
+        if abs(tilt - before) < 1e-4 and abs(tilt) <= steepest * (1.0 + 1e-6):
+            force = heat = 0.0
+            for c in range(n):
+                force += rows[FORCE, c] * currents[c]
+                heat += currents[c] ** 2
+            return force, -heat
+    return -1e300, -1e300
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def field_and_force(b, g, currents):
+    """Field (3,) in T and grad|B| (3,) in T/m of coils with fields b (n, 3) and gradients g (n, 3, 3) per A."""
+    n = b.shape[0]
+    field, force = np.zeros(3), np.zeros(3)
+    for c in range(n):
+        for i in range(3):
+            field[i] += currents[c] * b[c, i]
+    strength = math.sqrt(field[0] ** 2 + field[1] ** 2 + field[2] ** 2) + 1e-300
+    for c in range(n):
+        for j in range(3):
+            for i in range(3):
+                force[j] += currents[c] * field[i] / strength * g[c, i, j]
+    return field, force
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps):
+    """Currents (n_coils,) whose grad|B| points along `way`, searched over the direction of the field.
+
+    Parameters
+    ----------
+    b, g : ndarray, shape (n_coils, 3), (n_coils, 3, 3)
+        Field (T/A) and gradient (T/(A m)), ``g[c, i, j] = dB_i / dx_j``.
+    low, high : ndarray, shape (n_coils,), in A
+    way : ndarray, shape (2,)
+        Unit vector in the horizontal plane.
+    size : float, in T/m
+        Wanted grad|B|; negative for the strongest.
+    least : float, in T
+        The field must be this strong, or the moment would not align.
+    steepest : float
+        Largest tangent of the field's slope out of the plane: a floating robot does not follow it.
+    slack : float
+        Tangent of the angle by which the force may miss `way`. Where coils stand opposite each other, none at all would
+        cost up to a quarter of the force.
+    head_first : bool
+        Whether the field must not point against `way`.
+    steps : int
+        Angles of the field tried per quarter turn before the best are refined.
+
+    Returns
+    -------
+    value : float
+        grad|B| along `way`, in T/m, or -1e300 where nothing fits.
+    currents : ndarray, shape (n_coils,), in A
+    """
+    n = b.shape[0]
+    strong = steep = 1e-30  # field and gradient of the strongest coil: the search works in these units
+    for c in range(n):
+        span = max(abs(low[c]), abs(high[c]))
+        strong = max(strong, span * math.sqrt(b[c, 0] ** 2 + b[c, 1] ** 2))
+        for i in range(3):
+            for j in range(2):
+                steep = max(steep, span * abs(g[c, i, j]))
+    b, g, size, least = b / strong, g / steep, size / steep, least / strong
+    rules = (least, steepest, slack)
+    store, order, basis = np.full((4, 4, max(n, 4)), -1.0), np.empty(4, np.int64), np.empty(4, np.int64)
+    middle = math.atan2(way[1], way[0])
+    half = 0.5 * math.pi - 1.01 * slack if head_first else math.pi
+    width = half / (steps if head_first else 2 * steps)
+    count = 2 * steps + 1 if head_first else 4 * steps  # the wanted direction itself is among them
+    pick = 1 if size >= 0.0 else 0
+    values, trial, currents = np.empty(count), np.empty(n), np.zeros(n)
+    best, best_force = -1e300, -1e300
+    for i in range(count):
+        angle = middle - half + i * width
+        found = _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, trial)
+        values[i] = found[pick]
+        if values[i] > best:
+            best, best_force = values[i], found[0]
+            currents[:] = trial
+    if best <= -1e299:
+        return -1e300, currents
+    for i in range(count):
+        left = values[i - 1] if i > 0 else (-1e300 if head_first else values[count - 1])
+        right = values[i + 1] if i + 1 < count else (-1e300 if head_first else values[0])
+        floor = best - 0.15 * abs(best)
+        if values[i] < floor or values[i] < left or values[i] < right:
+            continue
+        center = middle - half + i * width
+        a, z = center - width, center + width
+        if head_first:
+            a, z = max(a, middle - half), min(z, middle + half)
+        points = (a + GOLDEN * (z - a), z - GOLDEN * (z - a))
+        heights = (math.nan, math.nan)
+        for _ in range(12):
+            fresh = 0 if math.isnan(heights[0]) else 1
+            for side in range(fresh, 2 if math.isnan(heights[1]) else 1):
+                found = _at_angle(points[side], way, size, rules, b, g, low, high, store, order, basis, trial)
+                heights = (found[pick], heights[1]) if side == 0 else (heights[0], found[pick])
+                if found[pick] > best:
+                    best, best_force = found[pick], found[0]
+                    currents[:] = trial
+            if heights[0] >= heights[1]:
+                z = points[1]
+                points, heights = (a + GOLDEN * (z - a), points[0]), (math.nan, heights[0])
+            else:
+                a = points[0]
+                points, heights = (points[1], z - GOLDEN * (z - a)), (heights[1], math.nan)
+    return best_force * steep, currents
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def strongest_alone(b, g, high):
+    """The largest grad|B|, in T/m, that one coil gives alone at its limit, high (n_coils,) in A."""
+    most = 0.0
+    for c in range(high.shape[0]):
+        _, slope = field_and_force(b[c : c + 1], g[c : c + 1], high[c : c + 1])
+        most = max(most, math.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2))
+    return most
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def forces_by_field(b, g, low, high, ways, angles, rules):
+    """Strongest grad|B| along a way for every direction of the field, at many places.
+
+    Parameters
+    ----------
+    b, g : ndarray, shape (m, n_coils, 3), (m, n_coils, 3, 3)
+        Field (T/A) and gradient (T/(A m)) at each place.
+    low, high : ndarray, shape (n_coils,), in A
+    ways : ndarray, shape (m, 2)
+        Unit vectors.
+    angles : ndarray, shape (k,), in rad
+        Directions of the field.
+    rules : tuple
+        Least field in T, largest tangent of its slope, and of the angle by which the force may miss the way.
+
+    Returns
+    -------
+    ndarray, shape (m, k), in T/m
+        0 where nothing fits.
+    """
+    m, n = b.shape[0], b.shape[1]
+    out = np.zeros((m, angles.shape[0]))
+    store, order, basis = np.full((4, 4, max(n, 4)), -1.0), np.empty(4, np.int64), np.empty(4, np.int64)
+    trial = np.empty(n)
+    for i in range(m):
+        strong = steep = 1e-30
+        for c in range(n):
+            span = max(abs(low[c]), abs(high[c]))
+            strong = max(strong, span * math.sqrt(b[i, c, 0] ** 2 + b[i, c, 1] ** 2))
+            for j in range(3):
+                steep = max(steep, span * max(abs(g[i, c, j, 0]), abs(g[i, c, j, 1])))
+        own_b, own_g = b[i] / strong, g[i] / steep
+        own_rules = (rules[0] / strong, rules[1], rules[2])
+        for k in range(angles.shape[0]):
+            force, _ = _at_angle(
+                angles[k], ways[i], -1.0, own_rules, own_b, own_g, low, high, store, order, basis, trial
+            )
+            out[i, k] = max(force, 0.0) * steep
+    return out

@@ -1,0 +1,95 @@
+"""Where a robot is on its way: legs between corners, arc length that does not jump to a strand nearby."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.paths import Curve
+
+BACK, AHEAD = 2e-3, 4e-3
+"""How far, in m, from where it was, the robot is looked for: a letter's strands cross."""
+
+
+class Course:
+    """A path cut into legs at its corners, and how much of it lies behind.
+
+    A leg is left when its end is within `handover`, or has been passed.
+
+    Parameters
+    ----------
+    path : Curve
+    corner : float, in rad
+        Turns beyond it end a leg.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 2), in m
+    arc : ndarray, shape (n,), in m
+    stops : list of int
+        Vertices at which legs end, the path's start and end included.
+    leg : int
+        Which leg the robot is on; -1 on the way to the path's start; ``len(stops) - 1`` when all are done.
+    arc_length : float, in m
+        Of the place on the leg that is nearest to the robot.
+    progress : float, in m
+        The largest of these so far.
+    """
+
+    def __init__(self, path: Curve, corner: float = float(np.radians(25.0))) -> None:
+        self.points = np.ascontiguousarray(path.points[:, :2])
+        self.arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+        steps = np.diff(self.points, axis=0)
+        self.tangents = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+        cosines = np.sum(self.tangents[1:] * self.tangents[:-1], axis=1)
+        turns = np.flatnonzero(cosines < np.cos(corner)) + 1
+        self.stops = [0, *(int(i) for i in turns), len(self.points) - 1]
+        self.leg = -1
+        self.arc_length = 0.0
+        self.progress = 0.0
+
+    @property
+    def length(self) -> float:
+        """In m."""
+        return float(self.arc[-1])
+
+    @property
+    def done(self) -> bool:
+        """True once the path's end was reached."""
+        return self.leg >= len(self.stops) - 1
+
+    @property
+    def leg_end(self) -> float:
+        """Arc length, in m, at which the present leg ends; 0 on the way to the start."""
+        return float(self.arc[self.stops[min(self.leg + 1, len(self.stops) - 1)]])
+
+    def locate(self, position: FloatArray, handover: float) -> None:
+        """Find the robot at `position`, shape (2,) or (3,), in m, and pass on to the next leg where one is done."""
+        place = np.asarray(position[:2])
+        if self.leg < 0:
+            if np.linalg.norm(place - self.points[0]) > handover:
+                return
+            self.leg = 0
+        while not self.done:
+            first, last = self.stops[self.leg], self.stops[self.leg + 1]
+            self.arc_length = self._nearest(place, first, last)
+            self.progress = max(self.progress, self.arc_length)
+            end = self.arc[last]
+            if np.linalg.norm(place - self.points[last]) > handover and self.arc_length < end - 1e-9:
+                return
+            self.leg += 1
+            self.arc_length = self.progress = float(end)
+
+    def at(self, s: float) -> FloatArray:
+        """Point (2,) of the path at arc length `s`, in m."""
+        return np.array([np.interp(s, self.arc, self.points[:, 0]), np.interp(s, self.arc, self.points[:, 1])])
+
+    def _nearest(self, place: FloatArray, first: int, last: int) -> float:
+        low = max(int(np.searchsorted(self.arc, self.arc_length - BACK)) - 1, first)
+        high = min(int(np.searchsorted(self.arc, self.arc_length + AHEAD)) + 1, last)
+        start, tangent = self.points[low:high], self.tangents[low:high]
+        lengths = np.diff(self.arc[low : high + 1])
+        along = np.clip(np.sum((place - start) * tangent, axis=1), 0.0, lengths)
+        away = np.linalg.norm(place - start - along[:, None] * tangent, axis=1)
+        best = int(np.argmin(away))
+        return float(self.arc[low + best] + along[best])

@@ -1,0 +1,275 @@
+"""Coil currents for a wanted force: the true one, on a moment that has aligned with the field."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from controllers.allocation import field_and_force, search, strongest_alone
+from smolbot.arrays import BoolArray, FloatArray, as_floats
+from smolbot.errors import InputError, SmolbotError
+
+if TYPE_CHECKING:
+    from lookup_tables import FieldTable
+
+STEPS, STEPS_OF_BOTH, STEPS_OF_FEW = 12, 24, 48
+"""Directions of the field tried per quarter turn, before the best are refined: head first, by either end (whose peaks
+are narrower), and with three coils, which leave no other freedom."""
+
+SLOPES = (0.3, 10.0)
+"""Tangents of the field's slope out of the plane, tried in turn: a floating robot hardly follows the second."""
+
+SLACK = float(np.tan(np.radians(0.1)))
+"""By how much a force may always miss its direction: right at a symmetry of the coils it is worth much."""
+
+NUDGES = np.radians([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+"""Angles by which a direction may be missed, tried from the smallest where the wanted one is out of reach, or weak."""
+
+WEAK = 0.1
+"""Share of the strongest single coil's pull below which a force that points exactly is called weak."""
+
+
+class UnreachableForceError(SmolbotError, ValueError):
+    """No currents within the limits give the wanted force.
+
+    Attributes
+    ----------
+    most : float, in N
+        The strongest force in that direction; 0 where none points there.
+    """
+
+    def __init__(self, message: str, most: float) -> None:
+        super().__init__(message)
+        self.most = most
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """Currents and what they do to an aligned moment, by the table.
+
+    Attributes
+    ----------
+    currents : ndarray, shape (n_coils,), in A
+    field : ndarray, shape (3,), in T
+    force : ndarray, shape (3,), in N
+        ``|m| grad|B|``. The part out of the plane is the surface's to bear.
+    direction_error : float, in rad
+        Angle between the wanted direction and the force, in the horizontal plane.
+    """
+
+    currents: FloatArray
+    field: FloatArray
+    force: FloatArray
+    direction_error: float
+
+    @property
+    def head_first(self) -> bool:
+        """Whether the force pulls at the head of an aligned robot, not at its tail."""
+        return bool(self.force[:2] @ self.field[:2] >= -1e-9 * np.linalg.norm(self.force) * np.linalg.norm(self.field))
+
+
+@dataclass(frozen=True)
+class ForceReach:
+    """Strongest force for each direction in the horizontal plane.
+
+    Attributes
+    ----------
+    angles : ndarray, shape (n,), in rad
+        From x toward y.
+    force : ndarray, shape (n,), in N
+        0 where no currents give a force that points there.
+    """
+
+    angles: FloatArray
+    force: FloatArray
+
+    @property
+    def polygon(self) -> FloatArray:
+        """Corners (n, 2) of what can be reached, in N."""
+        return self.force[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1)
+
+    @property
+    def unreachable(self) -> BoolArray:
+        """Which directions are out of reach, shape (n,)."""
+        return np.asarray(self.force <= 0.0)
+
+
+class ForceAllocator:
+    """Finds currents whose force points in a given direction of the horizontal plane.
+
+    A robot whose magnet has turned into the field B feels ``F = |m| grad|B|`` (not a force along B). The field's
+    direction is free; of all that do, the strongest force is taken, or the least heat for a force of the wanted size.
+
+    Parameters
+    ----------
+    table : FieldTable
+    max_current : float or array_like, shape (n_coils,), in A
+    moment : float, in A·m²
+    unipolar : bool
+        True where a supply cannot reverse: currents from 0 on, otherwise from ``-max_current`` on.
+    head_first : bool
+        Pull at the head only (F.m >= 0), lest the cantilever buckle. False: by whichever end is better.
+    least_field : float, in T
+        Weaker fields are not used. The strongest forces need coils that oppose each other, and so come with next to
+        no field; a robot that is to turn within tens of ms wants a millitesla or more.
+    tolerance : float, in rad
+        By how much a force may miss its direction where none, or only a weak one, points there exactly.
+
+    Examples
+    --------
+    >>> from smolbot.missionfile import load_mission
+    >>> setup = load_mission("line").setup()
+    >>> allocator = ForceAllocator(setup.table, 8.0, 0.89e-3, least_field=1e-3)
+    >>> here = np.array([0.008, 0.0, 0.060])
+    >>> print(allocator.currents(here, np.array([0.0, 1.0, 0.0]), force=60e-6).round(1))
+    [0.  0.1 3.  0.7]
+    """
+
+    def __init__(
+        self,
+        table: FieldTable,
+        max_current: float | npt.ArrayLike,
+        moment: float,
+        *,
+        unipolar: bool = True,
+        head_first: bool = True,
+        least_field: float = 2e-5,
+        tolerance: float = float(np.radians(3.0)),
+    ) -> None:
+        self.table = table
+        self.moment = float(moment)
+        self.head_first = head_first
+        self.least_field = float(least_field)
+        self._high = np.array(np.broadcast_to(np.asarray(max_current, dtype=np.float64), (table.n_coils,)))
+        if not (np.all(np.isfinite(self._high)) and np.all(self._high > 0.0) and self.moment > 0.0):
+            raise InputError(f"max_current and moment must be above 0; got {max_current!r} A and {moment!r} A·m².")
+        if not self.least_field > 0.0:
+            raise InputError(f"least_field must be above 0: without a field no moment aligns; got {least_field} T.")
+        self._low = np.zeros(table.n_coils) if unipolar else -self._high
+        self._steps = STEPS_OF_FEW if table.n_coils <= 3 else STEPS if head_first else STEPS_OF_BOTH
+        self._nudges = NUDGES[tolerance + 1e-9 >= NUDGES]
+
+    def currents(self, position: FloatArray, direction: FloatArray, force: float | None = None) -> FloatArray:
+        """Currents (n_coils,), in A; see `allocate`."""
+        return self.allocate(position, direction, force).currents
+
+    def allocate(self, position: FloatArray, direction: FloatArray, force: float | None = None) -> Allocation:
+        """Currents for a force, and what they do.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            Of the magnet, world frame.
+        direction : ndarray, shape (3,)
+            Horizontal, of any length above 0.
+        force : float, in N, optional
+            Size wanted, at the least heat; by default the strongest.
+
+        Raises
+        ------
+        UnreachableForceError
+            Says what is possible instead.
+        OutsideTableError
+            For a place that the table does not cover.
+        InputError
+            For a direction that is not horizontal, or has no length.
+        """
+        position = as_floats(position, (3,), "position")
+        way = self._way(as_floats(direction, (3,), "direction"))
+        if force is not None and not force >= 0.0:
+            raise InputError(f"force must not be below 0 N; got {force}. Turn the direction instead.")
+        field, gradient = self._coils(position)
+        wanted = -1.0 if force is None else float(force) / self.moment
+        found = self._search(field, gradient, way, wanted)
+        if found is None:
+            raise self._unreachable(position, field, gradient, way, force)
+        total, slope = field_and_force(field, gradient, found)
+        across, along = way[0] * slope[1] - way[1] * slope[0], way[0] * slope[0] + way[1] * slope[1]
+        miss = abs(math.atan2(across, along)) if found.any() else 0.0
+        return Allocation(found, total, self.moment * slope, miss)
+
+    def reach(self, position: FloatArray, directions: int = 72) -> ForceReach:
+        """Strongest force at `position` (3,), in m, for equally spaced directions of the plane."""
+        field, gradient = self._coils(as_floats(position, (3,), "position"))
+        angles = np.asarray(np.arange(directions) * (2.0 * np.pi / directions), dtype=np.float64)
+        force = np.zeros(directions)
+        for i, angle in enumerate(angles):
+            force[i] = self._most(field, gradient, np.array([np.cos(angle), np.sin(angle)]))
+        return ForceReach(angles, force)
+
+    def _coils(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        field, gradient = self.table.field_and_gradient(position[None, :])
+        return np.ascontiguousarray(field[:, 0]), np.ascontiguousarray(gradient[:, 0])
+
+    def _way(self, direction: FloatArray) -> FloatArray:
+        length = float(np.linalg.norm(direction))
+        if length == 0.0 or abs(direction[2]) > 1e-6 * length:
+            given = f"got {direction.tolist()}."
+            raise InputError(f"direction must be horizontal and have a length: a surface holds the height; {given}")
+        return np.asarray(direction[:2] / length)
+
+    def _exact(
+        self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float
+    ) -> tuple[float, FloatArray]:
+        """grad|B| along `way` in T/m, not above 0 where nothing fits, and its currents."""
+        for slope in SLOPES:
+            value, currents = search(
+                field,
+                gradient,
+                self._low,
+                self._high,
+                way,
+                wanted,
+                self.least_field,
+                slope,
+                SLACK,
+                self.head_first,
+                self._steps,
+            )
+            if value > -1e299:
+                break
+        return value, currents
+
+    def _search(self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float) -> FloatArray | None:
+        """Currents for `way`; where these are none, or weak ones, for a way beside it that is within the tolerance."""
+        if wanted == 0.0:
+            return np.zeros(len(field))
+        value, currents = self._exact(field, gradient, way, wanted)
+        enough = wanted
+        if wanted < 0.0:
+            enough = WEAK * strongest_alone(field, gradient, self._high)
+        for nudge in self._nudges:
+            if value > 0.0 and value >= enough * (1.0 - 1e-6):
+                break
+            for turn in (-nudge, nudge):
+                c, s = np.cos(turn), np.sin(turn)
+                beside = np.array([c * way[0] - s * way[1], s * way[0] + c * way[1]])
+                other, found = self._exact(field, gradient, beside, wanted)
+                if other > value:
+                    value, currents = other, found
+        return currents if value > 0.0 else None
+
+    def _most(self, field: FloatArray, gradient: FloatArray, way: FloatArray) -> float:
+        found = self._search(field, gradient, way, -1.0)
+        return (
+            0.0
+            if found is None
+            else self.moment * float(np.linalg.norm(field_and_force(field, gradient, found)[1][:2]))
+        )
+
+    def _unreachable(
+        self, position: FloatArray, field: FloatArray, gradient: FloatArray, way: FloatArray, force: float | None
+    ) -> UnreachableForceError:
+        angle = np.degrees(np.arctan2(way[1], way[0]))
+        where = f"at ({position[0] * 1e3:.1f}, {position[1] * 1e3:.1f}) mm toward {angle:.0f}°"
+        most = 0.0 if force is None else self._most(field, gradient, way)
+        if most > 0.0 and force is not None:
+            possible = f"{most * 1e6:.0f} µN at most"
+            return UnreachableForceError(f"A force of {force * 1e6:.0f} µN {where} is out of reach: {possible}.", most)
+        ends = "head first" if self.head_first else "with either end first"
+        hint = " Allowing the tail first may help." if self.head_first else ""
+        return UnreachableForceError(f"No currents pull {where}, {ends}.{hint}", 0.0)

@@ -1,0 +1,101 @@
+"""Pursuit of a point ahead on the path with the true force: the plainest law that goes where it is sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from controllers.course import Course
+from controllers.force_allocator import Allocation, ForceAllocator, UnreachableForceError
+from smolbot.arrays import FloatArray
+from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.errors import InputError
+from smolbot.paths import Curve
+from smolbot.poses import Pose
+from smolbot.scheduler import stretched_actuation
+from smolbot.shots import Actuate
+
+
+class ForcePursuit:
+    """Pulls toward a point a little ahead on the path, at most as hard as brings it there in one window."""
+
+    gains: ClassVar[Mapping[str, Gain]] = {
+        "lookahead_mm": Gain(0.8, 0.2, 5.0, True, meaning="distance along the path of the point that is pursued"),
+        "force_un": Gain(120.0, 10.0, 500.0, True, meaning="most force that is asked for"),
+        "least_field_mt": Gain(1.5, 0.05, 5.0, True, meaning="weaker fields do not turn the robot in time"),
+        "t_min_ms": Gain(60.0, 5.0, 100.0, meaning="actuation per cycle"),
+        "t_max_ms": Gain(100.0, 5.0, 200.0, meaning="actuation per cycle for a turn of 180 degrees"),
+        "sharp_deg": Gain(30.0, 0.0, 180.0, meaning="turns beyond this stretch the actuation"),
+        "handover_mm": Gain(0.3, 0.05, 2.0, True, meaning="distance at which start, corners and end count as reached"),
+        "tail_first": Gain(0.0, 0.0, 1.0, meaning="1: may be pulled tail first where that reaches further"),
+    }
+
+    def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
+        self.setup = setup
+        values = complete_gains(self.gains, gains, "force_pursuit")
+        if values["t_min_ms"] > values["t_max_ms"]:
+            given = f"got {values['t_min_ms']:g} and {values['t_max_ms']:g}."
+            raise InputError(f"t_min_ms must not exceed t_max_ms of force_pursuit; {given}")
+        self._lookahead = values["lookahead_mm"] * 1e-3
+        self._force = values["force_un"] * 1e-6
+        self._t_min, self._t_max = values["t_min_ms"] * 1e-3, values["t_max_ms"] * 1e-3
+        self._sharp = float(np.radians(values["sharp_deg"]))
+        self._handover = min(values["handover_mm"] * 1e-3, setup.tolerance)
+        self._allocator = ForceAllocator(
+            setup.table,
+            setup.limits.max_current,
+            setup.robot.moment,
+            unipolar=setup.limits.unipolar,
+            head_first=values["tail_first"] < 0.5,
+            least_field=values["least_field_mt"] * 1e-3,
+        )
+        self._course: Course | None = None
+
+    def reset(self, path: Curve, pose: Pose) -> None:
+        """Begin a path: first go to its start."""
+        self._course = Course(path)
+
+    def command(self, pose: Pose) -> Command:
+        """Currents toward the point that is pursued."""
+        course = self._course
+        if course is None:
+            raise InputError("force_pursuit has no path yet: call reset first.")
+        course.locate(pose.position, self._handover)
+        if course.done:
+            return Command(None, note="path's end reached", progress=course.progress, done=True)
+        phase: Phase = "approach" if course.leg < 0 else "follow"
+        goal = course.at(min(course.arc_length + self._lookahead, course.leg_end) if course.leg >= 0 else 0.0)
+        way = goal - pose.position[:2]
+        distance = float(np.linalg.norm(way))
+        heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
+        turn = abs(float(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
+        duration = stretched_actuation(turn, self._t_min, self._t_max, self._sharp)
+        wanted = self.setup.robot.drag * distance / duration
+        found, note = self._allocate(pose.position, way, min(wanted, self._force))
+        if found is None:
+            return Command(None, True, note, progress=course.progress, phase=phase)
+        saturated = bool(note) or wanted > self._force
+        window = Actuate(tuple(float(c) for c in found.currents), duration)
+        return Command(window, saturated, note, progress=course.progress, phase=phase)
+
+    def reach(self, path: Curve) -> Reach:
+        """The strongest force that the law could exert along the path; 0 where none points along it."""
+        arc = path.sampled(0.5e-3)
+        points, tangents = path.at(arc), path.tangent(arc)
+        force, error = np.zeros(len(arc)), np.zeros(len(arc))
+        for i, (point, tangent) in enumerate(zip(points, tangents, strict=True)):
+            found, _ = self._allocate(point, tangent[:2], self._force)
+            if found is not None:
+                force[i], error[i] = np.linalg.norm(found.force[:2]), found.direction_error
+        return Reach(points, force, error)
+
+    def _allocate(self, position: FloatArray, way: FloatArray, size: float) -> tuple[Allocation | None, str]:
+        direction = np.array([way[0], way[1], 0.0])
+        try:
+            return self._allocator.allocate(position, direction, size), ""
+        except UnreachableForceError as error:
+            if error.most <= 0.0:
+                return None, str(error)
+        return self._allocator.allocate(position, direction), "as strong as the coils allow"

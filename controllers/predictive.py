@@ -1,0 +1,301 @@
+"""Predictive control: the next window is chosen by rolling the robot's motion, turn and cantilever forward."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from controllers.adaptation import Adaptation
+from controllers.compass import Compass
+from controllers.course import Course
+from controllers.force_allocator import ForceAllocator, UnreachableForceError
+from controllers.starts import plan_starts
+from smolbot.arrays import FloatArray
+from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.errors import InputError
+from smolbot.motion.gradient import body_of
+from smolbot.motion.kernels import DRAG, FORWARD, HEADING, NEAR, ROTATIONAL_DRAG, plan
+from smolbot.paths import Curve
+from smolbot.poses import Pose
+from smolbot.shots import Actuate
+
+STEP = 7.5e-3
+"""Longest step of a rollout, in s."""
+
+REFINED, ROUNDS = 2, 6
+"""Starts that are improved, and by how many Gauss-Newton steps at most."""
+
+SPACING, ONWARD = 2.5e-4, 12
+"""Distance in m of the places at which a heading is planned, and how many of the next leg's are put to a leg's end."""
+
+HUBER = 0.5
+"""Wrong heading, in rad, beyond which its cost grows linearly."""
+
+LOOK_ON = 1e-3
+"""From this distance to a corner, in m, and in every turn, the window after the next is planned too."""
+
+
+MOST_HURRY, EASED_HURRY = 8.0, 4.0
+"""By how much going on and turning may gain weight, cycle by cycle, while a plan does neither; beyond the first, the
+robot is pulled straight to a point ahead, beyond the second a leg's end counts as reached from three times as far."""
+
+RESCUE = 80e-6
+"""Pull, in N, to a point ahead."""
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What was planned, to be compared with what happens: `moved` (2,) in m at mobility 1, `swung` (2,) by turning."""
+
+    pose: Pose
+    heading: float
+    moved: FloatArray
+    swung: FloatArray
+    turned: float
+    currents: FloatArray
+
+
+class Predictive:
+    """Model predictive control along the path.
+
+    Currents of the next window, and in turns and at corners of the one after, minimise a sum of squares: distance from
+    the path half way and at the end, arc length that is missing to the wanted speed, heading against the path's a
+    little ahead, push at the tail, and heat. The model turns the robot against viscous drag, bends the cantilever up
+    to its stop, and pulls it by the true force on its moment. So it turns before it pulls, without a rule that says so.
+
+    Of the pose's covariance it takes how firmly to correct, and how fast to go. Mobility, agility and drift are learned
+    from what the windows did (`controllers.adaptation`).
+    """
+
+    gains: ClassVar[Mapping[str, Gain]] = {
+        "window_ms": Gain(90.0, 20.0, 200.0, meaning="actuation per cycle, as far as the rig allows it"),
+        "short_ms": Gain(40.0, 10.0, 200.0, meaning="actuation per cycle where a goal is nearly reached"),
+        "speed_mm_s": Gain(6.0, 0.5, 20.0, True, meaning="speed that is wanted during actuation"),
+        "forward": Gain(0.3, 0.03, 3.0, True, meaning="weight of missing arc length against distance from the path"),
+        "heading_mm": Gain(0.5, 0.01, 3.0, True, meaning="distance from the path that weighs as much as 1 rad"),
+        "ahead_mm": Gain(0.5, 0.0, 3.0, meaning="how far ahead the path's heading counts"),
+        "heat_mm": Gain(0.02, 0.001, 0.3, True, meaning="distance from the path that weighs as much as a full current"),
+        "confidence_mm": Gain(0.2, 0.02, 2.0, True, meaning="uncertainty of a pose that halves correction and speed"),
+        "handover_mm": Gain(0.25, 0.05, 2.0, True, meaning="distance at which start, corners and end count as reached"),
+        "least_field_mt": Gain(
+            1.5, 0.05, 5.0, True, meaning="field below which a robot is not sure to turn as planned"
+        ),
+        "firm_mm": Gain(0.1, 0.001, 1.0, True, meaning="distance from the path that weighs as much as no field at all"),
+        "turn_s": Gain(0.15, 0.01, 2.0, True, meaning="time that a turn of 1 rad is taken to cost"),
+        "tail_first": Gain(0.0, 0.0, 1.0, meaning="1: may be pushed tail first, which reaches further"),
+    }
+
+    def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
+        self.setup = setup
+        values = complete_gains(self.gains, gains, "predictive")
+        if values["short_ms"] > values["window_ms"]:
+            given = f"got {values['short_ms']:g} and {values['window_ms']:g}."
+            raise InputError(f"short_ms must not exceed window_ms of predictive; {given}")
+        longest = setup.limits.max_actuation
+        self._window, self._short = (min(values[name] * 1e-3, longest) for name in ("window_ms", "short_ms"))
+        self._speed = values["speed_mm_s"] * 1e-3
+        self._ahead = values["ahead_mm"] * 1e-3
+        self._confidence = values["confidence_mm"] * 1e-3
+        self._handover = min(values["handover_mm"] * 1e-3, setup.tolerance)
+        self._head_first = values["tail_first"] < 0.5
+        tail = 1.0 if self._head_first else 0.0
+        least = values["least_field_mt"] * 1e-3
+        distance, turn = values["forward"], values["heading_mm"]
+        weights = [1.0, distance, turn, tail, values["heat_mm"], values["firm_mm"], least, HUBER]
+        self._weights = np.array(weights)
+        self._rest = setup.cycle.duration(setup.device.frequency)
+        self._high = np.full(setup.table.n_coils, setup.limits.max_current)
+        self._low = np.zeros(setup.table.n_coils) if setup.limits.unipolar else -self._high
+        self._starts = plan_starts(self._low, self._high)
+        self._compass = Compass(setup, self._low, self._high, self._head_first, least, values["turn_s"])
+        self._allocator = ForceAllocator(
+            setup.table,
+            setup.limits.max_current,
+            setup.robot.moment,
+            unipolar=setup.limits.unipolar,
+            head_first=self._head_first,
+            least_field=least,
+        )
+        self._headings: list[FloatArray] = []
+        self._course: Course | None = None
+        self._adaptation = Adaptation()
+        self._planned: _Plan | None = None
+        self._hurry = 1.0
+        self._warm_up()
+
+    @property
+    def learned(self) -> Adaptation:
+        """Mobility, agility and drift as learned so far."""
+        return self._adaptation
+
+    def reset(self, path: Curve, pose: Pose) -> None:
+        """Begin a path: first go to its start. What was learned of the robot is kept."""
+        self._course = course = Course(path)
+        self._hurry = 1.0
+        self._planned = None
+        arc = [np.arange(a, b + 0.5 * SPACING, SPACING) for a, b in itertools.pairwise(course.arc[course.stops])]
+        arcs = np.concatenate(arc)
+        along = np.clip(np.searchsorted(course.arc, arcs + 1e-9) - 1, 0, len(course.tangents) - 1)
+        first = np.cumsum([0, *(len(a) for a in arc)])
+        headings = self._compass.headings(path.at(arcs), course.tangents[along], SPACING)
+        self._headings = [
+            np.concatenate([headings[a:b], np.full(ONWARD, headings[min(b, len(headings) - 1)])])
+            for a, b in itertools.pairwise(first)
+        ]
+
+    def command(self, pose: Pose) -> Command:
+        """The window that serves the path best, by the model."""
+        course = self._course
+        if course is None:
+            raise InputError("predictive has no path yet: call reset first.")
+        heading = self._heading(pose)
+        self._learn(pose, heading)
+        eased = 3.0 if self._hurry >= EASED_HURRY else 1.0
+        course.locate(pose.position, min(eased * self._handover, self.setup.tolerance))
+        if course.done:
+            return Command(None, note="path's end reached", progress=course.progress, done=True)
+        phase: Phase = "approach" if course.leg < 0 else "follow"
+        duration, currents, gone, turning = self._plan(pose, heading, course)
+        saturated = bool(np.any((currents > 0.999 * self._high) | (currents < 0.999 * self._low - 1e-9)))
+        note = "turning" if turning else ""
+        if not turning and gone < 0.03 * self._speed * duration:
+            note = "hardly any force along the path here" + (", head first" if self._head_first else "")
+        window = Actuate(tuple(float(c) for c in currents), duration)
+        return Command(window, saturated, note, progress=course.progress, phase=phase)
+
+    def reach(self, path: Curve) -> Reach:
+        """The strongest force along the path with a field that turns the robot in time; 0 where there is none."""
+        arc = path.sampled(0.5e-3)
+        points, tangents = path.at(arc), path.tangent(arc)
+        force, error = np.zeros(len(arc)), np.zeros(len(arc))
+        for i, (point, tangent) in enumerate(zip(points, tangents, strict=True)):
+            try:
+                found = self._allocator.allocate(point, np.array([tangent[0], tangent[1], 0.0]))
+            except UnreachableForceError:
+                continue
+            force[i], error[i] = np.linalg.norm(found.force[:2]), found.direction_error
+        return Reach(points, force, error)
+
+    def _warm_up(self) -> None:
+        """Plan once, so that nothing is compiled or loaded while a robot waits for its next window."""
+        middle = np.mean(self.setup.table.bounds, axis=0)
+        pose = Pose(0.0, middle, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((6, 6)))
+        self.reset(Curve(np.array([middle, middle + np.array([1e-3, 0.0, 0.0])])), pose)
+        self.command(pose)
+        self._course, self._planned, self._hurry = None, None, 1.0
+
+    def _heading(self, pose: Pose) -> float:
+        ahead = pose.rotation @ self.setup.device.moment_in_body
+        return math.atan2(ahead[1], ahead[0])
+
+    def _plan(self, pose: Pose, heading: float, course: Course) -> tuple[float, FloatArray, float, bool]:
+        """Duration, currents, progress that is expected in m, and whether it is a turn."""
+        place = pose.position[:2]
+        origin = place + self.setup.robot.magnet_ahead * np.array([math.cos(heading), math.sin(heading)])
+        at = np.array([origin[0], origin[1], pose.position[2]])
+        if not self.setup.table.contains(at[None, :])[0]:
+            origin, at = place, np.asarray(pose.position)
+        field, gradient = self.setup.table.field_and_gradient(at[None, :])
+        b = np.ascontiguousarray(field[:, 0, :2])
+        g = np.ascontiguousarray(gradient[:, 0, :2, :2])
+        points, arc, first, last, guess, headings = self._route(pose, heading, course)
+        index = min(int((guess - float(arc[first])) / SPACING), len(headings) - 2)
+        turning = abs(_wrapped(heading - headings[index])) > HUBER
+        windows = 2 if turning or self._hurry > 1.0 or arc[last] - guess < LOOK_ON else 1
+        sigma = math.sqrt(max(float(pose.covariance[0, 0] + pose.covariance[1, 1]), 0.0))
+        doubt = 1.0 / (1.0 + (sigma / self._confidence) ** 2)
+        weights = self._weights.copy()
+        weights[NEAR] *= doubt
+        weights[[FORWARD, HEADING]] *= self._hurry
+        body = body_of(self.setup.robot)
+        body[DRAG] /= self._adaptation.mobility
+        body[ROTATIONAL_DRAG] /= self._adaptation.agility
+        state = np.array([*(place - origin), heading])
+        route = (points - origin, arc, headings, SPACING)
+        leg = (first, last, guess, self._speed * self._window * doubt, self._ahead, 0.5 * self._handover)
+        starts = np.repeat(self._with_last()[:, None, :], windows, axis=1)
+        drift = self._adaptation.drift
+        best = None
+        near_end = arc[last] - guess < 2.0 * self._speed * self._window
+        for duration in (self._window, self._short) if near_end else (self._window,):
+            steps = math.ceil(duration / STEP)
+            cost, currents, ends = plan(
+                b, g, self._low, self._high, body, state, drift, self._rest, duration, steps, route, leg, weights,
+                starts, REFINED, ROUNDS,
+            )  # fmt: skip
+            if best is None or cost < best[0]:
+                best = cost, duration, currents, ends
+            starts = currents[None]  # the other duration asks for much the same
+        assert best is not None
+        _, duration, currents, ends = best
+        end = ends[0]
+        center = self.setup.robot.center_ahead
+        swung = -center * np.array([math.cos(end[2]) - math.cos(heading), math.sin(end[2]) - math.sin(heading)])
+        moved = (end[:2] - state[:2] - drift * duration - swung) / self._adaptation.mobility
+        self._planned = _Plan(pose, heading, moved, swung, end[2] - heading, currents[0])
+        here = points[min(int(np.searchsorted(arc, guess, side="right")), last)] - place
+        gone = float((end[:2] - state[:2]) @ here / max(float(np.linalg.norm(here)), 1e-9))
+        if self._hurry >= MOST_HURRY:
+            rescue = self._pull(pose, course)
+            if rescue is not None:
+                self._planned, self._hurry = None, 0.75 * MOST_HURRY
+                return self._window, rescue, self._speed * self._window, turning
+        idle = gone < 0.1 * self._speed * self._window and abs(end[2] - heading) < 0.05
+        self._hurry = min(1.5 * self._hurry, MOST_HURRY) if idle else max(self._hurry / 1.5, 1.0)
+        return duration, currents[0], gone, turning
+
+    def _pull(self, pose: Pose, course: Course) -> FloatArray | None:
+        """Currents straight to a point ahead, or None where none pull there."""
+        ahead = min(course.arc_length + 2.0 * self._ahead, course.leg_end) if course.leg >= 0 else 0.0
+        way = course.at(ahead) - pose.position[:2]
+        try:
+            return self._allocator.currents(pose.position, np.array([way[0], way[1], 0.0]), RESCUE)
+        except UnreachableForceError as error:
+            if error.most <= 0.0:
+                return None
+        return self._allocator.currents(pose.position, np.array([way[0], way[1], 0.0]))
+
+    def _route(
+        self, pose: Pose, heading: float, course: Course
+    ) -> tuple[FloatArray, FloatArray, int, int, float, FloatArray]:
+        """Points, arc, first and last vertex of the leg, arc length now, and headings along the leg."""
+        if course.leg >= 0:
+            first, last = course.stops[course.leg], course.stops[course.leg + 1]
+            return course.points, course.arc, first, last, course.arc_length, self._headings[course.leg]
+        place = pose.position[:2]
+        way = course.points[0] - place
+        length = float(np.linalg.norm(way))
+        share = np.linspace(0.0, 1.0, 4)
+        points = np.column_stack([place + share[:, None] * way, np.full(4, pose.position[2])])
+        ways = np.repeat(way[None, :] / length, 4, axis=0)
+        few = self._compass.headings(points, ways, length / 4, heading)
+        counts = math.ceil(length / SPACING) + 1
+        headings = np.interp(np.linspace(0.0, 1.0, counts), share, few)
+        onward = np.full(ONWARD, self._headings[0][0])
+        return (
+            np.array([place, course.points[0]]), np.array([0.0, length]), 0, 1, 0.0, np.concatenate([headings, onward])
+        )  # fmt: skip
+
+    def _with_last(self) -> FloatArray:
+        if self._planned is None:
+            return self._starts
+        return np.concatenate([self._planned.currents[None, :], self._starts])
+
+    def _learn(self, pose: Pose, heading: float) -> None:
+        """Compare the last plan with where the robot is now."""
+        last = self._planned
+        self._planned = None
+        if last is None or pose.time <= last.pose.time or not pose.trusted:
+            return
+        seen = pose.position[:2] - last.pose.position[:2] - last.swung
+        turned = _wrapped(heading - last.heading)
+        self._adaptation.learn(seen, last.moved, turned, last.turned, pose.time - last.pose.time)
+
+
+def _wrapped(angle: float) -> float:
+    return angle - 2.0 * math.pi * round(angle / (2.0 * math.pi))
