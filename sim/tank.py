@@ -177,9 +177,7 @@ def put_down(
     heading = truth.start_heading
     ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
     orientation = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zy")
-    middle = (
-        np.array([*(wanted + truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
-    )
+    middle = np.array([*(wanted + truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
     middle[2] = hull.float_height
     return middle, orientation
 

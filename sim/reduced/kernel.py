@@ -12,13 +12,13 @@ from numba import njit
 
 from smolbot.arrays import FloatArray
 
-LIVE_STEP = 2e-3
+LIVE_STEP = 4e-3
 """Step while a coil carries current, in s: coils settle in 3 ms, alignment takes tens of ms."""
 
 IDLE_STEP = 2e-2
 """Step while none does, in s: what is left of the earth's field turns the robot by a degree in a second."""
 
-LIVE = 2e-3
+LIVE = 2e-2
 """Current, in A, below which a coil without a command moves nothing."""
 
 # Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection of the cantilever (rad)
@@ -63,14 +63,13 @@ def plane_field(
     n_sources = len(currents)
     for p in range(4):
         for q in range(4):
-            cell = table[i - 1 + p, j - 1 + q]
             cx = cy = cz = 0.0
             for n in range(n_sources):
                 current = currents[n]
                 if current != 0.0:
-                    cx += current * cell[n, 0]
-                    cy += current * cell[n, 1]
-                    cz += current * cell[n, 2]
+                    cx += current * table[i - 1 + p, j - 1 + q, n, 0]
+                    cy += current * table[i - 1 + p, j - 1 + q, n, 1]
+                    cz += current * table[i - 1 + p, j - 1 + q, n, 2]
             level, along_x, along_y = wx[p] * wy[q], dx[p] * wy[q], wx[p] * dy[q]
             bx += level * cx
             by += level * cy

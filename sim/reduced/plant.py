@@ -19,6 +19,7 @@ from sim.tank import put_down
 from smolbot.arrays import FloatArray
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
+from smolbot.rotations import matrix_from_quaternion
 from smolbot.shots import Actuate, Window
 
 SPACING = 1e-3
@@ -94,7 +95,8 @@ class ReducedPlant:
 
     def excitation(self) -> FloatArray:
         """True field (n_exc, 3) of the excitation coils at the magnet, in T per A, world frame."""
-        x, y, z = self._state[:3]
+        pose, length = self.pose(), self.device[3]
+        x, y, z = pose[:3] + length * matrix_from_quaternion(pose[3:])[:, 2]
         one = np.eye(self._n_excitation)
         fields = [plane_field(x, y, z, one[n], self._grid, self._excitation)[:3] for n in range(self._n_excitation)]
         return np.array(fields)
@@ -111,14 +113,19 @@ class ReducedPlant:
 
 
 def _runs(windows: tuple[Window, ...], n_coils: int) -> list[tuple[FloatArray, float]]:
-    """Currents and lengths, neighbouring windows with equal currents put together."""
+    """Currents and lengths; neighbouring windows without any are put together."""
     runs: list[tuple[FloatArray, float]] = []
+    silent = 0.0
     for window in windows:
-        wanted = np.array(window.currents) if isinstance(window, Actuate) else np.zeros(n_coils)
-        if runs and np.array_equal(runs[-1][0], wanted):
-            runs[-1] = (wanted, runs[-1][1] + window.duration)
-        else:
-            runs.append((wanted, window.duration))
+        if not isinstance(window, Actuate):
+            silent += window.duration
+            continue
+        if silent > 0.0:
+            runs.append((np.zeros(n_coils), silent))
+        runs.append((np.array(window.currents), window.duration))
+        silent = 0.0
+    if silent > 0.0:
+        runs.append((np.zeros(n_coils), silent))
     return runs
 
 
