@@ -23,6 +23,7 @@ _HOME = {
     "Localizer": "localization.localizer",
     "Mission": "missionfile",
     "MoveMagnet": "shots",
+    "NoiseModel": "localization.noise",
     "Pose": "poses",
     "Recording": "sensing",
     "Rest": "shots",
@@ -30,6 +31,7 @@ _HOME = {
     "RingDown": "shots",
     "Rotate": "shots",
     "Run": "loop",
+    "SearchVolume": "localization.cold_start",
     "SensorArray": "sensing",
     "Setup": "control",
     "Shot": "shots",
@@ -54,6 +56,7 @@ __all__ = [
     "Localizer",
     "Mission",
     "MoveMagnet",
+    "NoiseModel",
     "Pose",
     "Recording",
     "Rest",
@@ -61,6 +64,7 @@ __all__ = [
     "RingDown",
     "Rotate",
     "Run",
+    "SearchVolume",
     "SensorArray",
     "Setup",
     "Shot",
@@ -89,7 +93,9 @@ if TYPE_CHECKING:
     from smolbot.errors import SmolbotError
     from smolbot.flying import run
     from smolbot.limits import Limits
+    from smolbot.localization.cold_start import SearchVolume
     from smolbot.localization.localizer import Localizer
+    from smolbot.localization.noise import NoiseModel
     from smolbot.loop import Run
     from smolbot.missionfile import Mission, load_mission
     from smolbot.paths import Curve

@@ -10,25 +10,17 @@ from typing import Any
 import numpy as np
 
 from sim.static_bench import StaticBench
-from sim.studies.common import (
+from sim.studies.benches import (
     REFERENCE_POSITION,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
     characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
     localizers,
     open_bench,
     pose_row,
     prior_near,
     reference_orientation,
-    rng_of,
 )
+from sim.studies.columns import chosen, columns_of, joined
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 from smolbot.arrays import FloatArray
 from smolbot.localization.array_calibration import ArrayCalibration, calibrate_sensors
 from smolbot.localization.localizer import Localizer
@@ -276,6 +268,7 @@ def draw(outcome: Outcome, path: Path) -> None:
                     panel.text(p, v, text.removeprefix("0"), ha="center", va="bottom", fontsize=9)
             middle = (len(kinds) - 1) / 2
             panel.set_xticks([middle, middle + len(kinds) + 0.7], ["N = 2, wide", "N = 20, fine"])
+            panel.margins(y=0.12)
             titled(panel, f"MAE in {what}")
 
 

@@ -8,30 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
+from sim.studies.benches import (
     REFERENCE_POSITION,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
     characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
     localizers,
     locate_all,
     open_bench,
-    position_errors,
     prior_near,
     reference_orientation,
-    rms,
-    rng_of,
-    rotation_errors,
-    split,
 )
+from sim.studies.columns import chosen, columns_of, joined, position_errors, rms, rotation_errors
 from sim.studies.cramer_rao import bound, position_bound
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
 
 HALF_PERIODS = (1, 2, 6, 20)
 CHUNK = 500

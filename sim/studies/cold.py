@@ -7,24 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
-    characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
-    localizers,
-    open_bench,
-    pose_row,
-    position_errors,
-    rng_of,
-    split,
-)
+from sim.studies.benches import characterised, localizers, open_bench, pose_row
+from sim.studies.columns import chosen, columns_of, joined, position_errors
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
 from smolbot.rotations import rotation_error
 
 HALF_PERIODS = 6

@@ -15,7 +15,7 @@ import typer
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:
-    from sim.studies.common import Options, Outcome, Study
+    from sim.studies.study import Options, Outcome, Study
 
 STUDIES = {
     "bound": "error over the Cramer-Rao bound, and how honest the covariance is",
@@ -81,7 +81,8 @@ def load_study(name: str) -> Study:
 
 def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool = False) -> tuple[Outcome, Path]:
     """Run all chunks that are not done, conclude, and leave ``study.json``, ``results.csv`` and the figure."""
-    from sim.studies.common import StudyFolder, described, executor_for, new_folder, rig_named, run_chunks
+    from sim.studies.benches import rig_named
+    from sim.studies.running import StudyFolder, described, executor_for, new_folder, run_chunks
 
     begin = time.perf_counter()
     config = rig_named(options.rig)
@@ -99,7 +100,7 @@ def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool 
 def _options(
     study: Study, seed: int, jobs: int, poses: int | None, rig: str, mismatch: float | None, estimator: str | None
 ) -> Options:
-    from sim.studies.common import Options
+    from sim.studies.study import Options
 
     if estimator not in (None, "whitened", "paper", "both"):
         raise InputError(f"--estimator must be whitened, paper or both; got '{estimator}'.")

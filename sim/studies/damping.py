@@ -7,23 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
-    REFERENCE_POSITION,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
-    characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
-    localizers,
-    open_bench,
-    rng_of,
-)
+from sim.studies.benches import REFERENCE_POSITION, characterised, localizers, open_bench
+from sim.studies.columns import chosen, columns_of, joined
 from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 from smolbot.localization.statistics import coefficient_of_determination
 
 DAMPINGS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 31.7, 40.0)

@@ -9,23 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
-    characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
-    localizers,
-    open_bench,
-    optimised,
-    rng_of,
-)
+from sim.studies.benches import characterised, localizers, open_bench, optimised
+from sim.studies.columns import chosen, columns_of, joined
 from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 from smolbot.arrays import FloatArray
 from smolbot.sensing import Device
 

@@ -7,19 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
-    RING_DOWN,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
-    characterised,
-    cut,
-    rig_named,
-)
+from sim.studies.benches import RING_DOWN, characterised, rig_named
 from sim.studies.layout_search import Judge, Layout, Search
 from sim.studies.layout_value import AXES, Mismatch, Poses, Volume, judge
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
 from smolbot.arrays import FloatArray
 from smolbot.fitness import noise_levels
 from smolbot.localization.bounds import Window

@@ -7,25 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
-    CYCLES,
-    REFERENCE_POSITION,
-    RING_DOWN,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
-    characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
-    localizers,
-    open_bench,
-    rng_of,
-)
+from sim.studies.benches import CYCLES, REFERENCE_POSITION, RING_DOWN, characterised, localizers, open_bench
+from sim.studies.columns import chosen, columns_of, joined
 from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 
 HALF_PERIODS = tuple(range(1, 21))
 BENCHES = 4

@@ -15,25 +15,9 @@ from typing import Any
 import numpy as np
 
 from sim.static_bench import Disturbance, StaticBench
-from sim.studies.common import (
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
-    characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
-    localizers,
-    open_bench,
-    prior_near,
-    reference_orientation,
-    rig_named,
-    rng_of,
-    split,
-)
+from sim.studies.benches import characterised, localizers, open_bench, prior_near, reference_orientation, rig_named
+from sim.studies.columns import chosen, columns_of, joined
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
 from smolbot.arrays import FloatArray
 from smolbot.localization.forward import dipole_field
 from smolbot.localization.statistics import differential_mean_absolute_error

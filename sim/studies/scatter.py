@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from sim.static_bench import StaticBench
-from sim.studies.common import Columns, position_errors, prior_near, reference_orientation, rms
+from sim.studies.benches import prior_near, reference_orientation
+from sim.studies.columns import position_errors, rms
 from sim.studies.cramer_rao import bound
+from sim.studies.study import Columns
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.statistics import standard_deviation
 
@@ -26,7 +28,7 @@ def scatter_rows(
     labels: dict[str, Any],
 ) -> list[dict[str, Any]]:
     """`repeats` poses at (0, 0, `height` m) in the reference orientation, all estimators on the same recordings."""
-    from sim.studies.common import locate_all
+    from sim.studies.benches import locate_all
 
     position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
     rows: list[dict[str, Any]] = []

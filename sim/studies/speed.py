@@ -11,24 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
+from sim.studies.benches import (
     REFERENCE_POSITION,
     RING_DOWN,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
     characterised,
-    cut,
-    executor_for,
     localizers,
     open_bench,
     prior_near,
     reference_orientation,
-    rng_of,
-    run_chunks,
 )
+from sim.studies.running import executor_for, run_chunks
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 from smolbot.arrays import FloatArray
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
@@ -249,7 +242,7 @@ def draw(outcome: Outcome, path: Path) -> None:
             panel.set_yticks([0.1, 1, 10, 100, 1000], ["0.1", "1", "10", "100", "1000"])
             panel.set_xlim(-1.25, 2.5)
             paper = "40 to 60 ms" if limits[1] == 50.0 else "360 ms"
-            for value, text in ((limits[0], f"asked for:\n{limits[0]:g} ms"), (limits[1], f"the paper:\n{paper}")):
+            for value, text in ((limits[0], f"goal:\n{limits[0]:g} ms"), (limits[1], f"the paper:\n{paper}")):
                 panel.axhline(value, color=LIMIT, lw=1, ls="--", zorder=0)
                 panel.text(-1.2, value * 1.1, text, color="#777777", fontsize=10, va="bottom")
             titled(panel, f"Time of one pose in ms, N = {case['half_periods']}")

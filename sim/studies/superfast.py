@@ -8,24 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.common import (
+from sim.studies.benches import (
     REFERENCE_POSITION,
     RING_DOWN,
-    Chunk,
-    Columns,
-    Options,
-    Outcome,
-    Study,
     characterised,
-    chosen,
-    columns_of,
-    cut,
-    joined,
     localizers,
     open_bench,
-    position_errors,
     reference_orientation,
 )
+from sim.studies.columns import chosen, columns_of, joined, position_errors
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
 from smolbot.arrays import FloatArray
 from smolbot.localization.localizer import Localizer
 from smolbot.poses import Pose

@@ -70,12 +70,13 @@ def series(positions, axes, moment, l0, angles, powers, position, rotation, valu
 def model(
     matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
 ):
-    """Fill the model's output (n_out,) and its Jacobian (n_out, 8).
+    """Fill the model's output (n_out,) and its Jacobian (8, n_out).
 
-    `matrix` (n_out, n_functions, n_channels) is the linear chain's answer to each time function in each
+    `matrix` (n_functions, n_channels, n_out) is the linear chain's answer to each time function in each
     channel; `labels` (n_functions, 3) are a function's power, harmonic, and 0 for cosine or 1 for sine.
+    Functions are in the order of their powers. Outputs come last so that every inner loop runs along memory.
     """
-    n_out, n_functions, n_channels = matrix.shape
+    n_functions, n_channels, n_out = matrix.shape
     n_powers = angles.shape[0]
     values = np.zeros((n_channels, n_powers))
     slopes = np.zeros((n_channels, n_powers, 6))
@@ -90,41 +91,39 @@ def model(
             turn[f, 0], turn[f, 1] = np.cos(h * phase), -h * np.sin(h * phase)
         else:
             turn[f, 0], turn[f, 1] = -np.sin(h * phase), -h * np.cos(h * phase)
-    # one row of weights for each (power, channel): the sum over a power's functions, now and per rad of phase
-    width = (n_powers - 1) * n_channels
-    now = np.zeros(width)
-    series_now = np.zeros((8, width))
-    for k in range(1, n_powers):
+    out[:] = 0.0
+    jacobian[:] = 0.0
+    now = np.empty(n_out)  # what one power of one channel adds, and per rad of phase
+    ahead = np.empty(n_out)
+    first = 0
+    while first < n_functions:
+        k = labels[first, 0]
+        last = first
+        while last < n_functions and labels[last, 0] == k:
+            last += 1
         for j in range(n_channels):
-            row = (k - 1) * n_channels + j
-            for p in range(6):
-                series_now[p, row] = slopes[j, k, p] * size[k]
-            series_now[6, row] = values[j, k] * size[k]
-            series_now[7, row] = k * values[j, k] * size[k - 1]
-    ahead = np.zeros((n_functions, n_channels))  # what each function in each channel adds per rad of phase
-    for f in range(n_functions):
-        k = labels[f, 0]
-        for j in range(n_channels):
-            ahead[f, j] = turn[f, 1] * values[j, k] * size[k]
-    for i in range(n_out):
-        now[:] = 0.0
-        per_phase = 0.0
-        for f in range(n_functions):
-            start = (labels[f, 0] - 1) * n_channels
-            c = turn[f, 0]
-            for j in range(n_channels):
-                now[start + j] += c * matrix[i, f, j]
-            for j in range(n_channels):
-                per_phase += ahead[f, j] * matrix[i, f, j]
-        for p in range(8):
-            total = 0.0
-            for row in range(width):
-                total += now[row] * series_now[p, row]
-            if p == 6:
-                out[i] = total
-            else:
-                jacobian[i, p] = total
-        jacobian[i, 6] = per_phase
+            now[:] = 0.0
+            ahead[:] = 0.0
+            for f in range(first, last):
+                c, d = turn[f, 0], turn[f, 1]
+                for i in range(n_out):
+                    now[i] += c * matrix[f, j, i]
+                    ahead[i] += d * matrix[f, j, i]
+            s0, s1, s2 = slopes[j, k, 0] * size[k], slopes[j, k, 1] * size[k], slopes[j, k, 2] * size[k]
+            s3, s4, s5 = slopes[j, k, 3] * size[k], slopes[j, k, 4] * size[k], slopes[j, k, 5] * size[k]
+            v, grown = values[j, k] * size[k], k * values[j, k] * size[k - 1]
+            for i in range(n_out):
+                w = now[i]
+                out[i] += v * w
+                jacobian[0, i] += s0 * w
+                jacobian[1, i] += s1 * w
+                jacobian[2, i] += s2 * w
+                jacobian[3, i] += s3 * w
+                jacobian[4, i] += s4 * w
+                jacobian[5, i] += s5 * w
+                jacobian[6, i] += v * ahead[i]
+                jacobian[7, i] += grown * w
+        first = last
 
 
 @njit(cache=True)
@@ -179,26 +178,29 @@ def rotate(rotation, e):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
     """Fill J^T J and J^T r, the belief in the amplitude included; return the cost and the sum squared error (S20).
 
-    `belief`: mean of the amplitude, and the inverse of its variance (0 without one).
+    `jacobian` is (8, n_out); `belief`: mean of the amplitude, and the inverse of its variance (0 without one).
     """
-    normal[:] = 0.0
-    gradient[:] = 0.0
+    n_out = data.shape[0]
+    left = np.empty(n_out)
     sse = 0.0
-    for i in range(data.shape[0]):
-        r = data[i] - out[i]
-        sse += r * r
-        for a in range(8):
-            ja = jacobian[i, a]
-            gradient[a] += ja * r
-            for b in range(a + 1):
-                normal[a, b] += ja * jacobian[i, b]
+    for i in range(n_out):
+        left[i] = data[i] - out[i]
+        sse += left[i] * left[i]
     for a in range(8):
-        for b in range(a):
-            normal[b, a] = normal[a, b]
+        total = 0.0
+        for i in range(n_out):
+            total += jacobian[a, i] * left[i]
+        gradient[a] = total
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(n_out):
+                total += jacobian[a, i] * jacobian[b, i]
+            normal[a, b] = total
+            normal[b, a] = total
     off = belief[0] - amplitude
     normal[7, 7] += belief[1]
     gradient[7] += belief[1] * off
@@ -216,7 +218,7 @@ def fit(
     """
     n_out = data.shape[0]
     out = np.zeros(n_out)
-    jacobian = np.zeros((n_out, 8))
+    jacobian = np.zeros((8, n_out))
     normal = np.zeros((8, 8))
     gradient = np.zeros(8)
     position, rotation = position.copy(), rotation.copy()
@@ -287,9 +289,9 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
     """Phase and amplitude that fit `data` best at a fixed pose; exact for small amplitudes."""
     n_out = data.shape[0]
     first = np.zeros(n_out)
-    jacobian = np.zeros((n_out, 8))
+    jacobian = np.zeros((8, n_out))
     model(matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
-    second = -jacobian[:, 6]  # of the first harmonic, a quarter of a turn away
+    second = -jacobian[6]  # of the first harmonic, a quarter of a turn away
     aa, ab, bb, ay, by = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n_out):
         aa += first[i] * first[i]

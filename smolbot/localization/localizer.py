@@ -47,6 +47,8 @@ MAX_SIGMA = (3e-3, 0.2)
 """Standard deviations, in m and rad, beyond which a pose is not worth acting on."""
 
 
+_WITHOUT_PHASE = np.ix_([0, 1, 2, 3, 4, 5, 7], [0, 1, 2, 3, 4, 5, 7])
+
 MAX_ROLL = 1.0
 """The same, in rad, for the turn about the moment in a series of segments: only the cantilever's length tells it."""
 
@@ -292,7 +294,7 @@ class Localizer:
             flip_margin=flip_margin,
             trusted=bool(best.converged and certain and clear and self._inside(best) and r_squared >= MIN_R_SQUARED),
         )
-        joint = np.delete(np.delete(spread, 6, axis=0), 6, axis=1) if usable else np.full((7, 7), np.inf)
+        joint = spread[_WITHOUT_PHASE] if usable else np.full((7, 7), np.inf)
         joint[6] *= REFERENCE_ANGLE
         joint[:, 6] *= REFERENCE_ANGLE
         return pose, Swing(best.amplitude * REFERENCE_ANGLE, float(best.phase), joint, problem, best, variance)

@@ -90,7 +90,7 @@ class LinearModel:
     def constants(self) -> tuple[Any, ...]:
         """Arguments that every kernel of the fit begins with."""
         return (
-            self.matrix,
+            np.ascontiguousarray(self.matrix.transpose(1, 2, 0)),
             time_functions.labels(),
             self.positions,
             self.axes,
@@ -119,12 +119,12 @@ class LinearModel:
         fraction of the reference angle; derivatives for the rotation are for e in exp(e) R. `matrix`
         stands in for the model's own, such as one of its slopes.
         """
+        first = self.constants[0] if matrix is None else np.ascontiguousarray(matrix.transpose(1, 2, 0))
+        out = np.zeros(first.shape[2])
+        jacobian = np.zeros((compiled.N_PARAMETERS, len(out)))
         place = (np.ascontiguousarray(position, dtype=float), np.ascontiguousarray(rotation))
-        first = self.matrix if matrix is None else matrix
-        out = np.zeros(len(first))
-        jacobian = np.zeros((len(out), compiled.N_PARAMETERS))
         _kernels.model(first, *self.constants[1:], *place, float(phase), float(amplitude), out, jacobian)
-        return out, jacobian
+        return out, jacobian.T
 
 
 @lru_cache(maxsize=64)
@@ -186,7 +186,7 @@ class Problem:
         amplitude: float,
         *,
         iterations: int = 40,
-        tolerance: float = 1e-6,
+        tolerance: float = 1e-5,
     ) -> Fit:
         """Levenberg-Marquardt from one start; amplitudes are fractions of the reference angle."""
         start = (np.ascontiguousarray(position), np.ascontiguousarray(rotation), float(phase), float(amplitude))

@@ -59,6 +59,8 @@ def test_every_public_name_can_be_had_from_the_top(tmp_path):
     for name in smolbot.__all__:
         assert getattr(smolbot, name) is not None
     assert set(smolbot.__all__) <= set(dir(smolbot))
+    promised = "Pose Recording SensorArray Device NoiseModel Localizer Setup Controller Gain Command Rig Tracker run"
+    assert set(promised.split()) <= set(smolbot.__all__)
     with pytest.raises(AttributeError, match="no attribute 'Robots'"):
         _ = smolbot.Robots
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim.static_bench import StaticBench, with_sensors
-from sim.studies.common import characterised, in_glycerol, optimised, reference_orientation, true_noise_model
+from sim.studies.benches import characterised, in_glycerol, optimised, reference_orientation, true_noise_model
 from sim.studies.cramer_rao import bound, own_covariance, position_bound
 from smolbot.errors import InputError
 from smolbot.localization.forward import deflection, sensor_field

@@ -11,21 +11,11 @@ import numpy as np
 import pytest
 
 from sim.studies import accuracy, bound, cold, damping, depth, precision
+from sim.studies.benches import characterised, localizers, open_bench, pose_row, reference_orientation
+from sim.studies.columns import chosen, joined
 from sim.studies.command import STUDIES, carry_out, load_study
-from sim.studies.common import (
-    Chunk,
-    Options,
-    StudyFolder,
-    characterised,
-    chosen,
-    cut,
-    joined,
-    localizers,
-    open_bench,
-    pose_row,
-    reference_orientation,
-    run_chunks,
-)
+from sim.studies.running import StudyFolder, run_chunks
+from sim.studies.study import Chunk, Options, cut
 from smolbot.errors import InputError
 from smolbot.poses import Pose
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from sim.studies import layout as study
-from sim.studies.common import Options, rig_named
+from sim.studies.benches import rig_named
 from sim.studies.layout_search import BLOCK, Judge, Layout, Search
 from sim.studies.layout_value import Mismatch, Poses, Volume, judge
+from sim.studies.study import Options
 from smolbot.fitness import noise_levels
 from smolbot.localization.bounds import pose_bound
 from smolbot.localization.problem import Problem

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sim.studies import scalpel as study
-from sim.studies.common import Options, cut, reference_orientation
+from sim.studies.benches import reference_orientation
+from sim.studies.study import Options, cut
 from smolbot.localization.forward import dipole_field
 from smolbot.rigfile import load_rig
 

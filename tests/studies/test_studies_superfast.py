@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim.studies import superfast as study
-from sim.studies.common import Options
+from sim.studies.study import Options
 
 
 def test_stage_steps_as_described():

@@ -1,0 +1,152 @@
+"""Devices, benches, localizers and priors that the studies share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from sim.static_bench import StaticBench, with_sensors
+from sim.studies.study import Chunk
+from smolbot.arrays import FloatArray
+from smolbot.localization.localizer import Estimator, Localizer
+from smolbot.localization.noise import NoiseModel
+from smolbot.poses import Pose
+from smolbot.rigfile import RigConfig, load_rig
+from smolbot.rotations import (
+    quaternion_from_axes,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rotation_error,
+)
+from smolbot.sensing import Device, Recording
+
+QUIET_SECONDS = 10.0
+"""Quiet time that a noise model is learned from."""
+
+
+RING_DOWN = 0.02
+"""From the end of the drive to the first sample, in s."""
+
+
+CYCLES = 5
+"""Length of a drive, in periods of the resonance."""
+
+
+REFERENCE_POSITION = (0.0, 0.0, 0.08)
+"""The paper's reference place, in m."""
+
+
+PRIOR_OFF = (1e-3, math.radians(3.0))
+"""How far a warm start is from the truth, standard deviation per axis in m and rad."""
+
+
+def reference_orientation() -> FloatArray:
+    """The paper's reference: main axis (body z) along world y, oscillating in the x-y plane; quaternion (4,)."""
+    return quaternion_from_axes(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
+
+
+def characterised(damping: float = 1.1, model: Any = "linear") -> Device:
+    """The paper's calibrated device: 17.8 deg, 103.5 Hz, moment across the cantilever."""
+    return Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, math.radians(17.8), 103.5, damping, model)
+
+
+def optimised() -> Device:
+    """The paper's optimised device: 30 deg, 160 Hz."""
+    return Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, math.radians(30.0), 160.0, 1.1, "linear")
+
+
+def in_glycerol() -> Device:
+    """The gradient robot's device: moment along the cantilever, 31.7 1/s."""
+    return Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, math.radians(17.8), 103.5, 31.7, "exponential")
+
+
+@lru_cache(maxsize=8)
+def rig_named(name: str) -> RigConfig:
+    """A rig file, read once per process."""
+    return load_rig(name)
+
+
+def open_bench(chunk: Chunk, device: Device, mismatch: float, *, spread: float = 1.0) -> StaticBench:
+    """The bench of a chunk, drawn from its seed; `spread` scales the sensors' places about the origin."""
+    rig = rig_named(chunk["rig"])
+    if spread != 1.0:
+        rig = with_sensors(rig, spread * rig.sensors.positions, rig.sensors.axes)
+    return StaticBench(rig, device, chunk.seed, mismatch)
+
+
+def localizers(
+    bench: StaticBench,
+    estimators: Sequence[Estimator],
+    quiet: float = QUIET_SECONDS,
+    reach: float | None = None,
+) -> dict[str, Localizer]:
+    """Localizers that know what may be known: nominal sensors and device, noise from `quiet` s of quiet.
+
+    `reach` is the height, in m, up to which poses are looked for, where the default is not enough.
+    """
+    from smolbot.localization.cold_start import SearchVolume
+
+    volume = SearchVolume()
+    if reach is not None:
+        wide = max(0.05, 0.4 * reach)
+        volume = SearchVolume((-wide, -wide, 0.03), (wide, wide, max(reach, 0.12)), max(0.008, 0.06 * reach))
+    noise = NoiseModel.learn(bench.quiet(quiet)) if "whitened" in estimators else None
+    return {e: Localizer(bench.sensors, bench.device, noise, e, volume) for e in estimators}
+
+
+def true_noise_model(bench: StaticBench, top: float = 2500.0, spacing: float = 0.5) -> NoiseModel:
+    """The noise as it truly is, as a localizer takes it: lines, and the spectrum of the sensors' own noise."""
+    noise = bench.true_sensors.field_noise
+    frequencies = np.arange(0.0, top + 0.5 * spacing, spacing)
+    corners, deviations = bench.true_sensors.sensor_noise.processes
+    power = 2.0 / np.pi * deviations**2 / corners  # of a first-order process, one-sided, at 0 Hz
+    density = np.sum(power / (1.0 + (frequencies[:, None] / corners) ** 2), axis=1)
+    density += bench.true_sensors.converter_step**2 / 6.0 / bench.rate
+    phasors = noise.amplitudes
+    eye = np.eye(len(bench.sensors), dtype=np.complex128)
+    return NoiseModel(
+        line_frequencies=np.array(noise.frequencies),
+        lines=np.einsum("lj,lk->ljk", phasors, phasors.conj()),
+        frequencies=frequencies,
+        spectrum=density[:, None, None] * eye,
+        block=1.0 / bench.rate,
+    )
+
+
+def prior_near(position: FloatArray, orientation: FloatArray, rng: np.random.Generator) -> Pose:
+    """A warm start: the truth, moved and turned by as much as `PRIOR_OFF` says."""
+    off, turn = PRIOR_OFF
+    moved = position + off * rng.standard_normal(3)
+    turned = quaternion_product(quaternion_from_rotation_vector(turn * rng.standard_normal(3)), orientation)
+    return Pose(0.0, moved, turned, np.diag([off**2] * 3 + [turn**2] * 3))
+
+
+def pose_row(pose: Pose, position: FloatArray, orientation: FloatArray) -> dict[str, float]:
+    """One row of `Columns`: errors, expected deviations, NEES, and what the pose says of itself."""
+    error = np.concatenate([pose.position - position, rotation_error(pose.orientation, orientation)])
+    expected = np.sqrt(np.diag(pose.covariance))
+    scale = np.where(expected > 0, expected, 1.0)
+    nees = float((error / scale) @ np.linalg.solve(pose.covariance / np.outer(scale, scale), error / scale))
+    row = {f"error_{axis}_mm": 1e3 * float(error[i]) for i, axis in enumerate("xyz")}
+    row |= {f"error_r{axis}_deg": math.degrees(float(error[3 + i])) for i, axis in enumerate("xyz")}
+    row |= {f"sigma_{axis}_mm": 1e3 * float(expected[i]) for i, axis in enumerate("xyz")}
+    row |= {"nees": nees, "r_squared": pose.r_squared, "flip_margin": pose.flip_margin, "trusted": float(pose.trusted)}
+    return row
+
+
+def locate_all(
+    found: Mapping[str, Localizer],
+    recording: Recording,
+    position: FloatArray,
+    orientation: FloatArray,
+    prior: Pose | None,
+) -> list[dict[str, Any]]:
+    """One row per estimator for one recording."""
+    return [
+        {"estimator": name, **pose_row(localizer.locate(recording, prior), position, orientation)}
+        for name, localizer in found.items()
+    ]

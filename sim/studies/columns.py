@@ -1,0 +1,47 @@
+"""Rows of a study as columns: joined, chosen, and turned into errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sim.studies.study import Columns
+from smolbot.arrays import FloatArray
+
+
+def columns_of(rows: Sequence[Mapping[str, Any]]) -> Columns:
+    """Rows as columns; every row has the same keys."""
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]} if rows else {}
+
+
+def joined(parts: Sequence[Columns]) -> Columns:
+    """Columns of several chunks one after the other; keys with a leading underscore are left out."""
+    filled = [p for p in parts if p]
+    keys = [k for k in (filled[0] if filled else {}) if not k.startswith("_")]
+    return {key: np.concatenate([np.atleast_1d(p[key]) for p in filled]) for key in keys}
+
+
+def chosen(columns: Columns, **values: Any) -> Columns:
+    """The rows in which the named columns have these values."""
+    keep = np.ones(len(next(iter(columns.values()))), dtype=np.bool_)
+    for key, value in values.items():
+        keep &= columns[key] == value
+    return {key: column[keep] for key, column in columns.items()}
+
+
+def position_errors(columns: Columns) -> FloatArray:
+    """Position errors (n, 3) in mm."""
+    return np.stack([columns[f"error_{axis}_mm"] for axis in "xyz"], axis=1)
+
+
+def rotation_errors(columns: Columns) -> FloatArray:
+    """Rotation errors (n, 3) in degrees."""
+    return np.stack([columns[f"error_r{axis}_deg"] for axis in "xyz"], axis=1)
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square of all values; nan where there is none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan

@@ -1,0 +1,210 @@
+"""Carries a study out: over processes, resumed where it was left, into a folder of its own.
+
+Each chunk leaves its rows in ``chunks/NAME.npz`` when it is done, so that a study resumes.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.studies.study import Chunk, Columns, Options, Study
+from smolbot.errors import InputError
+from smolbot.rigfile import RigConfig
+from smolbot.sensing import Device, SensorArray
+
+
+class StudyFolder:
+    """Where a study leaves its chunks, its rows, what it was, and its figure.
+
+    Parameters
+    ----------
+    path : Path
+    asked : mapping
+        What decides the result (`Options.asked`).
+    resume : bool
+        Go on with what is there; without it the folder must be new or empty.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else than this study, or cannot be made.
+    """
+
+    def __init__(self, path: Path, asked: Mapping[str, Any], *, resume: bool = False) -> None:
+        self.path, self.asked = path, dict(asked)
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file; name a folder for the study.")
+        if path.is_dir() and any(path.iterdir()):
+            if not resume:
+                raise InputError(f"{path}: is not empty; name a new folder, or go on with --resume.")
+            self._check()
+        try:
+            (path / "chunks").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{path}: the study's folder cannot be made: {error}.") from error
+        self._write_json("asked.json", self.asked)
+
+    def _check(self) -> None:
+        try:
+            found = json.loads((self.path / "asked.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{self.path}: holds no study that can be resumed (asked.json: {error}).") from error
+        ours = json.loads(json.dumps(self.asked))
+        keys = [k for k in {**ours, **found} if ours.get(k) != found.get(k)]
+        if keys:
+            differ = "; ".join(f"{k} was {found.get(k)!r}, is {ours.get(k)!r}" for k in sorted(keys))
+            raise InputError(f"{self.path}: holds another study: {differ}. Resume with the same options.")
+
+    def load(self, name: str) -> Columns | None:
+        """Rows of a finished chunk; None where it is not finished, or its file is broken."""
+        try:
+            with np.load(self.path / "chunks" / f"{name}.npz", allow_pickle=False) as file:
+                return {key: file[key] for key in file.files}
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return None
+
+    def save(self, name: str, columns: Columns) -> None:
+        """Keep the rows of a chunk; a kill in between leaves no half file."""
+        target = self.path / "chunks" / f"{name}.npz"
+        with target.with_suffix(".part").open("wb") as file:
+            np.savez_compressed(file, **columns)
+        os.replace(target.with_suffix(".part"), target)
+
+    def finish(self, figures: Mapping[str, Any], columns: Columns) -> None:
+        """Write ``study.json`` and ``results.csv``."""
+        self._write_json("study.json", figures)
+        shown = {key: column for key, column in columns.items() if not key.startswith("_")}
+        with (self.path / "results.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(shown)
+            writer.writerows(zip(*(_texts(column) for column in shown.values()), strict=True))
+
+    def _write_json(self, name: str, data: Any) -> None:
+        from smolbot.cli.show import as_json
+
+        (self.path / name).write_text(json.dumps(as_json(data), indent=2, default=str) + "\n", encoding="utf-8")
+
+
+def _texts(column: Any) -> list[str]:
+    values = np.atleast_1d(column)
+    return [f"{v:.8g}" if values.dtype.kind == "f" else str(v) for v in values]
+
+
+def new_folder(name: str) -> Path:
+    """A new folder in runs/."""
+    return Path("runs") / f"study-{name}-{datetime.now():%Y%m%d-%H%M%S}"
+
+
+@contextmanager
+def executor_for(jobs: int) -> Iterator[Executor | None]:
+    """Processes for chunks: 0 for one per core; None for 1, which stays in this process."""
+    import multiprocessing
+
+    count = jobs or os.cpu_count() or 1
+    if count == 1:
+        yield None
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def run_chunks(
+    chunks: Sequence[Chunk],
+    folder: StudyFolder | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Columns]:
+    """Rows of all chunks, in their order; those that a folder already holds are read, not run.
+
+    Parameters
+    ----------
+    chunks : sequence of Chunk
+    folder : StudyFolder, optional
+    executor : concurrent.futures.Executor, optional
+        Any; without one the chunks run here.
+    progress : callable, optional
+        Told how many are done, of how many.
+    """
+    found: dict[int, Columns] = {}
+    for index, chunk in enumerate(chunks):
+        kept = folder.load(chunk.name) if folder is not None else None
+        if kept is not None:
+            found[index] = kept
+    tell = progress or (lambda done, total: None)
+    tell(len(found), len(chunks))
+
+    def done(index: int, columns: Columns) -> None:
+        found[index] = columns
+        if folder is not None:
+            folder.save(chunks[index].name, columns)
+        tell(len(found), len(chunks))
+
+    left = [i for i in range(len(chunks)) if i not in found]
+    if executor is None:
+        for index in left:
+            done(index, chunks[index].work(chunks[index]))
+    else:
+        futures: dict[Future[Columns], int] = {executor.submit(chunks[i].work, chunks[i]): i for i in left}
+        try:
+            for future in as_completed(futures):
+                done(futures[future], future.result())
+        finally:
+            for future in futures:
+                future.cancel()
+    return [found[i] for i in range(len(chunks))]
+
+
+def described(options: Options, study: Study, rig: RigConfig) -> dict[str, Any]:
+    """What ``study.json`` says of a study beside its figures: seed, noise, layout, devices, mismatch, versions."""
+    from smolbot.records.folder import provenance
+
+    origin = provenance(options.seed, {}, {})
+    noise = rig.sections.noise.model_dump()
+    return {
+        **options.asked(),
+        "title": study.title,
+        "noise": noise,
+        "layout": layout_of(rig.sensors),
+        "devices": {name: device_of(device) for name, device in study.devices().items()},
+        "mismatch_section": rig.sections.tank.get("mismatch", {}),
+        "notes": dict(study.notes),
+        "versions": {key: origin[key] for key in ("smolbot", "commit", "python", "platform", "packages")},
+    }
+
+
+def layout_of(sensors: SensorArray) -> dict[str, Any]:
+    """Places and axes of an array, as plain lists."""
+    return {
+        "positions_mm": np.round(1e3 * sensors.positions, 4).tolist(),
+        "axes": np.round(sensors.axes, 6).tolist(),
+        "bandwidth_hz": sensors.bandwidth,
+    }
+
+
+def device_of(device: Device) -> dict[str, Any]:
+    """A device's values, with units in their names."""
+    return {
+        "moment_ma_m2": 1e3 * device.moment,
+        "moment_in_body": device.moment_in_body.tolist(),
+        "l0_mm": 1e3 * device.l0,
+        "theta_max_deg": math.degrees(device.theta_max),
+        "frequency_hz": device.frequency,
+        "damping_per_s": device.damping,
+        "damping_model": device.damping_model,
+    }

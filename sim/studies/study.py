@@ -1,0 +1,136 @@
+"""What a study is: options, chunks of Monte-Carlo that run anywhere, an outcome.
+
+A study is cut into chunks. Each has its own seed and draws its own bench, so the result is the same whatever the
+number of processes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.localization.localizer import Estimator
+from smolbot.sensing import Device
+
+Columns = dict[str, Any]
+"""Rows of a study: one-dimensional arrays of equal length, named with their unit. Keys with a leading underscore hold
+arrays of any shape, which figures may use and ``results.csv`` leaves out."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a study was asked for; `poses` and `mismatch` None mean the study's own choice."""
+
+    name: str
+    seed: int = 1
+    jobs: int = 0
+    poses: int | None = None
+    rig: str = "tank"
+    mismatch: float | None = None
+    estimators: tuple[Estimator, ...] = ("whitened", "paper")
+
+    def asked(self) -> dict[str, Any]:
+        """What decides the result, and must be the same when a study resumes."""
+        return {
+            "study": self.name,
+            "seed": self.seed,
+            "poses": self.poses,
+            "rig": self.rig,
+            "mismatch": self.mismatch,
+            "estimators": list(self.estimators),
+        }
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """One piece of a study: `work(chunk)` returns its rows, in whatever process it runs.
+
+    Attributes
+    ----------
+    name : str
+        Unique within the study, fit for a file name.
+    work : callable
+        A module's function, so that it can be sent to another process.
+    seed : int
+        All that the piece draws follows from it.
+    arguments : mapping
+        Plain values.
+    """
+
+    name: str
+    work: Callable[[Chunk], Columns]
+    seed: int
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, key: str) -> Any:
+        return self.arguments[key]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a study found.
+
+    Attributes
+    ----------
+    rows : list of (str, str)
+        The table.
+    figures : dict
+        The same as numbers, for ``study.json`` and ``--json``.
+    columns : Columns
+        For ``results.csv``.
+    """
+
+    rows: list[tuple[str, str]]
+    figures: dict[str, Any]
+    columns: Columns
+
+
+@dataclass(frozen=True)
+class Study:
+    """One study: how it is cut into chunks, what they add up to, and how that is drawn.
+
+    `estimators` are those that are used where none is asked for.
+    """
+
+    name: str
+    title: str
+    devices: Callable[[], Mapping[str, Device]]
+    chunks: Callable[[Options], list[Chunk]]
+    conclude: Callable[[Options, list[Columns]], Outcome]
+    draw: Callable[[Outcome, Path], None]
+    estimators: tuple[Estimator, ...] = ("whitened", "paper")
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def cut(
+    options: Options, work: Callable[[Chunk], Columns], pieces: Sequence[tuple[str, Mapping[str, Any]]]
+) -> list[Chunk]:
+    """Chunks with seeds spawned from the study's own, in order of `pieces` (name, arguments)."""
+    seeds = np.random.SeedSequence(options.seed).spawn(len(pieces))
+    states = [int(s.generate_state(1, np.uint64)[0] >> np.uint64(1)) for s in seeds]
+    shared = {"rig": options.rig, "estimators": options.estimators}
+    return [
+        Chunk(name, work, seed, {**shared, **arguments}) for (name, arguments), seed in zip(pieces, states, strict=True)
+    ]
+
+
+def split(total: int, size: int) -> list[int]:
+    """Sizes of the fewest, nearly equal pieces of at most `size`.
+
+    Examples
+    --------
+    >>> split(1000, 400)
+    [334, 333, 333]
+    """
+    count = max(math.ceil(total / size), 1)
+    return [total // count + (i < total % count) for i in range(count)]
+
+
+def rng_of(chunk: Chunk) -> np.random.Generator:
+    """Generator for what a study itself draws, apart from the bench's."""
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence([chunk.seed, 2])))
