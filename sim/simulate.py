@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -71,11 +70,13 @@ def simulate(
         Plant, typer.Option(help="The full tank, or a reduced one: motion only, with pose noise in place of signals.")
     ] = Plant.FULL,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler, instead of processes.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
+    from sim.executors import open_executor
     from smolbot.missionfile import load_mission
     from smolbot.records.folder import RunFolder
 
@@ -89,7 +90,7 @@ def simulate(
     loaded.rig.table()  # built once, before the workers need it
     folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
     folder.begin(loaded, wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
-    with _executor(jobs) as executor:
+    with open_executor(jobs, scheduler) as executor:
         flown = fly_seeds(executor, mission, rig, settings, wanted, plant)
         flights = list(_watched(flown, loaded.name, len(wanted)))
     flights.sort(key=lambda f: f.summary["seed"])
@@ -185,12 +186,6 @@ def write_results(path: Path, flights: list[Flight]) -> None:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         writer.writerows([[f.value(column) for column in COLUMNS] for f in flights])
-
-
-def _executor(jobs: int) -> ProcessPoolExecutor:
-    import multiprocessing
-
-    return ProcessPoolExecutor(jobs or os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn"))
 
 
 def _new_folder(name: str) -> Any:

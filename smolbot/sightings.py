@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -27,18 +28,41 @@ class SightedSwing:
 
 
 @dataclass(frozen=True, eq=False)
+class Fitted:
+    """The outcome of a fit, not yet judged.
+
+    Attributes
+    ----------
+    position, orientation : ndarray, shapes (3,) in m and (4,)
+        As estimated.
+    amplitude : float, in rad
+        As estimated, at the end of the drive.
+    covariance : ndarray, shape (7, 7)
+        As claimed, of (position in m, rotation e in rad, amplitude in rad); infinite where a fit says nothing.
+    r_squared : float
+    """
+
+    position: FloatArray
+    orientation: FloatArray
+    amplitude: float
+    covariance: FloatArray
+    r_squared: float
+
+
+@dataclass(frozen=True, eq=False)
 class Sighting(Recording):
     """A recording whose samples were never made: it carries the fit that a localizer would have come to.
 
     Attributes
     ----------
-    pose : Pose or None
-        With every error of a fit already in it; its claim to be trusted is not yet judged.
-    swing : SightedSwing or None
+    time : float, in s
+        Middle of the window, on the rig's clock.
+    fitted : Fitted or None
+        None where nothing was driven.
     """
 
-    pose: Pose | None = None
-    swing: SightedSwing | None = None
+    time: float = 0.0
+    fitted: Fitted | None = None
 
 
 @dataclass(frozen=True)
@@ -71,22 +95,31 @@ class Sightings:
         InputError
             Where nothing was seen, as with a recording that has too few usable channels.
         """
-        pose, swing = getattr(recording, "pose", None), getattr(recording, "swing", None)
-        if pose is None or swing is None:
+        fitted = recording.fitted if isinstance(recording, Sighting) else None
+        if fitted is None or not isinstance(recording, Sighting) or not math.isfinite(fitted.covariance[0, 0]):
             raise InputError("This recording holds no pose: nothing was driven before it.")
+        orientation = fitted.orientation
         if prior is not None:
-            twin = quaternion_product(pose.orientation, _HALF_TURN)
-            if abs(twin @ prior.orientation) > abs(pose.orientation @ prior.orientation):
-                pose = replace(pose, orientation=twin)
-        return replace(pose, trusted=self._believable(pose, swing)), swing
+            twin = quaternion_product(orientation, _HALF_TURN)
+            if abs(twin @ prior.orientation) > abs(orientation @ prior.orientation):
+                orientation = twin
+        pose = Pose(
+            recording.time,
+            fitted.position,
+            orientation,
+            fitted.covariance[:6, :6],
+            fitted.r_squared,
+            trusted=self._believable(fitted),
+        )
+        return pose, SightedSwing(fitted.amplitude, fitted.covariance)
 
-    def _believable(self, pose: Pose, swing: SightedSwing) -> bool:
-        spread = np.sqrt(np.diag(pose.covariance))
-        certain = bool(spread[:3].max() < MAX_SIGMA[0] and spread[3:].max() < MAX_SIGMA[1])
-        loud = swing.amplitude > MIN_AMPLITUDE * 1.1 * self.device.theta_max
-        low, high = np.array(self.volume.low) - 0.02, np.array(self.volume.high) + 0.02
-        inside = bool(np.all((pose.position >= low) & (pose.position <= high)))
-        return certain and loud and inside and pose.r_squared >= MIN_R_SQUARED
+    def _believable(self, fitted: Fitted) -> bool:
+        variances = fitted.covariance.diagonal()
+        certain = variances[:3].max() < MAX_SIGMA[0] ** 2 and variances[3:6].max() < MAX_SIGMA[1] ** 2
+        loud = fitted.amplitude > MIN_AMPLITUDE * 1.1 * self.device.theta_max
+        bounds = zip(self.volume.low, fitted.position, self.volume.high, strict=True)
+        inside = all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
+        return bool(certain and loud and inside and fitted.r_squared >= MIN_R_SQUARED)
 
 
 @runtime_checkable

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim.reduced.fit import linear_fit
 from smolbot.arrays import FloatArray
 from smolbot.fitness import noise_levels
 from smolbot.localization import basis, kernels
@@ -18,6 +19,7 @@ from smolbot.localization.whitening import whitened_model
 from smolbot.rigfile import RigConfig
 from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
 from smolbot.sensing import Recording
+from smolbot.sightings import Fitted
 
 N_PHASES = 4
 """Phases of the oscillation, half a turn in all, of which one is drawn for each recording."""
@@ -42,17 +44,6 @@ class Heard:
     moment: FloatArray
     l0: float
     noise: NoiseModel
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """What a fit came to: estimates, the covariance (7, 7) that it claims (position, rotation, amplitude), and R²."""
-
-    position: FloatArray
-    orientation: FloatArray
-    amplitude: float
-    covariance: FloatArray
-    r_squared: float
 
 
 class FitErrors:
@@ -94,38 +85,21 @@ class FitErrors:
         since : float, in s
             From the end of the drive to its first sample.
         """
-        key = (half_periods, round(since, 9))
+        key = half_periods, round(since, 9)
         if key not in self._models:
             self._models[key] = _Model(self._localizer, self._rig, self._heard.noise, half_periods, since)
         model, heard = self._models[key], self._heard
-        phase = int(self._rng.integers(N_PHASES))
+        phase = int(N_PHASES * self._rng.random())
         white = self._rng.standard_normal(model.n_out)
+        noise = white if model.noise_factor is None else model.noise_factor @ white
         rotation = matrix_from_quaternion(orientation)
         size = max(amplitude, 1e-6) / basis.REFERENCE_ANGLE
-        device = self._localizer.device
-        values, slopes = model.series(
-            model.positions, model.axes, device.moment * device.moment_in_body, device.l0, position, rotation
-        )
+        values, slopes = model.series(model.positions, model.axes, model.moment, model.l0, position, rotation)
         truth, _ = model.series(heard.positions, heard.axes, heard.moment, heard.l0, position, rotation)
-        out, jacobian = model.response(values, slopes, phase, size)
-        residual = model.output(truth, phase, size) - out
-        noise = white if model.noise_factor is None else model.noise_factor @ white
-        residual += noise
-        normal = jacobian.T @ jacobian
-        gradient = jacobian.T @ residual
-        mean, weight = model.belief
-        normal[7, 7] += weight
-        gradient[7] += weight * (mean - size)
-        spread = kernels.covariance(normal, 1.0)
-        if not math.isfinite(spread[0, 0]):
-            return Fitted(position, orientation, 0.0, np.full((7, 7), np.inf), 0.0)
-        change = spread @ gradient
-        left = residual - jacobian @ change
-        sse, total = float(left @ left), float(np.square(out + residual).sum())
-        spread *= model.variance(sse)
-        joint = np.delete(np.delete(spread, 6, axis=0), 6, axis=1)
-        joint[6] *= basis.REFERENCE_ANGLE
-        joint[:, 6] *= basis.REFERENCE_ANGLE
+        change, spread, sse, total = linear_fit(
+            values, slopes, truth, *model.waves[phase], size, noise, *model.belief, basis.REFERENCE_ANGLE
+        )
+        joint = model.variance(sse) * spread
         turned = quaternion_product(quaternion_from_rotation_vector(change[3:6]), orientation)
         amplitude = (size + float(change[7])) * basis.REFERENCE_ANGLE
         return Fitted(position + change[:3], turned, amplitude, joint, 1.0 - sse / total)
@@ -155,11 +129,11 @@ class _Model:
         self._white = model.white
         self.n_out = len(model.matrix)
         self.positions, self.axes = model.positions, model.axes
+        self.moment, self.l0 = device.moment * device.moment_in_body, device.l0
         self.belief: tuple[float, float] = (float(model.belief[0]), float(model.belief[1]))
         self._angles = basis.nodes() * basis.REFERENCE_ANGLE
         self._powers = basis.power_matrix()
-        self._waves = [_waves(model, math.pi * k / N_PHASES) for k in range(N_PHASES)]
-        self._order = np.arange(1, len(self._angles))
+        self.waves = [_waves(model, math.pi * k / N_PHASES) for k in range(N_PHASES)]
 
     def series(
         self,
@@ -170,32 +144,11 @@ class _Model:
         position: FloatArray,
         rotation: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Power series (n, K) of the channels in the deflection, without the constant, and derivatives (n, K, 6)."""
+        """Power series (n, K) of the channels in the deflection, and derivatives (n, K, 6)."""
         n, k = len(positions), len(self._angles)
         values, slopes = np.zeros((n, k)), np.zeros((n, k, 6))
         kernels.series(positions, axes, moment, l0, self._angles, self._powers, position, rotation, values, slopes)
-        return values[:, 1:], slopes[:, 1:]
-
-    def output(self, values: FloatArray, phase: int, size: float) -> FloatArray:
-        """Data vector (n_out,) of a swing of `size` reference angles."""
-        data: FloatArray = self._waves[phase][0] @ (values * size**self._order).ravel()
-        return data
-
-    def response(
-        self, values: FloatArray, slopes: FloatArray, phase: int, size: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Data vector (n_out,) and its Jacobian (n_out, 8), as `LinearModel.response` gives them."""
-        now, ahead = self._waves[phase]
-        weights = size**self._order
-        level = values * weights
-        columns = np.empty((*values.shape, 8))
-        columns[..., :6] = slopes * weights[:, None]
-        columns[..., 6] = level
-        columns[..., 7] = level * (self._order / size)
-        jacobian: FloatArray = now @ columns.reshape(-1, 8)
-        out = jacobian[:, 6].copy()
-        jacobian[:, 6] = ahead @ level.ravel()
-        return out, jacobian
+        return values, slopes
 
     def variance(self, sse: float) -> float:
         """By what a fit scales its covariance: white residuals only where they are larger than chance makes them."""

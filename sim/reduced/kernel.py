@@ -12,10 +12,10 @@ from numba import njit
 
 from smolbot.arrays import FloatArray
 
-LIVE_STEP = 4e-3
+LIVE_STEP = 6e-3
 """Step while a coil carries current, in s: coils settle in 3 ms, alignment takes tens of ms."""
 
-IDLE_STEP = 2e-2
+IDLE_STEP = 3e-2
 """Step while none does, in s: what is left of the earth's field turns the robot by a degree in a second."""
 
 LIVE = 2e-2
@@ -154,6 +154,7 @@ def move(
     state: FloatArray,
     currents: FloatArray,
     commands: FloatArray,
+    lengths: FloatArray,
     constants: FloatArray,
     grid: FloatArray,
     table: FloatArray,
@@ -162,11 +163,11 @@ def move(
     float_height: float,
     box: FloatArray,
     start: float,
-    duration: float,
     times: FloatArray,
     poses: FloatArray,
+    states: FloatArray,
 ) -> int:
-    """Move the robot on under constant commands, by midpoint steps; return how many rows of the record it filled.
+    """Move the robot on through windows of constant commands, by midpoint steps; return how many rows it recorded.
 
     Parameters
     ----------
@@ -174,52 +175,61 @@ def move(
         As laid out at the top of this file; advanced in place, as `currents` is.
     currents : ndarray, shape (n_sources,), in A
         Of the actuation coils, then of sources that do not change.
-    commands, constants : ndarray, shape (n_coils,)
-        Commanded currents (A) and time constants (s) of the actuation coils.
+    commands : ndarray, shape (n_windows, n_coils), in A
+    lengths : ndarray, shape (n_windows,), in s
+    constants : ndarray, shape (n_coils,), in s
+        Time constants of the actuation coils.
     grid, table
         As `plane_field` takes them.
     box : ndarray, shape (6,), in m
         Low x, high x, low y, high y of the container; half the housing's length and width.
-    start, duration : float, in s
+    start : float, in s
     times, poses : ndarray, shapes (k,) and (k, 7)
-        Receive time, rotation centre (m) and orientation at the start of each step.
+        Receive time, rotation centre (m) and orientation at the start of each step, and at the end of the last.
+    states : ndarray, shape (n_windows, 8)
+        Receives the state at the start of each window.
     """
-    n_coils = len(commands)
-    half, mean = np.empty(STATE_LENGTH), currents.copy()
-    rates = np.empty(7)
-    at, rows = 0.0, 0
-    while duration - at > 1e-12:
-        times[rows] = start + at
-        note(state, device, poses[rows])
-        rows += 1
-        live = False
-        for n in range(n_coils):
-            if commands[n] != 0.0 or abs(currents[n]) > LIVE:
-                live = True
-        left = duration - at
-        h = left / math.ceil(left / (LIVE_STEP if live else IDLE_STEP) - 1e-9)
-        for n in range(n_coils):
-            if not live:
-                mean[n] = currents[n] = 0.0
-                continue
-            settled = 1.0 - math.exp(-h / constants[n]) if constants[n] > 0.0 else 1.0
-            off = currents[n] - commands[n]
-            mean[n] = commands[n] + off * settled * constants[n] / h
-            currents[n] = commands[n] + off * (1.0 - settled)
-        _rates(state, mean, grid, table, device, hull, float_height, rates)
-        for n in range(7):
-            half[n] = state[n] + 0.5 * h * rates[n]
-        half[7] = state[7]
-        _rates(half, mean, grid, table, device, hull, float_height, rates)
-        for n in range(7):
-            state[n] += h * rates[n]
-        state[7] = half[7]
-        size = 1.0 / math.sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2 + state[6] ** 2)
-        for n in range(3, 7):
-            state[n] *= size
-        _hold_inside(state, box)
-        at += h
-    return rows
+    n_coils = commands.shape[1]
+    half, mean, rates = np.empty(STATE_LENGTH), currents.copy(), np.empty(7)
+    rows = 0
+    for window in range(len(lengths)):
+        states[window] = state
+        at, duration = 0.0, lengths[window]
+        while duration - at > 1e-12:
+            times[rows] = start + at
+            note(state, device, poses[rows])
+            rows += 1
+            live = False
+            for n in range(n_coils):
+                if commands[window, n] != 0.0 or abs(currents[n]) > LIVE:
+                    live = True
+            left = duration - at
+            h = left / math.ceil(left / (LIVE_STEP if live else IDLE_STEP) - 1e-9)
+            for n in range(n_coils):
+                if live:  # the exact mean of the exponential over the step, and its end
+                    settled = 1.0 - math.exp(-h / constants[n]) if constants[n] > 0.0 else 1.0
+                    off = currents[n] - commands[window, n]
+                    mean[n] = commands[window, n] + off * settled * constants[n] / h
+                    currents[n] = commands[window, n] + off * (1.0 - settled)
+                else:
+                    mean[n] = currents[n] = 0.0
+            _rates(state, mean, grid, table, device, hull, float_height, rates)
+            for n in range(7):
+                half[n] = state[n] + 0.5 * h * rates[n]
+            half[7] = state[7]
+            _rates(half, mean, grid, table, device, hull, float_height, rates)
+            for n in range(7):
+                state[n] += h * rates[n]
+            state[7] = half[7]
+            size = 1.0 / math.sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2 + state[6] ** 2)
+            for n in range(3, 7):
+                state[n] *= size
+            _hold_inside(state, box)
+            at += h
+        start += duration
+    times[rows] = start
+    note(state, device, poses[rows])
+    return rows + 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -242,3 +252,24 @@ def note(state: FloatArray, device: FloatArray, pose: FloatArray) -> None:
     pose[1] = state[1] - (2 * (i * j + k * w) * x + (1 - 2 * (i * i + k * k)) * y + 2 * (j * k - i * w) * z)
     pose[2] = state[2] - (2 * (i * k - j * w) * x + 2 * (j * k + i * w) * y + (1 - 2 * (i * i + j * j)) * z)
     pose[3], pose[4], pose[5], pose[6] = w, i, j, k
+
+
+@njit(cache=True, error_model="numpy")
+def driving_field(
+    state: FloatArray, device: FloatArray, currents: FloatArray, grid: FloatArray, table: FloatArray
+) -> float:
+    """Field, in T, along y x m at the magnet: the part that drives the oscillation (Eq. S1).
+
+    `currents` (n_sources,) in A and `table` are those of the excitation coils.
+    """
+    w, i, j, k = state[3], state[4], state[5], state[6]
+    xx, xz = 1 - 2 * (j * j + k * k), 2 * (i * k + j * w)
+    yx, yz = 2 * (i * j + k * w), 2 * (j * k - i * w)
+    zx, zz = 2 * (i * k - j * w), 1 - 2 * (i * i + j * j)
+    ahead = device[3] - device[12]
+    field = plane_field(
+        state[0] + ahead * xz, state[1] + ahead * yz, state[2] + ahead * zz, currents, grid, table
+    )  # fmt: skip
+    along_x = field[0] * xx + field[1] * yx + field[2] * zx
+    along_z = field[0] * xz + field[1] * yz + field[2] * zz
+    return along_x * device[2] - along_z * device[1]

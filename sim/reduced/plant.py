@@ -12,14 +12,13 @@ from sim.history import History
 from sim.hydrodynamics import Hull
 from sim.magnet import true_device
 from sim.mismatch import Streams, Truth, draw
-from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, move, note, plane_field
+from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, driving_field, move, note
 from sim.sensors import TrueSensors
 from sim.settings import TankSettings
 from sim.tank import put_down
 from smolbot.arrays import FloatArray
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
-from smolbot.rotations import matrix_from_quaternion
 from smolbot.shots import Actuate, Window
 
 SPACING = 1e-3
@@ -73,60 +72,42 @@ class ReducedPlant:
         self._state[:3], self._state[3:7] = position, orientation
         self.history = History()
         self.time = 0.0
-        self._close(*self.history.reserve(1))
+        times, poses = self.history.reserve(1)
+        times[0], poses[0] = 0.0, self.pose(self._state)
 
-    def advance(self, windows: tuple[Window, ...]) -> None:
-        """Move on through windows, one after the other; all but `Actuate` command zero."""
-        for currents, duration in _runs(windows, self._n):
-            self.history.drop_last()  # its closing row is the first row of what follows
-            room = math.ceil(duration / LIVE_STEP) + 1
-            times, poses = self.history.reserve(room + 1)
-            rows = move(
-                self._state, self._currents, currents, self._constants, self._grid, self._table, self.device,
-                self._hull, self._float_height, self._box, self.time, duration, times, poses,
-            )  # fmt: skip
-            self.time += duration
-            self._close(times[rows : rows + 1], poses[rows : rows + 1])
-            self.history.drop_last(room - rows)
+    def advance(self, windows: tuple[Window, ...]) -> FloatArray:
+        """Play windows one after the other; return the state (n_windows, 8) at the start of each, and note the way."""
+        lengths = np.array([w.duration for w in windows])
+        commands = np.zeros((len(windows), self._n))
+        for row, window in enumerate(windows):
+            if isinstance(window, Actuate):
+                commands[row] = window.currents
+        states = np.empty((len(windows), STATE_LENGTH))
+        self.history.drop_last()  # its closing row is the first row of what follows
+        room = sum(math.ceil(w.duration / LIVE_STEP) + 1 for w in windows) + 1
+        times, poses = self.history.reserve(room)
+        rows = move(
+            self._state, self._currents, commands, lengths, self._constants, self._grid, self._table, self.device,
+            self._hull, self._float_height, self._box, self.time, times, poses, states,
+        )  # fmt: skip
+        self.time = float(times[rows - 1])
+        self.history.drop_last(room - rows)
+        return states
 
     def silence(self) -> None:
         """Every current at zero, at once."""
         self._currents[: self._n] = 0.0
 
-    def excitation(self) -> FloatArray:
-        """True field (n_exc, 3) of the excitation coils at the magnet, in T per A, world frame."""
-        pose, length = self.pose(), self.device[3]
-        x, y, z = pose[:3] + length * matrix_from_quaternion(pose[3:])[:, 2]
-        one = np.eye(self._n_excitation)
-        fields = [plane_field(x, y, z, one[n], self._grid, self._excitation)[:3] for n in range(self._n_excitation)]
-        return np.array(fields)
+    def driving_field(self, state: FloatArray, currents: tuple[float, ...]) -> float:
+        """True field, in T, with which excitation currents (A) drive the device in a state (8,)."""
+        wanted = np.array(currents[: self._n_excitation])
+        return float(driving_field(state, self.device, wanted, self._grid, self._excitation))
 
-    def pose(self) -> FloatArray:
-        """Rotation centre (m) and orientation now, shape (7,)."""
+    def pose(self, state: FloatArray) -> FloatArray:
+        """Rotation centre (m) and orientation of a state, shape (7,)."""
         pose = np.empty(7)
-        note(self._state, self.device, pose)
+        note(state, self.device, pose)
         return pose
-
-    def _close(self, time: FloatArray, pose: FloatArray) -> None:
-        time[0] = self.time
-        note(self._state, self.device, pose[0])
-
-
-def _runs(windows: tuple[Window, ...], n_coils: int) -> list[tuple[FloatArray, float]]:
-    """Currents and lengths; neighbouring windows without any are put together."""
-    runs: list[tuple[FloatArray, float]] = []
-    silent = 0.0
-    for window in windows:
-        if not isinstance(window, Actuate):
-            silent += window.duration
-            continue
-        if silent > 0.0:
-            runs.append((np.zeros(n_coils), silent))
-        runs.append((np.array(window.currents), window.duration))
-        silent = 0.0
-    if silent > 0.0:
-        runs.append((np.zeros(n_coils), silent))
-    return runs
 
 
 def _plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray, FloatArray]:

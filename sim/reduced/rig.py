@@ -19,13 +19,11 @@ from smolbot.errors import InputError, RigError
 from smolbot.excitation import amplitude_after
 from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import Mission
-from smolbot.poses import Pose
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
-from smolbot.rotations import matrix_from_quaternion
 from smolbot.sensing import Device, Recording
-from smolbot.shots import Excite, Listen, Rest, Shot, Window
-from smolbot.sightings import SightedSwing, Sighting, Sightings
+from smolbot.shots import Excite, Listen, Rest, Shot
+from smolbot.sightings import Sighting, Sightings
 from smolbot.worlds import Witness
 
 AMPLITUDE_SPREAD = 0.02
@@ -58,7 +56,8 @@ class ReducedRig:
         self.limits = rig.limits
         self._plant = ReducedPlant(rig, robot, settings, start, seed, ideal=ideal)
         self.witness: Witness | None = TankWitness(self._plant.history)
-        self._rig, self._turnaround = rig, rig.turnaround
+        self._rig, self._rate, self._turnaround = rig, rig.sample_rate, rig.turnaround
+        self._no_samples = np.zeros((len(rig.sensors), 0))
         self._believed_excitation = NominalExcitation(rig)
         self._device = _true_device(robot.device, self._plant)
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
@@ -97,18 +96,20 @@ class ReducedRig:
         if not self._open:
             raise RigError("This plant is closed; nothing was played.")
         self.limits.check(shot)
-        pending: list[Window] = []
-        amplitude, begin = 0.0, self._plant.time
-        for window in shot.windows:
-            if isinstance(window, Excite):
-                self._plant.advance(tuple(pending))
-                pending = []
-                amplitude = self._amplitude(window)
-            pending.append(window)
+        begin, windows = self._plant.time, list(shot.windows)
+        listening = next((i for i, w in enumerate(windows) if isinstance(w, Listen)), None)
+        middle = 0.0
+        if listening is not None:
+            listen = windows[listening]
+            middle = 0.5 * round(listen.duration * self._rate) / self._rate
+            windows[listening : listening + 1] = [Rest(middle), Rest(max(listen.duration - middle, 1e-9))]
         if self._turnaround > 0:
-            pending.append(Rest(self._turnaround))
-        self._plant.advance(tuple(pending))
-        return self._seen(shot, begin, amplitude)
+            windows.append(Rest(self._turnaround))
+        states = self._plant.advance(tuple(windows))
+        if listening is None:
+            return None
+        start = begin + sum(w.duration for w in windows[:listening])
+        return self._seen(shot, start, middle, states[: listening + 2])
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
@@ -128,37 +129,25 @@ class ReducedRig:
         truth = self._plant.truth.as_dict()
         return {"plant": "reduced", "seed": self._seed, "ideal": self._ideal, "truth": truth}
 
-    def _amplitude(self, drive: Excite) -> float:
-        """Amplitude, in rad, that a burst leaves in the true device where it now is, up to its stops."""
-        fields, device = self._plant.excitation(), self._device
-        rotation = matrix_from_quaternion(self._plant.pose()[3:])
-        useful = abs(
-            float(np.array(drive.currents)[: len(fields)] @ fields @ rotation @ device.drive_direction_in_body)
-        )
-        grown = amplitude_after(useful, device, self._plant.device[9], drive.cycles)
-        spread = 1.0 + AMPLITUDE_SPREAD * float(np.clip(self._rng.standard_normal(), -3.0, 3.0))
-        return min(grown * spread, device.theta_max)
+    def _seen(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
+        """What is made of a listening window that began at `start` s; the last of `states` is that of its middle."""
+        empty, rate, drive = self._no_samples, self._rate, shot.excite
+        if drive is None or self._errors is None:
+            return Recording(empty, rate, math.inf, drive=drive, clock=start)
+        index = max(i for i, w in enumerate(shot.windows[: len(states)]) if w is drive)
+        since = sum(w.duration for w in shot.windows[index + 1 : len(states) - 2])
+        truth, listen = self._plant.pose(states[-1]), shot.windows[len(states) - 2]
+        assert isinstance(listen, Listen)
+        amplitude = self._amplitude(drive, states[index])
+        fitted = self._errors.draw(truth[:3], truth[3:], amplitude, listen.half_periods, since)
+        return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
 
-    def _seen(self, shot: Shot, begin: float, amplitude: float) -> Recording | None:
-        listen = shot.listen
-        if listen is None:
-            return None
-        start = begin + next(at for at, window in shot.timed() if isinstance(window, Listen))
-        empty, rate = np.zeros((len(self.sensors), 0)), self._rig.sample_rate
-        if shot.excite is None or self._errors is None:
-            return Recording(empty, rate, math.inf, clock=start)
-        since = start - begin - max(at + w.duration for at, w in shot.timed() if isinstance(w, Excite))
-        samples = round(listen.duration * rate)
-        time = start + 0.5 * samples / rate
-        truth = self._plant.history.at(time)
-        fit = self._errors.draw(truth[:3], truth[3:], amplitude, listen.half_periods, since)
-        joint = fit.covariance
-        if not np.isfinite(joint).all():
-            return Sighting(empty, rate, since, drive=shot.excite, clock=start)
-        pose = Pose(time, fit.position, fit.orientation, joint[:6, :6], fit.r_squared)
-        return Sighting(
-            empty, rate, since, drive=shot.excite, clock=start, pose=pose, swing=SightedSwing(fit.amplitude, joint)
-        )
+    def _amplitude(self, drive: Excite, state: FloatArray) -> float:
+        """Amplitude, in rad, that a burst leaves in the true device, up to its stops."""
+        field = abs(self._plant.driving_field(state, drive.currents))
+        grown = amplitude_after(field, self._device, self._plant.device[9], drive.cycles)
+        spread = 1.0 + AMPLITUDE_SPREAD * min(max(self._rng.standard_normal(), -3.0), 3.0)
+        return min(grown * spread, self._device.theta_max)
 
 
 def open_reduced(mission: Mission, seed: int, *, ideal: bool = False) -> ReducedRig:

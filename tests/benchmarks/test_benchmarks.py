@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from statistics import median
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from sim.reduced.plant import ReducedPlant
+from sim.reduced.rig import open_reduced
+from sim.settings import TankSettings
+from sim.world import TankWorld
+from smolbot.config import validate
 from smolbot.flying import fly
 from smolbot.localization.chain import filtered
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import load_mission
 from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.shots import Rest
 
 RATE = 50_000.0
 
@@ -89,3 +96,34 @@ def test_real_time_factor_of_the_tank_and_the_share_of_localization(benchmark):
         f"localization, tracking and control take {computing / run.wall:.0%} of the time, the world the rest"
     )
     assert run.status == "completed"
+
+
+@pytest.mark.benchmark(group="ratios")
+def test_reduced_plant_against_the_full_tank_and_the_loop_around_it(benchmark):
+    mission = load_mission("line")
+    run = fly(mission, 1, opener=open_reduced)
+    shots = [c.shot for c in run.cycles]
+    rigs = {"full": lambda: TankWorld.open(mission.rig, mission.robot, mission.start, 1),
+            "reduced": lambda: open_reduced(mission, 1)}  # fmt: skip
+    factors = {}
+    for name, opened in rigs.items():
+        with closing(opened()) as rig:
+            if name == "reduced":
+                rig.sightings(Localizer(rig.sensors, mission.robot.device))
+            rig.play(shots[0])
+            begin, clock = time.perf_counter(), rig.now()
+            for shot in shots:
+                rig.play(shot)
+            factors[name] = (rig.now() - clock) / (time.perf_counter() - begin)
+    settings, _ = validate(TankSettings, mission.rig.sections.tank, ("tank",))
+    plant = ReducedPlant(mission.rig, mission.robot, settings, np.array(mission.start), 1)
+    moves = [(*shot.windows, Rest(mission.rig.turnaround)) for shot in shots]
+    begin = time.perf_counter()
+    for windows in moves:
+        plant.advance(windows)
+    factors["motion alone"] = plant.time / (time.perf_counter() - begin)
+    flown = benchmark.pedantic(fly, (mission, 1), {"opener": open_reduced}, rounds=3, iterations=1)
+    factors["reduced, tracker and controller in the loop"] = flown.duration / flown.wall
+    print("\ntimes real time: " + "; ".join(f"{name} {factor:.0f}" for name, factor in factors.items()))
+    print(f"the reduced plant plays {factors['reduced'] / factors['full']:.0f} times as fast as the full tank")
+    assert flown.status == "completed"
