@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +19,7 @@ COLUMNS = {
     "seed": ("seed",),
     "status": ("status",),
     "verdict": ("verdict",),
+    "plant": ("plant",),
     "duration_s": ("duration_s",),
     "cycles": ("cycles",),
     "loop_rate_hz": ("loop_rate_hz",),
@@ -40,6 +41,13 @@ COLUMNS = {
 """Columns of results.csv, and where each stands in a run's summary."""
 
 
+class Plant(StrEnum):
+    """The whole tank, or its motion alone with pose noise in place of signals."""
+
+    FULL = "full"
+    REDUCED = "reduced"
+
+
 @dataclass(frozen=True)
 class Flight:
     """One simulated run: its summary and where the robot truly went, (n, 2) in mm."""
@@ -58,23 +66,33 @@ def simulate(
     mission: MissionArgument,
     seeds: Annotated[str, typer.Option(help="First and last seed: A..B.")] = "1..20",
     rig: RigOption = None,
+    plant: Annotated[
+        Plant, typer.Option(help="The full tank, or a reduced one: motion only, with pose noise in place of signals.")
+    ] = Plant.FULL,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler, instead of processes.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Fly a mission in the simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
+    """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
+    from sim.executors import open_executor
     from smolbot.missionfile import load_mission
     from smolbot.records.folder import RunFolder
 
     wanted = parse_seeds(seeds)
     settings = settings_from(set_)
     loaded = load_mission(mission, rig, settings)
+    if plant is Plant.REDUCED:
+        from sim.reduced.rig import require_flyable
+
+        require_flyable(loaded)
     loaded.rig.table()  # built once, before the workers need it
     folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
-    folder.begin(loaded, wanted[0], settings, {"seeds": wanted})
-    with _executor(jobs) as executor:
-        flights = list(_watched(fly_seeds(executor, mission, rig, settings, wanted), loaded.name, len(wanted)))
+    folder.begin(loaded, wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
+    with open_executor(jobs, scheduler) as executor:
+        flown = fly_seeds(executor, mission, rig, settings, wanted, plant)
+        flights = list(_watched(flown, loaded.name, len(wanted)))
     flights.sort(key=lambda f: f.summary["seed"])
     write_results(folder.path / "results.csv", flights)
     from sim.study_picture import draw_flights
@@ -106,10 +124,15 @@ def parse_seeds(text: str) -> list[int]:
 
 
 def fly_seeds(
-    executor: Executor, mission: str, rig: str | None, settings: dict[str, str], seeds: list[int]
+    executor: Executor,
+    mission: str,
+    rig: str | None,
+    settings: dict[str, str],
+    seeds: list[int],
+    plant: Plant = Plant.FULL,
 ) -> Iterator[Flight]:
     """Flights as they end, in any order, over any `concurrent.futures.Executor`."""
-    futures = [executor.submit(fly_one, mission, rig, settings, seed) for seed in seeds]
+    futures = [executor.submit(fly_one, mission, rig, settings, seed, plant) for seed in seeds]
     for future in as_completed(futures):
         yield future.result()
 
@@ -117,7 +140,7 @@ def fly_seeds(
 _loaded: dict[tuple[Any, ...], Any] = {}
 
 
-def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int) -> Flight:
+def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, plant: Plant = Plant.FULL) -> Flight:
     """One flight, in whatever process this is; files are read once per process."""
     from smolbot.flying import fly
     from smolbot.missionfile import load_mission
@@ -125,7 +148,12 @@ def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int) 
     key = (mission, rig, tuple(sorted(settings.items())))
     if key not in _loaded:
         _loaded[key] = load_mission(mission, rig, settings)
-    run = fly(_loaded[key], seed, settings=settings)
+    opener = None
+    if plant is Plant.REDUCED:
+        from sim.reduced.rig import open_reduced
+
+        opener = open_reduced
+    run = fly(_loaded[key], seed, settings=settings, opener=opener)
     return Flight(run.summary, run.true_trail)
 
 
@@ -138,7 +166,7 @@ def combine(mission: str, flights: list[Flight]) -> dict[str, Any]:
     passed = sum(f.summary["verdict"] == "passed" for f in flights)
     out: dict[str, Any] = {
         "mission": mission,
-        "plant": "full",
+        "plant": flights[0].summary["plant"],
         "ideal": any(f.summary["ideal"] for f in flights),
         "flown": len(flights),
         "passed": passed,
@@ -158,12 +186,6 @@ def write_results(path: Path, flights: list[Flight]) -> None:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         writer.writerows([[f.value(column) for column in COLUMNS] for f in flights])
-
-
-def _executor(jobs: int) -> ProcessPoolExecutor:
-    import multiprocessing
-
-    return ProcessPoolExecutor(jobs or os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn"))
 
 
 def _new_folder(name: str) -> Any:
@@ -190,6 +212,7 @@ def _watched(flights: Iterator[Flight], name: str, total: int) -> Iterator[Fligh
 
 def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
     from smolbot.cli.show import echo_json, table
+    from smolbot.records.summary import label_of
 
     low, high = figures["pass_rate_95"]
     rows = [
@@ -206,7 +229,6 @@ def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
         ],
         ("folder", figures["folder"]),
     ]
-    label = " (ideal: all mismatches off)" if figures["ideal"] else ""
-    table(f"{figures['mission']}, {figures['flown']} flights{label}: mean (least to most)", rows, err=json)
+    table(f"{figures['mission']}, {figures['flown']} flights{label_of(figures)}: mean (least to most)", rows, err=json)
     if json:
         echo_json(figures)

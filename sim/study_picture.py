@@ -9,6 +9,7 @@ import numpy as np
 
 from smolbot.missionfile import Mission
 from smolbot.records.picture import LOCATED, PLANNED, TRUE
+from smolbot.records.summary import label_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,15 +38,18 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
         ]  # fmt: skip
         for index, (title, columns, limit) in enumerate(rows):
             _draw_bars(figure.add_subplot(grid[index, 1]), flights, title, columns, limit)
-        passed = sum(f.summary["verdict"] == "passed" for f in flights)
-        ideal = " (ideal: all mismatches off)" if any(f.summary["ideal"] for f in flights) else ""
-        figure.text(0.06, 0.945, f"{mission.name}: {passed} of {len(flights)} flights passed{ideal}", fontsize=17,
-                    fontweight="bold", color="#222222")  # fmt: skip
-        figure.text(
-            0.06, 0.905, "full tank, each flight a robot and a bench drawn anew", fontsize=11.5, color="#555555"
-        )
+        world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
+        figure.text(0.06, 0.945, headline(mission, flights), fontsize=17, fontweight="bold", color="#222222")
+        figure.text(0.06, 0.905, f"{world}, each flight a robot and a bench drawn anew", fontsize=11.5, color="#555555")
         figure.savefig(path)
         plt.close(figure)
+
+
+def headline(mission: Mission, flights: list[Flight]) -> str:
+    """How many passed, labelled."""
+    passed = sum(f.summary["verdict"] == "passed" for f in flights)
+    figures = {"ideal": any(f.summary["ideal"] for f in flights), "plant": flights[0].summary["plant"]}
+    return f"{mission.name}: {passed} of {len(flights)} flights passed{label_of(figures)}"
 
 
 def _draw_trails(axes: Axes, mission: Mission, flights: list[Flight]) -> None:

@@ -50,7 +50,7 @@ class Tank:
         self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
         self.hull = Hull.build(rig, robot, settings, self.truth)
         self.device = true_device(robot, settings, self.truth)
-        position, orientation = self._put_down(rig, robot, start)
+        position, orientation = put_down(rig, robot, self.truth, self.hull, start)
         self.bodies = Bodies(rig, robot, position, orientation, friction=settings.wall_friction, gui=gui)
         self.history = History()
         self.time = 0.0
@@ -160,25 +160,26 @@ class Tank:
         pose[0, :3] = position - turn @ self.device[10:13]
         pose[0, 3:] = quaternion
 
-    def _put_down(self, rig: RigConfig, robot: RobotConfig, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Middle and orientation of the housing: afloat, level, near `start`, its heading drawn."""
-        section = rig.sections.container
-        wanted = np.asarray(start, dtype=np.float64)[:2]
-        away = np.abs(wanted - 1e-3 * np.array(section.center_mm))
-        room = 0.5e-3 * np.array(section.size_mm) - np.hypot(robot.size[0], robot.size[2]) / 2
-        if np.any(away > room):
-            raise InputError(
-                f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "
-                f"got ({1e3 * wanted[0]:.1f}, {1e3 * wanted[1]:.1f}) mm."
-            )
-        heading = self.truth.start_heading
-        ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
-        orientation = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zy")
-        middle = (
-            np.array([*(wanted + self.truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
+
+def put_down(
+    rig: RigConfig, robot: RobotConfig, truth: Truth, hull: Hull, start: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Middle (3,) in m and orientation (4,) of the housing: afloat, level, near `start` (m), its heading drawn."""
+    section = rig.sections.container
+    wanted = np.asarray(start, dtype=np.float64)[:2]
+    away = np.abs(wanted - 1e-3 * np.array(section.center_mm))
+    room = 0.5e-3 * np.array(section.size_mm) - np.hypot(robot.size[0], robot.size[2]) / 2
+    if np.any(away > room):
+        raise InputError(
+            f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "
+            f"got ({1e3 * wanted[0]:.1f}, {1e3 * wanted[1]:.1f}) mm."
         )
-        middle[2] = self.hull.float_height
-        return middle, orientation
+    heading = truth.start_heading
+    ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
+    orientation = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zy")
+    middle = np.array([*(wanted + truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
+    middle[2] = hull.float_height
+    return middle, orientation
 
 
 def _divide(duration: float, longest: float) -> tuple[int, float]:

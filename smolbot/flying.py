@@ -22,6 +22,7 @@ from smolbot.records.folder import RunFolder
 from smolbot.records.summary import summarise
 from smolbot.records.trace import Trace
 from smolbot.scheduler import Scheduler
+from smolbot.sightings import SightingRig
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
@@ -83,10 +84,18 @@ def fly(
     gui: bool = False,
     witness: bool = True,
     listeners: Callable[[Mission], tuple[Listener, ...]] | None = None,
+    opener: Callable[[Mission, int], Rig] | None = None,
 ) -> Run:
-    """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar."""
-    world = load_world(mission.rig.world, mission.rig.document)
-    rig = world.open(mission.rig, mission.robot, mission.start, seed, gui=gui)
+    """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar.
+
+    `opener` opens another rig than the world that the rig file names, from mission and seed; for example
+    ``sim.reduced.rig.open_reduced``.
+    """
+    if opener is not None:
+        rig = opener(mission, seed)
+    else:
+        world = load_world(mission.rig.world, mission.rig.document)
+        rig = world.open(mission.rig, mission.robot, mission.start, seed, gui=gui)
     try:
         return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners)
     finally:
@@ -124,6 +133,7 @@ def _fly_on(
     flown.summary = summarise(mission, flown, trace)
     flown.summary["seed"] = seed
     flown.summary["ideal"] = bool(drawn.get("ideal", False))
+    flown.summary["plant"] = str(drawn.get("plant", "full"))
     flown.summary["run"] = str(folder.path) if folder is not None else None
     if folder is not None:
         flown.folder = str(folder.path)
@@ -149,7 +159,8 @@ def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) 
     )
     stop = mission.sections.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
-    return Loop(rig, mission.path, scheduler, localizer, tracker, controller, rules, quiet, listeners)
+    locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
+    return Loop(rig, mission.path, scheduler, locator, tracker, controller, rules, quiet, listeners)
 
 
 def search_volume(mission: Mission) -> SearchVolume:

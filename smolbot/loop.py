@@ -25,6 +25,7 @@ from smolbot.rotations import quaternion_from_axes
 from smolbot.scheduler import Scheduler
 from smolbot.sensing import Recording
 from smolbot.shots import Shot
+from smolbot.sightings import SightedSwing, Sightings
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
@@ -109,14 +110,17 @@ class Quiet:
 
 
 class Loop:
-    """Flies one path with a rig, a localizer, a tracker and a controller."""
+    """Flies one path with a rig, a localizer, a tracker and a controller.
+
+    In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
+    """
 
     def __init__(
         self,
         rig: Rig,
         path: Curve,
         scheduler: Scheduler,
-        localizer: Localizer,
+        localizer: Localizer | Sightings,
         tracker: Tracker,
         controller: Controller,
         rules: StopRules,
@@ -127,7 +131,7 @@ class Loop:
         self.rig = rig
         self.path = path
         self.scheduler = scheduler
-        self.localizer = localizer
+        self.localizer: Localizer | Sightings = localizer
         self.tracker = tracker
         self.controller = controller
         self.rules = rules
@@ -176,6 +180,8 @@ class Loop:
         if self.quiet.duration <= 0.0:
             return
         heard = [self.rig.play(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
+        if isinstance(self.localizer, Sightings):
+            return
         noise = NoiseModel.learn([recording for recording in heard if recording is not None])
         self.localizer = self.localizer.with_noise(noise)
         lines = [round(float(f), 3) for f in noise.line_frequencies]
@@ -186,16 +192,21 @@ class Loop:
         if not self.quiet.learn_ring_down:
             return
         heard = [self.rig.play(shot) for shot in self.scheduler.probe_shots()]
-        frequency = self.localizer.device.frequency
-        constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
+        if isinstance(self.localizer, Sightings):
+            constants = self.localizer.time_constants
+        else:
+            frequency = self.localizer.device.frequency
+            constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
+            self.localizer = self.localizer.with_transients(constants)
         ring_down = max(QUIET_AFTER * max(constants), self.scheduler.limits.min_ring_down)
-        self.localizer = self.localizer.with_transients(constants)
         self.scheduler.cycle = replace(self.scheduler.cycle, ring_down=ring_down)
         detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
         self.events.append(Event(self.rig.now(), "ring-down learned", detail))
 
     def _warm_up(self) -> None:
         """Use every compiled kernel once, on a made-up recording, so that the first cycles are as quick as the rest."""
+        if isinstance(self.localizer, Sightings):
+            return
         device, cycle, rate = self.localizer.device, self.scheduler.cycle, self.quiet.sample_rate
         orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
         samples = round(cycle.half_periods * rate / (2.0 * device.frequency))
@@ -211,7 +222,8 @@ class Loop:
         planned = self._clock()
         recording = self.rig.play(shot)
         heard = self._clock()
-        pose = swing = None
+        pose: Pose | None = None
+        swing: Swing | SightedSwing | None = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
             prior = None if shot.mode in ("search", "lost") else self.tracker.pose
@@ -220,7 +232,7 @@ class Loop:
             except InputError:  # too few usable channels: a missed window, counted by the tracker
                 pose = swing = None
         tracked = self.tracker.update(shot, pose, swing)
-        if recording is not None and swing is not None and tracked is not None and tracked.trusted:
+        if recording is not None and isinstance(swing, Swing) and tracked is not None and tracked.trusted:
             self._heard += 1
             if self._heard % LEARN_EVERY == 0:
                 self._follow_resonance(tracked.time, swing)
@@ -231,7 +243,7 @@ class Loop:
 
     def _follow_resonance(self, time: float, swing: Swing) -> None:
         device = self.resonance.update(time, *swing.resonance())
-        if device is None:
+        if device is None or isinstance(self.localizer, Sightings):
             return
         self.localizer = self.localizer.with_device(device)
         self.scheduler.device = device
@@ -241,7 +253,7 @@ class Loop:
 
     def _refresh_noise(self, time: float, swing: Swing, recording: Recording) -> None:
         """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
-        if self.localizer.estimator != "whitened":
+        if isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
             return
         ratios = self.noise_watch.update(*swing.energies(recording, self.localizer.noise))
         if ratios is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -23,8 +23,6 @@ from smolbot.shots import Actuate, Shot
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
-    from smolbot.localization.localizer import Swing
-
 GATE = 33.1
 """Squared Mahalanobis distance beyond which a pose is an outlier: chi-square of 6 degrees at 1e-5."""
 
@@ -57,6 +55,19 @@ class _State:
     amplitude: float
     drift: FloatArray
     covariance: FloatArray
+
+
+class Oscillation(Protocol):
+    """What a recording says of the swing: amplitude in rad, and covariance (7, 7) of (position, rotation e, amplitude).
+
+    That of a fit (`localizer.Swing`), or of a world that skips the signals.
+    """
+
+    @property
+    def amplitude(self) -> float: ...
+
+    @property
+    def covariance(self) -> FloatArray: ...
 
 
 class Tracker:
@@ -124,12 +135,12 @@ class Tracker:
         position = self._state.position + wait * self._state.drift
         return replace(self._last, time=time, position=position, covariance=covariance)
 
-    def update(self, shot: Shot, pose: Pose | None, swing: Swing | None = None) -> Pose | None:
+    def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
         """Predict through a shot, then correct by the pose that it gave, if any.
 
         Parameters
         ----------
-        swing : Swing, optional
+        swing : Oscillation, optional
             What was learned of the oscillation along with the pose; its amplitude is correlated with the height.
 
         Returns
@@ -206,7 +217,7 @@ class Tracker:
         covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
         self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
 
-    def _correct(self, pose: Pose, swing: Swing | None) -> bool:
+    def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
         assert state is not None
         turned = rotation_error(pose.orientation, state.orientation)

@@ -87,6 +87,8 @@ def _exit_code(run: Run) -> int:
 
 
 def _show_run(mission: Mission, run: Run, json: bool) -> None:
+    from smolbot.records.summary import label_of
+
     s = run.summary
     rows = [
         ("status", f"{s['status']}: {s['stop_reason']}"),
@@ -109,7 +111,7 @@ def _show_run(mission: Mission, run: Run, json: bool) -> None:
     rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
-    table(f"{mission.name} on {mission.rig.name}", rows, err=json)
+    table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
     if json:
         echo_json(s)
 

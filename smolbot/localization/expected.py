@@ -42,7 +42,7 @@ def expected_covariance(
     everyone = np.ones(len(sensors), dtype=np.bool_).tobytes()
     model = paper_model(sensors, device, everyone, n_samples, sample_rate, time_since_drive)
     size = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
-    parts = _noise_parts(sensors, noise, model.chain, sample_rate, model.mixing)
+    parts = noise_parts(sensors, noise, model.chain, sample_rate, model.mixing)
     covariances = []
     for phase in np.pi * np.arange(4) / 4.0:
         _, jacobian = model.response(pose.position, pose.rotation, float(phase), size)
@@ -56,7 +56,7 @@ def expected_covariance(
     return np.mean(covariances, axis=0)[:6, :6]
 
 
-def _noise_parts(
+def noise_parts(
     sensors: SensorArray, noise: NoiseLevels, chain: Taps, sample_rate: float, mixing: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Noise covariance of the chain's output as (between channels, between samples) pairs."""

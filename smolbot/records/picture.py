@@ -9,7 +9,7 @@ import numpy as np
 
 from smolbot.loop import Run
 from smolbot.missionfile import Mission
-from smolbot.records.summary import tracking_distance
+from smolbot.records.summary import label_of, tracking_distance
 from smolbot.records.trace import Trace
 
 if TYPE_CHECKING:
@@ -45,8 +45,7 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
 
 def headline(mission: Mission, run: Run) -> str:
     """One line that says what was flown and how it ended."""
-    label = " (ideal: all mismatches off)" if run.summary.get("ideal") else ""
-    return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{label}"
+    return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{label_of(run.summary)}"
 
 
 def subline(summary: dict[str, Any]) -> str:

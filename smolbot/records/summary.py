@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,20 @@ def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, l
         if limit is not None and error is not None and error["mean"] > limit:
             reasons.append(f"mean {name} error {error['mean']:.2f} mm exceeds {limit:g} mm")
     return ("passed" if not reasons else "failed"), reasons
+
+
+def label_of(figures: Mapping[str, Any]) -> str:
+    """What must stand beside figures wherever they are shown: that mismatches were off, or the plant a reduced one.
+
+    Examples
+    --------
+    >>> label_of({"ideal": False, "plant": "reduced"})
+    ' (reduced plant: pose noise in place of signals)'
+    """
+    parts = ["ideal: all mismatches off"] if figures.get("ideal") else []
+    if figures.get("plant", "full") != "full":
+        parts.append(f"{figures['plant']} plant: pose noise in place of signals")
+    return f" ({'; '.join(parts)})" if parts else ""
 
 
 def coil_energy(mission: Mission, run: Run) -> float:

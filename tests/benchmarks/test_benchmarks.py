@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from statistics import median
 
 import numpy as np
@@ -11,6 +12,11 @@ from scipy.optimize import least_squares, minimize
 
 from controllers import ForceAllocator
 from controllers.predictive import Predictive
+from sim.reduced.plant import ReducedPlant
+from sim.reduced.rig import open_reduced
+from sim.settings import TankSettings
+from sim.world import TankWorld
+from smolbot.config import validate
 from smolbot.flying import fly
 from smolbot.localization.chain import filtered
 from smolbot.localization.forward import deflection, sensor_field
@@ -18,6 +24,7 @@ from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import load_mission
 from smolbot.preview import _Rollout
 from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.shots import Rest
 
 RATE = 50_000.0
 
@@ -141,3 +148,34 @@ def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
     print(
         f"\npredictive: {middle:.2f} ms a step, p99 {most:.2f} ms, of {1e3 * mission.rig.turnaround:g} ms of turnaround"
     )
+
+
+@pytest.mark.benchmark(group="ratios")
+def test_reduced_plant_against_the_full_tank_and_the_loop_around_it(benchmark):
+    mission = load_mission("line")
+    run = fly(mission, 1, opener=open_reduced)
+    shots = [c.shot for c in run.cycles]
+    rigs = {"full": lambda: TankWorld.open(mission.rig, mission.robot, mission.start, 1),
+            "reduced": lambda: open_reduced(mission, 1)}  # fmt: skip
+    factors = {}
+    for name, opened in rigs.items():
+        with closing(opened()) as rig:
+            if name == "reduced":
+                rig.sightings(Localizer(rig.sensors, mission.robot.device))
+            rig.play(shots[0])
+            begin, clock = time.perf_counter(), rig.now()
+            for shot in shots:
+                rig.play(shot)
+            factors[name] = (rig.now() - clock) / (time.perf_counter() - begin)
+    settings, _ = validate(TankSettings, mission.rig.sections.tank, ("tank",))
+    plant = ReducedPlant(mission.rig, mission.robot, settings, np.array(mission.start), 1)
+    moves = [(*shot.windows, Rest(mission.rig.turnaround)) for shot in shots]
+    begin = time.perf_counter()
+    for windows in moves:
+        plant.advance(windows)
+    factors["motion alone"] = plant.time / (time.perf_counter() - begin)
+    flown = benchmark.pedantic(fly, (mission, 1), {"opener": open_reduced}, rounds=3, iterations=1)
+    factors["reduced, tracker and controller in the loop"] = flown.duration / flown.wall
+    print("\ntimes real time: " + "; ".join(f"{name} {factor:.0f}" for name, factor in factors.items()))
+    print(f"the reduced plant plays {factors['reduced'] / factors['full']:.0f} times as fast as the full tank")
+    assert flown.status == "completed"

@@ -1,0 +1,42 @@
+"""Where flights run: processes of this machine, or a dask cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+from smolbot.errors import InputError
+
+CONNECT_SECONDS = 10.0
+"""How long a cluster's scheduler may take to answer."""
+
+
+@contextmanager
+def open_executor(jobs: int = 0, scheduler: str | None = None) -> Iterator[Executor]:
+    """An executor of `jobs` processes (0: one per core), or of the dask cluster at address `scheduler`.
+
+    Raises
+    ------
+    InputError
+        If no scheduler answers there, or dask is not installed.
+    """
+    if scheduler is None:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs or os.cpu_count() or 1, mp_context=context) as pool:
+            yield pool
+        return
+    try:
+        distributed: Any = import_module("distributed")
+    except ModuleNotFoundError:
+        raise InputError("--scheduler needs dask: pip install 'smolbot[cluster]'.") from None
+    try:
+        client = distributed.Client(scheduler, timeout=CONNECT_SECONDS)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {scheduler}: no dask scheduler answers there ({error}).") from None
+    with client:
+        yield client.get_executor()

@@ -1,0 +1,190 @@
+"""Errors of a localizer without its signals: its own linear model, fed with drawn noise and what it does not know."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.reduced.fit import linear_fit
+from smolbot.arrays import FloatArray
+from smolbot.fitness import noise_levels
+from smolbot.localization import basis, kernels
+from smolbot.localization.expected import noise_parts
+from smolbot.localization.localizer import Localizer
+from smolbot.localization.noise import ComplexArray, NoiseModel
+from smolbot.localization.problem import LinearModel, paper_model
+from smolbot.localization.whitening import whitened_model
+from smolbot.rigfile import RigConfig
+from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.sensing import Recording
+from smolbot.sightings import Fitted
+
+N_PHASES = 4
+"""Phases of the oscillation, half a turn in all, of which one is drawn for each recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """Where the signals come from: the sensors as they stand, the magnet as it is, the room's noise.
+
+    Attributes
+    ----------
+    positions, axes : ndarray, shape (n_sensors, 3), in m
+        True places, and sensitive directions with what is left of the gains once the believed ones are divided out.
+    moment : ndarray, shape (3,), in A·m²
+        At rest, body frame.
+    l0 : float, in m
+    noise : NoiseModel
+    """
+
+    positions: FloatArray
+    axes: FloatArray
+    moment: FloatArray
+    l0: float
+    noise: NoiseModel
+
+
+class FitErrors:
+    """Draws the outcome of a fit around the true pose, linear in the data.
+
+        x = x_true + (J^T J + P)^-1 (J^T (s_true - s(x_true) + e) + P (prior - x_true))
+
+    J is the Jacobian of the localizer's own data vector s (whitened, or the paper's chain), e its noise, P its belief
+    in the amplitude. `s_true` is what the true sensors hear of the true magnet: that is the systematic part. Linear,
+    since errors of some tenths of a mm are small against the 60 mm to the sensors. Resonance and damping are
+    taken as known, for they are learned in flight.
+
+    Parameters
+    ----------
+    localizer : Localizer
+        As it is believed: sensors, device, estimator, transients.
+    rig : RigConfig
+    heard : Heard
+    rng : numpy.random.Generator
+    """
+
+    def __init__(self, localizer: Localizer, rig: RigConfig, heard: Heard, rng: np.random.Generator) -> None:
+        self._localizer, self._rig, self._heard, self._rng = localizer, rig, heard, rng
+        self._models: dict[tuple[int, float], _Model] = {}
+
+    def draw(
+        self, position: FloatArray, orientation: FloatArray, amplitude: float, half_periods: int, since: float
+    ) -> Fitted:
+        """The outcome of one fit.
+
+        Parameters
+        ----------
+        position, orientation : ndarray, shapes (3,) in m and (4,)
+            The truth.
+        amplitude : float, in rad
+            At the end of the drive, the truth.
+        half_periods : int
+            Length of the recording.
+        since : float, in s
+            From the end of the drive to its first sample.
+        """
+        key = half_periods, round(since, 9)
+        if key not in self._models:
+            self._models[key] = _Model(self._localizer, self._rig, self._heard.noise, half_periods, since)
+        model, heard = self._models[key], self._heard
+        phase = int(N_PHASES * self._rng.random())
+        white = self._rng.standard_normal(model.n_out)
+        noise = white if model.noise_factor is None else model.noise_factor @ white
+        rotation = matrix_from_quaternion(orientation)
+        size = max(amplitude, 1e-6) / basis.REFERENCE_ANGLE
+        values, slopes = model.series(model.positions, model.axes, model.moment, model.l0, position, rotation)
+        truth, _ = model.series(heard.positions, heard.axes, heard.moment, heard.l0, position, rotation)
+        change, spread, sse, total = linear_fit(
+            values, slopes, truth, *model.waves[phase], size, noise, *model.belief, basis.REFERENCE_ANGLE
+        )
+        joint = model.variance(sse) * spread
+        turned = quaternion_product(quaternion_from_rotation_vector(change[3:6]), orientation)
+        amplitude = (size + float(change[7])) * basis.REFERENCE_ANGLE
+        return Fitted(position + change[:3], turned, amplitude, joint, 1.0 - sse / total)
+
+
+class _Model:
+    """A localizer's linear model for recordings of one kind, with its answer at each of the phases laid out."""
+
+    def __init__(
+        self, localizer: Localizer, rig: RigConfig, noise: NoiseModel, half_periods: int, since: float
+    ) -> None:
+        rate, sensors, device = rig.sample_rate, localizer.sensors, localizer.device
+        n_samples = round(half_periods * rate / (2.0 * device.frequency))
+        everyone = np.ones(len(sensors), dtype=np.bool_).tobytes()
+        model: LinearModel
+        self.noise_factor: FloatArray | None = None
+        if localizer.estimator == "whitened":
+            trend = localizer.free_trend(Recording(np.zeros((len(sensors), n_samples)), rate, since))
+            # the cached function would keep every seed's room
+            build = whitened_model.__wrapped__
+            model = build(sensors, device, noise, everyone, n_samples, rate, since, trend, localizer.transients)
+        else:
+            model = paper_model(sensors, device, everyone, n_samples, rate, since)
+            parts = noise_parts(sensors, noise_levels(rig), model.chain, rate, model.mixing)
+            total = np.sum([np.kron(space, time) for space, time in parts], axis=0)
+            self.noise_factor = np.linalg.cholesky(total + 1e-12 * np.trace(total) / len(total) * np.eye(len(total)))
+        self._white = model.white
+        self.n_out = len(model.matrix)
+        self.positions, self.axes = model.positions, model.axes
+        self.moment, self.l0 = device.moment * device.moment_in_body, device.l0
+        self.belief: tuple[float, float] = (float(model.belief[0]), float(model.belief[1]))
+        self._angles = basis.nodes() * basis.REFERENCE_ANGLE
+        self._powers = basis.power_matrix()
+        self.waves = [_waves(model, math.pi * k / N_PHASES) for k in range(N_PHASES)]
+
+    def series(
+        self,
+        positions: FloatArray,
+        axes: FloatArray,
+        moment: FloatArray,
+        l0: float,
+        position: FloatArray,
+        rotation: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Power series (n, K) of the channels in the deflection, and derivatives (n, K, 6)."""
+        n, k = len(positions), len(self._angles)
+        values, slopes = np.zeros((n, k)), np.zeros((n, k, 6))
+        kernels.series(positions, axes, moment, l0, self._angles, self._powers, position, rotation, values, slopes)
+        return values, slopes
+
+    def variance(self, sse: float) -> float:
+        """By what a fit scales its covariance: white residuals only where they are larger than chance makes them."""
+        freedom = max(self.n_out - 8, 1)
+        variance = sse / freedom
+        if self._white and variance <= 1.0 + 4.0 * math.sqrt(2.0 / freedom):
+            return 1.0
+        return variance
+
+
+def _waves(model: LinearModel, phase: float) -> tuple[FloatArray, FloatArray]:
+    """Answer (n_out, n_channels * powers) of the data to each channel's powers at one phase, and its derivative."""
+    n_out, _, n_channels = model.matrix.shape
+    labels = basis.labels()
+    n_powers = int(labels[:, 0].max())
+    now, ahead = np.zeros((2, n_out, n_channels, n_powers))
+    for f, (power, harmonic, sine) in enumerate(labels):
+        turn, h = harmonic * phase, float(harmonic)
+        value, slope = (-math.sin(turn), -h * math.cos(turn)) if sine else (math.cos(turn), -h * math.sin(turn))
+        now[:, :, power - 1] += value * model.matrix[:, f]
+        ahead[:, :, power - 1] += slope * model.matrix[:, f]
+    return now.reshape(n_out, -1), ahead.reshape(n_out, -1)
+
+
+def true_room(rig: RigConfig, level: float, mains: float, phasors: ComplexArray) -> NoiseModel:
+    """The drawn room as an estimator knows it that has learned it well.
+
+    Parameters
+    ----------
+    level, mains : float
+        Drawn factors on the noise and on the mains frequency.
+    phasors : ndarray of complex, shape (n_lines, n_sensors), in T
+        Peak phasors of mains and harmonics, as the true sensors hear them.
+    """
+    levels = noise_levels(rig)
+    levels = replace(levels, floor=level * levels.floor, at_1hz=level * levels.at_1hz,
+                     mains_frequency=mains * levels.mains_frequency)  # fmt: skip
+    model = levels.model(rig.sensors)
+    return replace(model, lines=phasors[:, :, None] * phasors[:, None, :].conj())

@@ -1,0 +1,275 @@
+"""The overdamped robot in a drawn tank, compiled: coil field on a plane, resting cantilever, drag, surface.
+
+Kernels that call each other share this file (numba's cache does not see a change in another one).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from smolbot.arrays import FloatArray
+
+LIVE_STEP = 6e-3
+"""Step while a coil carries current, in s: coils settle in 3 ms, alignment takes tens of ms."""
+
+IDLE_STEP = 3e-2
+"""Step while none does, in s: what is left of the earth's field turns the robot by a degree in a second."""
+
+LIVE = 2e-2
+"""Current, in A, below which a coil without a command moves nothing."""
+
+# Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection of the cantilever (rad)
+STATE_LENGTH = 8
+# Entries of `device` and `hull` are those of `sim.cantilever` and `sim.hydrodynamics.Hull`.
+# Entries of `grid`: origin x, y (m), 1 / spacing (1/m), height of the plane (m)
+
+
+@njit(cache=True, error_model="numpy")
+def plane_field(
+    x: float, y: float, z: float, currents: FloatArray, grid: FloatArray, table: FloatArray
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Field and gradient of all sources at a point near the plane: cubic B-splines in the plane, Maxwell across it.
+
+        dBx/dz = dBz/dx,   dBy/dz = dBz/dy,   dBz/dz = -(dBx/dx + dBy/dy)
+
+    Parameters
+    ----------
+    x, y, z : float, in m, world frame
+    currents : ndarray, shape (n_sources,), in A
+    table : ndarray, shape (nx, ny, n_sources, 3), in T per A
+        Spline coefficients.
+
+    Returns
+    -------
+    tuple of 8
+        Bx, By, Bz in T, then dBx/dx, dBx/dy, dBx/dz, dBy/dy, dBy/dz in T/m.
+    """
+    scale = grid[2]
+    u, v = (x - grid[0]) * scale, (y - grid[1]) * scale
+    i = max(1, min(math.floor(u), table.shape[0] - 3))
+    j = max(1, min(math.floor(v), table.shape[1] - 3))
+    t = min(max(u - i, 0.0), 1.0)
+    s = 1.0 - t
+    wx = (s**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * s**2 + 3.0 * s**3) / 6.0, t**3 / 6.0)
+    dx = (-0.5 * s**2 * scale, (1.5 * t**2 - 2.0 * t) * scale, (2.0 * s - 1.5 * s**2) * scale, 0.5 * t**2 * scale)
+    t = min(max(v - j, 0.0), 1.0)
+    s = 1.0 - t
+    wy = (s**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * s**2 + 3.0 * s**3) / 6.0, t**3 / 6.0)
+    dy = (-0.5 * s**2 * scale, (1.5 * t**2 - 2.0 * t) * scale, (2.0 * s - 1.5 * s**2) * scale, 0.5 * t**2 * scale)
+    bx = by = bz = xx = xy = yx = yy = zx = zy = 0.0
+    n_sources = len(currents)
+    for p in range(4):
+        for q in range(4):
+            cx = cy = cz = 0.0
+            for n in range(n_sources):
+                current = currents[n]
+                if current != 0.0:
+                    cx += current * table[i - 1 + p, j - 1 + q, n, 0]
+                    cy += current * table[i - 1 + p, j - 1 + q, n, 1]
+                    cz += current * table[i - 1 + p, j - 1 + q, n, 2]
+            level, along_x, along_y = wx[p] * wy[q], dx[p] * wy[q], wx[p] * dy[q]
+            bx += level * cx
+            by += level * cy
+            bz += level * cz
+            xx += along_x * cx
+            xy += along_y * cx
+            yx += along_x * cy
+            yy += along_y * cy
+            zx += along_x * cz
+            zy += along_y * cz
+    up, across = z - grid[3], 0.5 * (xy + yx)
+    return bx + up * zx, by + up * zy, bz - up * (xx + yy), xx, across, zx, yy, zy
+
+
+@njit(cache=True, error_model="numpy")
+def _rates(
+    s: FloatArray,
+    currents: FloatArray,
+    grid: FloatArray,
+    table: FloatArray,
+    device: FloatArray,
+    hull: FloatArray,
+    float_height: float,
+    out: FloatArray,
+) -> None:
+    """Fill `out` (7,) with velocity (3, m/s, world) and change of the quaternion (4, 1/s); `s[7]` with the deflection.
+
+    The cantilever rests where spring and field balance: ``k theta = m B . (y x m_dir) + F . (y x r)``, up to its stop.
+    """
+    w, i, j, k = s[3], s[4], s[5], s[6]
+    xx, xy, xz = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)
+    yx, yy, yz = 2 * (i * j + k * w), 1 - 2 * (i * i + k * k), 2 * (j * k - i * w)
+    zx, zy, zz = 2 * (i * k - j * w), 2 * (j * k + i * w), 1 - 2 * (i * i + j * j)
+    moment, rest_x, rest_z, l0, stop = device[0], device[1], device[2], device[3], device[4]
+    stiffness = device[5] * device[9]
+    theta = s[7]
+    sine, cosine = math.sin(theta), math.cos(theta)
+    ax, ay, az = l0 * sine - device[10], -device[11], l0 * cosine - device[12]  # magnet from the housing's middle
+    wbx, wby, wbz, gxx, gxy, gxz, gyy, gyz = plane_field(
+        s[0] + xx * ax + xy * ay + xz * az,
+        s[1] + yx * ax + yy * ay + yz * az,
+        s[2] + zx * ax + zy * ay + zz * az,
+        currents, grid, table,
+    )  # fmt: skip
+    gzz = -(gxx + gyy)
+    bx, by, bz = xx * wbx + yx * wby + zx * wbz, xy * wbx + yy * wby + zy * wbz, xz * wbx + yz * wby + zz * wbz
+    # rows of G R for body x and z: gradients of the field along the directions in which the moment can point
+    px, py, pz = gxx * xx + gxy * yx + gxz * zx, gxy * xx + gyy * yx + gyz * zx, gxz * xx + gyz * yx + gzz * zx
+    qx, qy, qz = gxx * xz + gxy * yz + gxz * zz, gxy * xz + gyy * yz + gyz * zz, gxz * xz + gyz * yz + gzz * zz
+    bxx, bxz = xx * px + yx * py + zx * pz, xx * qx + yx * qy + zx * qz
+    bzz = xz * qx + yz * qy + zz * qz
+    mx = mz = 0.0
+    for _ in range(3):
+        mx, mz = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
+        torque = bx * mz - bz * mx + l0 * (cosine * (bxx * mx + bxz * mz) - sine * (bxz * mx + bzz * mz))
+        theta += (torque - stiffness * theta) / max(stiffness + bx * mx + bz * mz, 0.2 * stiffness)
+        theta = min(max(theta, -stop), stop)
+        sine, cosine = math.sin(theta), math.cos(theta)
+    mx, mz = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
+    s[7] = theta
+    ax, az = l0 * sine - device[10], l0 * cosine - device[12]
+    fwx, fwy, fwz = px * mx + qx * mz, py * mx + qy * mz, pz * mx + qz * mz  # grad(m . B), world frame
+    fx, fy, fz = xx * fwx + yx * fwy + zx * fwz, xy * fwx + yy * fwy + zy * fwz, xz * fwx + yz * fwy + zz * fwz
+    tx, ty, tz = -mz * by + ay * fz - az * fy, mz * bx - mx * bz + az * fx - ax * fz, mx * by + ax * fy - ay * fx
+    wet = min(max((hull[13] - s[2]) / hull[12] + 0.5, 0.0), 1.0)
+    lift = hull[11] * wet - hull[10]
+    if 0.0 < wet < 1.0:
+        lift -= hull[14] * (s[2] - float_height)
+        tx += hull[15] * zz  # the surface turns body y toward the world's up
+        tz -= hull[16] * zx
+    u, v, t = (fx + lift * zx) / hull[4], (fy + lift * zy) / hull[5], (fz + lift * zz) / hull[6]
+    out[0], out[1], out[2] = xx * u + xy * v + xz * t, yx * u + yy * v + yz * t, zx * u + zy * v + zz * t
+    p, q, r = tx / hull[7], ty / hull[8], tz / hull[9]
+    out[3] = 0.5 * (-i * p - j * q - k * r)
+    out[4] = 0.5 * (w * p + j * r - k * q)
+    out[5] = 0.5 * (w * q + k * p - i * r)
+    out[6] = 0.5 * (w * r + i * q - j * p)
+
+
+@njit(cache=True, error_model="numpy")
+def move(
+    state: FloatArray,
+    currents: FloatArray,
+    commands: FloatArray,
+    lengths: FloatArray,
+    constants: FloatArray,
+    grid: FloatArray,
+    table: FloatArray,
+    device: FloatArray,
+    hull: FloatArray,
+    float_height: float,
+    box: FloatArray,
+    start: float,
+    times: FloatArray,
+    poses: FloatArray,
+    states: FloatArray,
+) -> int:
+    """Move the robot on through windows of constant commands, by midpoint steps; return how many rows it recorded.
+
+    Parameters
+    ----------
+    state : ndarray, shape (8,)
+        As laid out at the top of this file; advanced in place, as `currents` is.
+    currents : ndarray, shape (n_sources,), in A
+        Of the actuation coils, then of sources that do not change.
+    commands : ndarray, shape (n_windows, n_coils), in A
+    lengths : ndarray, shape (n_windows,), in s
+    constants : ndarray, shape (n_coils,), in s
+        Time constants of the actuation coils.
+    grid, table
+        As `plane_field` takes them.
+    box : ndarray, shape (6,), in m
+        Low x, high x, low y, high y of the container; half the housing's length and width.
+    start : float, in s
+    times, poses : ndarray, shapes (k,) and (k, 7)
+        Receive time, rotation centre (m) and orientation at the start of each step, and at the end of the last.
+    states : ndarray, shape (n_windows, 8)
+        Receives the state at the start of each window.
+    """
+    n_coils = commands.shape[1]
+    half, mean, rates = np.empty(STATE_LENGTH), currents.copy(), np.empty(7)
+    rows = 0
+    for window in range(len(lengths)):
+        states[window] = state
+        at, duration = 0.0, lengths[window]
+        while duration - at > 1e-12:
+            times[rows] = start + at
+            note(state, device, poses[rows])
+            rows += 1
+            live = False
+            for n in range(n_coils):
+                if commands[window, n] != 0.0 or abs(currents[n]) > LIVE:
+                    live = True
+            left = duration - at
+            h = left / math.ceil(left / (LIVE_STEP if live else IDLE_STEP) - 1e-9)
+            for n in range(n_coils):
+                if live:  # the exact mean of the exponential over the step, and its end
+                    settled = 1.0 - math.exp(-h / constants[n]) if constants[n] > 0.0 else 1.0
+                    off = currents[n] - commands[window, n]
+                    mean[n] = commands[window, n] + off * settled * constants[n] / h
+                    currents[n] = commands[window, n] + off * (1.0 - settled)
+                else:
+                    mean[n] = currents[n] = 0.0
+            _rates(state, mean, grid, table, device, hull, float_height, rates)
+            for n in range(7):
+                half[n] = state[n] + 0.5 * h * rates[n]
+            half[7] = state[7]
+            _rates(half, mean, grid, table, device, hull, float_height, rates)
+            for n in range(7):
+                state[n] += h * rates[n]
+            state[7] = half[7]
+            size = 1.0 / math.sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2 + state[6] ** 2)
+            for n in range(3, 7):
+                state[n] *= size
+            _hold_inside(state, box)
+            at += h
+        start += duration
+    times[rows] = start
+    note(state, device, poses[rows])
+    return rows + 1
+
+
+@njit(cache=True, error_model="numpy")
+def _hold_inside(state: FloatArray, box: FloatArray) -> None:
+    """Put a housing that overlaps a wall back beside it; it slides without friction, and is not turned."""
+    w, i, j, k = state[3], state[4], state[5], state[6]
+    ahead_x, ahead_y = abs(2 * (i * k + j * w)), abs(2 * (j * k - i * w))
+    side_x, side_y = abs(1 - 2 * (j * j + k * k)), abs(2 * (i * j + k * w))
+    x, y = ahead_x * box[4] + side_x * box[5], ahead_y * box[4] + side_y * box[5]
+    state[0] = min(max(state[0], box[0] + x), box[1] - x)
+    state[1] = min(max(state[1], box[2] + y), box[3] - y)
+
+
+@njit(cache=True, error_model="numpy")
+def note(state: FloatArray, device: FloatArray, pose: FloatArray) -> None:
+    """Write the rotation centre (m) and the orientation of a state into a pose (7,)."""
+    w, i, j, k = state[3], state[4], state[5], state[6]
+    x, y, z = device[10], device[11], device[12]
+    pose[0] = state[0] - ((1 - 2 * (j * j + k * k)) * x + 2 * (i * j - k * w) * y + 2 * (i * k + j * w) * z)
+    pose[1] = state[1] - (2 * (i * j + k * w) * x + (1 - 2 * (i * i + k * k)) * y + 2 * (j * k - i * w) * z)
+    pose[2] = state[2] - (2 * (i * k - j * w) * x + 2 * (j * k + i * w) * y + (1 - 2 * (i * i + j * j)) * z)
+    pose[3], pose[4], pose[5], pose[6] = w, i, j, k
+
+
+@njit(cache=True, error_model="numpy")
+def driving_field(
+    state: FloatArray, device: FloatArray, currents: FloatArray, grid: FloatArray, table: FloatArray
+) -> float:
+    """Field, in T, along y x m at the magnet: the part that drives the oscillation (Eq. S1).
+
+    `currents` (n_sources,) in A and `table` are those of the excitation coils.
+    """
+    w, i, j, k = state[3], state[4], state[5], state[6]
+    xx, xz = 1 - 2 * (j * j + k * k), 2 * (i * k + j * w)
+    yx, yz = 2 * (i * j + k * w), 2 * (j * k - i * w)
+    zx, zz = 2 * (i * k - j * w), 1 - 2 * (i * i + j * j)
+    ahead = device[3] - device[12]
+    field = plane_field(
+        state[0] + ahead * xz, state[1] + ahead * yz, state[2] + ahead * zz, currents, grid, table
+    )  # fmt: skip
+    along_x = field[0] * xx + field[1] * yx + field[2] * zx
+    along_z = field[0] * xz + field[1] * yz + field[2] * zz
+    return along_x * device[2] - along_z * device[1]

@@ -1,0 +1,135 @@
+"""The drawn tank, reduced: the same draws from the same seed, moved by one compiled overdamped kernel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sim.coilfields import CoilSet
+from sim.coils import TankCoils, volume
+from sim.history import History
+from sim.hydrodynamics import Hull
+from sim.magnet import true_device
+from sim.mismatch import Streams, Truth, draw
+from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, driving_field, move, note
+from sim.sensors import TrueSensors
+from sim.settings import TankSettings
+from sim.tank import put_down
+from smolbot.arrays import FloatArray
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+from smolbot.shots import Actuate, Window
+
+SPACING = 1e-3
+"""Of the plane's table, in m: cubic splines through it are good to some nT per A between coils 84 mm apart."""
+
+
+class ReducedPlant:
+    """Plays windows for the robot's motion alone; takes the arguments of `sim.tank.Tank`.
+
+    Left out: inertia, the swing of the cantilever (it rests where field and spring balance), the pull of the
+    excitation, friction and turning at walls.
+
+    Attributes
+    ----------
+    truth : Truth
+    sensors : TrueSensors
+        Where they truly stand; nothing is recorded.
+    device : ndarray
+        As `sim.cantilever.swing` takes it.
+    history : History
+    time : float, in s
+    """
+
+    def __init__(
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
+        *, ideal: bool = False,
+    ) -> None:  # fmt: skip
+        streams = Streams.from_seed(seed)
+        n_coils = len(rig.sections.coils) + len(rig.sections.excitation)
+        self.truth: Truth = draw(settings, n_coils, len(rig.sensors), streams, ideal=ideal)
+        self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
+        hull = Hull.build(rig, robot, settings, self.truth)
+        self.device = true_device(robot, settings, self.truth)
+        coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
+        self._hull, self._float_height = hull.values, hull.float_height
+        self._n, self._n_excitation = coils.n_actuation, coils.n_excitation
+        self._constants = coils.circuits[: self._n, 3].copy()
+        self._grid, tables = _plane(coils, rig, hull.float_height - robot.center[1])
+        # earth's field and the coil against it are one source that never changes; the excitation moves nothing
+        moving = [*range(self._n), tables.shape[2] - 1]
+        self._table = np.ascontiguousarray(tables[:, :, moving])
+        self._excitation = np.ascontiguousarray(tables[:, :, self._n : self._n + self._n_excitation])
+        self._currents = np.zeros(self._n + 1)
+        self._currents[self._n] = 1.0
+        box = rig.sections.container
+        low, size = np.array(box.center_mm) - 0.5 * np.array(box.size_mm), np.array(box.size_mm)
+        walls = 1e-3 * np.array([low[0], low[0] + size[0], low[1], low[1] + size[1]])
+        self._box = np.array([*walls, 0.5 * robot.size[2], 0.5 * robot.size[0]])
+        position, orientation = put_down(rig, robot, self.truth, hull, start)
+        self._state = np.zeros(STATE_LENGTH)
+        self._state[:3], self._state[3:7] = position, orientation
+        self.history = History()
+        self.time = 0.0
+        times, poses = self.history.reserve(1)
+        times[0], poses[0] = 0.0, self.pose(self._state)
+
+    def advance(self, windows: tuple[Window, ...]) -> FloatArray:
+        """Play windows one after the other; return the state (n_windows, 8) at the start of each, and note the way."""
+        lengths = np.array([w.duration for w in windows])
+        commands = np.zeros((len(windows), self._n))
+        for row, window in enumerate(windows):
+            if isinstance(window, Actuate):
+                commands[row] = window.currents
+        states = np.empty((len(windows), STATE_LENGTH))
+        self.history.drop_last()  # its closing row is the first row of what follows
+        room = sum(math.ceil(w.duration / LIVE_STEP) + 1 for w in windows) + 1
+        times, poses = self.history.reserve(room)
+        rows = move(
+            self._state, self._currents, commands, lengths, self._constants, self._grid, self._table, self.device,
+            self._hull, self._float_height, self._box, self.time, times, poses, states,
+        )  # fmt: skip
+        self.time = float(times[rows - 1])
+        self.history.drop_last(room - rows)
+        return states
+
+    def silence(self) -> None:
+        """Every current at zero, at once."""
+        self._currents[: self._n] = 0.0
+
+    def driving_field(self, state: FloatArray, currents: tuple[float, ...]) -> float:
+        """True field, in T, with which excitation currents (A) drive the device in a state (8,)."""
+        wanted = np.array(currents[: self._n_excitation])
+        return float(driving_field(state, self.device, wanted, self._grid, self._excitation))
+
+    def pose(self, state: FloatArray) -> FloatArray:
+        """Rotation centre (m) and orientation of a state, shape (7,)."""
+        pose = np.empty(7)
+        note(state, self.device, pose)
+        return pose
+
+
+def _plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray, FloatArray]:
+    """Grid (4,) and spline coefficients (nx, ny, n_coils + 1, 3) of every true coil on a plane, T per A.
+
+    The last source is the earth's field with the coil against it, in T.
+    """
+    from scipy.ndimage import spline_filter1d
+
+    from sim.cantilever import fields_at
+
+    low, high = volume(rig)
+    x, y = (np.arange(low[k], high[k] + 2 * SPACING, SPACING) for k in (0, 1))
+    points = np.stack(np.meshgrid(x, y, [height], indexing="ij"), axis=-1).reshape(-1, 3)
+    fields: CoilSet = coils.fields
+    values = fields_at(points, fields.rows, fields.coefficients)
+    driven = coils.n_actuation + coils.n_excitation
+    still = np.tile(coils.earth, (len(points), 1))
+    for c in range(driven, len(values)):
+        still += coils.circuits[c, 1] * values[c]
+    sources = np.concatenate([values[:driven], still[None]]).transpose(1, 0, 2)
+    table = sources.reshape(len(x), len(y), driven + 1, 3)
+    for axis in (0, 1):
+        table = spline_filter1d(table, order=3, axis=axis, mode="mirror")
+    return np.array([x[0], y[0], 1.0 / SPACING, height]), np.ascontiguousarray(table)

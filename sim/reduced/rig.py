@@ -1,0 +1,188 @@
+"""The reduced rig: keeps the promise of `smolbot.worlds.Rig`, but hands out sightings instead of signals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sim.coils import NominalExcitation
+from sim.history import TankWitness
+from sim.reduced.errors import FitErrors, Heard, true_room
+from sim.reduced.plant import ReducedPlant
+from sim.settings import TankSettings
+from smolbot.arrays import FloatArray, as_floats
+from smolbot.config import validate
+from smolbot.errors import InputError, RigError
+from smolbot.excitation import amplitude_after
+from smolbot.localization.localizer import Localizer
+from smolbot.missionfile import Mission
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+from smolbot.sensing import Device, Recording
+from smolbot.shots import Excite, Listen, Rest, Shot
+from smolbot.sightings import Sighting, Sightings
+from smolbot.worlds import Witness
+
+AMPLITUDE_SPREAD = 0.02
+"""Share by which the amplitude varies from burst to burst: what is left of the swing when a drive begins."""
+
+
+class ReducedRig:
+    """A tank without Bullet, sensors' samples and fits: `sim.reduced.plant` moves, `sim.reduced.errors` sees.
+
+    Draws its mismatches as `sim.rig.TankRig` does from the same seed; everything that it returns is labelled
+    by its `provenance`.
+
+    Examples
+    --------
+    >>> from smolbot.rigfile import load_rig
+    >>> from smolbot.robotfile import load_robot
+    >>> from smolbot.shots import Actuate
+    >>> rig = ReducedRig(load_rig("tank"), load_robot("gradient"), TankSettings(), np.zeros(2), seed=1)
+    >>> for _ in range(20):
+    ...     rig.play(Shot((Actuate((8.0, 0.0, 0.0, 0.0), 0.1),)))
+    >>> print(bool(rig.witness.truth(rig.now()).position[0] > 1e-3), rig.provenance()["plant"])
+    True reduced
+    """
+
+    def __init__(
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
+        *, ideal: bool = False,
+    ) -> None:  # fmt: skip
+        self.sensors = rig.sensors
+        self.limits = rig.limits
+        self._plant = ReducedPlant(rig, robot, settings, start, seed, ideal=ideal)
+        self.witness: Witness | None = TankWitness(self._plant.history)
+        self._rig, self._rate, self._turnaround = rig, rig.sample_rate, rig.turnaround
+        self._no_samples = np.zeros((len(rig.sensors), 0))
+        self._believed_excitation = NominalExcitation(rig)
+        self._device = _true_device(robot.device, self._plant)
+        self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
+        self._errors: FitErrors | None = None
+        self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
+        self._open = True
+
+    def sightings(self, localizer: Localizer) -> Sightings:
+        """What takes the place of `localizer`; from now on the rig errs as that one would."""
+        plant, truth = self._plant, self._plant.truth
+        sensors, device = plant.sensors, self._device
+        lines = 1 + len(self._rig.sections.noise.harmonics)
+        gains = self._rig.sensor_gains
+        phasors = sensors.field_noise.amplitudes[:lines] / gains
+        room = true_room(self._rig, truth.noise, truth.mains_frequency, phasors)
+        moment = device.moment * device.moment_in_body
+        heard = Heard(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
+        constants = tuple(1e-3 * c.time_constant_ms for c in self._rig.sections.excitation)
+        self._errors = FitErrors(localizer, self._rig, heard, self._rng)
+        return Sightings(localizer.sensors, localizer.device, localizer.volume, constants)
+
+    def now(self) -> float:
+        """Time on the plant's virtual clock, in s."""
+        return self._plant.time
+
+    def play(self, shot: Shot) -> Recording | None:
+        """Play a shot; return a sighting if it drove and listened, an empty recording if it only listened.
+
+        Raises
+        ------
+        InterlockError
+            Before anything moves, if the shot breaks a limit.
+        RigError
+            If the rig is closed.
+        """
+        if not self._open:
+            raise RigError("This plant is closed; nothing was played.")
+        self.limits.check(shot)
+        begin, windows = self._plant.time, list(shot.windows)
+        listening = next((i for i, w in enumerate(windows) if isinstance(w, Listen)), None)
+        middle = 0.0
+        if listening is not None:
+            listen = windows[listening]
+            middle = 0.5 * round(listen.duration * self._rate) / self._rate
+            windows[listening : listening + 1] = [Rest(middle), Rest(max(listen.duration - middle, 1e-9))]
+        if self._turnaround > 0:
+            windows.append(Rest(self._turnaround))
+        states = self._plant.advance(tuple(windows))
+        if listening is None:
+            return None
+        start = begin + sum(w.duration for w in windows[:listening])
+        return self._seen(shot, start, middle, states[: listening + 2])
+
+    def excitation_field(self, position: FloatArray) -> FloatArray:
+        """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
+        return self._believed_excitation.at(as_floats(position, (3,), "excitation_field position"))
+
+    def stop(self) -> None:
+        """Bring every current to zero now."""
+        self._plant.silence()
+
+    def close(self) -> None:
+        """Play no more; harmless when repeated."""
+        self.stop()
+        self._open = False
+
+    def provenance(self) -> dict[str, Any]:
+        """The label of this plant, its seed, whether ideal, and every drawn mismatch."""
+        truth = self._plant.truth.as_dict()
+        return {"plant": "reduced", "seed": self._seed, "ideal": self._ideal, "truth": truth}
+
+    def _seen(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
+        """What is made of a listening window that began at `start` s; the last of `states` is that of its middle."""
+        empty, rate, drive = self._no_samples, self._rate, shot.excite
+        if drive is None or self._errors is None:
+            return Recording(empty, rate, math.inf, drive=drive, clock=start)
+        index = max(i for i, w in enumerate(shot.windows[: len(states)]) if w is drive)
+        since = sum(w.duration for w in shot.windows[index + 1 : len(states) - 2])
+        truth, listen = self._plant.pose(states[-1]), shot.windows[len(states) - 2]
+        assert isinstance(listen, Listen)
+        amplitude = self._amplitude(drive, states[index])
+        fitted = self._errors.draw(truth[:3], truth[3:], amplitude, listen.half_periods, since)
+        return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
+
+    def _amplitude(self, drive: Excite, state: FloatArray) -> float:
+        """Amplitude, in rad, that a burst leaves in the true device, up to its stops."""
+        field = abs(self._plant.driving_field(state, drive.currents))
+        grown = amplitude_after(field, self._device, self._plant.device[9], drive.cycles)
+        spread = 1.0 + AMPLITUDE_SPREAD * min(max(self._rng.standard_normal(), -3.0), 3.0)
+        return min(grown * spread, self._device.theta_max)
+
+
+def open_reduced(mission: Mission, seed: int, *, ideal: bool = False) -> ReducedRig:
+    """The reduced plant of a mission: pass it to `smolbot.flying.fly` as ``opener``. Raises as `require_flyable`."""
+    require_flyable(mission)
+    settings, faults = validate(TankSettings, mission.rig.sections.tank, ("tank",))
+    if settings is None:
+        raise mission.rig.document.error(faults)
+    start = np.asarray(mission.start, dtype=np.float64)
+    return ReducedRig(mission.rig, mission.robot, settings, start, seed, ideal=ideal)
+
+
+def require_flyable(mission: Mission) -> None:
+    """Raise `InputError` if the mission's rig is no simulated tank, or its robot is of another kind."""
+    robot = mission.robot
+    kind: str = robot.kind
+    if mission.rig.world != "tank":
+        raise InputError(
+            f"The reduced plant stands for a simulated tank; '{mission.rig.name}' is of world '{mission.rig.world}'."
+        )
+    if kind != "gradient" or not robot.device.along_cantilever:
+        what = "has its moment across the cantilever" if kind == "gradient" else f"is of kind '{kind}'"
+        raise InputError(
+            "The reduced plant knows robots of kind 'gradient' with the moment along the cantilever; "
+            f"'{robot.name}' {what}. Fly it in the full tank: --plant full."
+        )
+
+
+def _true_device(device: Device, plant: ReducedPlant) -> Device:
+    truth = plant.truth
+    return replace(
+        device,
+        moment=device.moment * truth.moment,
+        l0=device.l0 * truth.l0,
+        theta_max=device.theta_max * truth.theta_max,
+        frequency=device.frequency * truth.frequency,
+        damping=device.damping * truth.damping,
+    )

@@ -1,0 +1,1 @@
+"""Gains that hold on robots and tanks that differ from the nominal ones."""

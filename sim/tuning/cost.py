@@ -1,0 +1,41 @@
+"""What a flight costs: how far from the path, how long, and whether it got there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+PACE = 0.05
+"""Worth of a second per millimetre of path, in mm of tracking error."""
+
+MISSED = 5.0
+"""Cost, in mm, of a flight that does not reach the end; as much again for the path that was left."""
+
+REFUSED = 2.0 * MISSED
+"""Cost, in mm, of gains that the law refuses."""
+
+FAILED = 1.0
+"""Cost, in mm, of a flight that reaches the end but fails the mission's verdict."""
+
+
+def cost(summary: Mapping[str, Any]) -> float:
+    """Cost of one flight in mm, from its summary: the lower, the better.
+
+    Tracking error (rms, in mm) plus `PACE` times the seconds that a millimetre of path took. A flight that does
+    not reach the end costs more than any that does.
+
+    Examples
+    --------
+    >>> flown = {"status": "completed", "verdict": "passed", "duration_s": 80.0, "path_length_mm": 40.0}
+    >>> round(cost({**flown, "tracking_error_mm": {"rms": 0.4}}), 3)
+    0.5
+    >>> cost({"status": "timeout", "path_length_mm": 40.0, "progress_mm": 10.0})
+    8.75
+    """
+    length = float(summary["path_length_mm"])
+    if summary["status"] != "completed":
+        left = 1.0 - min(float(summary.get("progress_mm") or 0.0) / length, 1.0)
+        return MISSED * (1.0 + left)
+    error = float(summary["tracking_error_mm"]["rms"])
+    off = min(error + PACE * float(summary["duration_s"]) / length, MISSED - FAILED)
+    return off + (0.0 if summary["verdict"] == "passed" else FAILED)

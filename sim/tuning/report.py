@@ -1,0 +1,97 @@
+"""What a search leaves: a file of gains, every trial, a figure."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim.tuning.search import Problem, finished
+from sim.tuning.verdict import Flown
+
+if TYPE_CHECKING:
+    from optuna import Study
+
+
+def importances(study: Study) -> dict[str, float]:
+    """Share of each gain in how the cost varies among the good trials; empty where trials are too few to tell."""
+    import optuna
+    from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
+    from optuna.trial import TrialState
+
+    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    if len(complete) < 10 or len({t.value for t in complete}) < 5:
+        return {}
+    with np.errstate(all="ignore"):
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        found = get_param_importances(study, evaluator=PedAnovaImportanceEvaluator())
+    return {name: float(value) for name, value in found.items()}
+
+
+def gains_file(problem: Problem, law: str, tuned: Flown, before: Flown, seed: int) -> str:
+    """The gains as a mission file writes them, with what they were found by."""
+    after, now = tuned.figures(), before.figures()
+    lines = [
+        f"# Gains of {law}, tuned for {problem.mission} with seed {seed} over {len(problem.worlds)} drawn worlds",
+        f"# ({problem.plant} plant). Full tank, {after['flown']} held-out worlds: {after['passed']} passed, cost "
+        f"{after['cost_mm']:.3f} mm; before: {now['passed']} passed, cost {now['cost_mm']:.3f} mm.",
+        "[controller.gains]",
+        *[f"{name} = {value:.6g}" for name, value in tuned.gains.items()],
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def write_trials(study: Study, path: Path) -> None:
+    """One line for each trial: number, how it ended, cost, gains."""
+    trials = study.get_trials(deepcopy=False)
+    names = sorted({name for t in trials for name in t.params})
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["trial", "state", "cost_mm", *names])
+        for t in trials:
+            writer.writerow([t.number, t.state.name.lower(), t.value, *[t.params.get(name) for name in names]])
+
+
+def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown, headline: str, path: Path) -> None:
+    """Cost of every trial with the best so far; what each gain matters; held-out worlds, before and after."""
+    from matplotlib.ticker import MaxNLocator
+
+    from sim.studies.picture import LIMIT, PAPER, WHITENED, slide, titled
+
+    trials: list[Any] = [t for t in finished(study)]
+    numbers = np.array([t.number for t in trials])
+    costs = np.array([t.value if t.value is not None else list(t.intermediate_values.values())[-1] for t in trials])
+    whole = np.array([t.state.name == "COMPLETE" for t in trials])
+    best = np.minimum.accumulate(np.where(whole, costs, np.inf))
+    now, after = before.figures(), tuned.figures()
+    subline = (
+        f"{len(trials)} trials; held-out worlds in the full tank: passed {now['passed']} of {now['flown']} before, "
+        f"{after['passed']} of {after['flown']} tuned"
+    )
+    with slide(path, headline, subline, 1, 3, wspace=0.45, left=0.06) as (left, middle, right):
+        left.scatter(numbers[whole], costs[whole], s=18, color=WHITENED, alpha=0.6, label="flown in every world")
+        left.scatter(numbers[~whole], costs[~whole], s=14, color=LIMIT, alpha=0.6, label="given up")
+        left.step(numbers, best, where="post", color=PAPER, lw=2, label="best so far")
+        left.set_yscale("log")
+        left.xaxis.set_major_locator(MaxNLocator(integer=True))
+        left.legend(frameon=False, fontsize=10)
+        titled(left, "Cost of each trial, in mm", "trial")
+        names = list(shares)[::-1]
+        middle.barh(names, [shares[n] for n in names], color=WHITENED)
+        if not names:
+            middle.text(0.5, 0.5, "too few trials to tell", ha="center", color="#777777", transform=middle.transAxes)
+        titled(middle, "What each gain matters", "share")
+        for i, (one, color) in enumerate(((before, LIMIT), (tuned, WHITENED))):
+            spread = i + np.linspace(-0.2, 0.2, len(one.costs))
+            right.scatter(spread, one.costs, s=22, color=color)
+            right.hlines(np.mean(one.costs), i - 0.3, i + 0.3, color=color, lw=3)
+            right.text(
+                i, max(one.costs) * 1.05, f"{np.mean(one.costs):.2f}", ha="center", fontweight="bold", color=color
+            )
+        right.set_xticks([0, 1], ["before", "tuned"])
+        right.set_xlim(-0.6, 1.6)
+        right.set_ylim(0.0, 1.2 * max(*before.costs, *tuned.costs))
+        titled(right, "Cost in held-out worlds, in mm")

@@ -1,0 +1,167 @@
+"""The search: batches of gains, flown over the same drawn worlds, the poor ones given up early.
+
+Batches and rungs have fixed sizes, and results are told in the order in which they were asked for, so that a search
+finds the same whatever the number of processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim.simulate import Plant, fly_one
+from sim.tuning.cost import REFUSED, cost
+from smolbot.control import Gain
+from smolbot.errors import InputError
+
+if TYPE_CHECKING:
+    from optuna import Study, Trial
+
+BATCH = 4
+"""Trials that are asked for together."""
+
+RUNG = 3
+"""Worlds after each of which a trial may be given up."""
+
+STARTUP = 8
+"""Trials before any is given up, or the sampler learns."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is tuned, and on what.
+
+    Attributes
+    ----------
+    mission : str
+        Name or path.
+    rig : str, optional
+    settings : mapping of str to str
+        Laid over the mission file in every flight.
+    gains : mapping of str to Gain
+        Those to be tuned, by name.
+    start : mapping of str to float
+        Values that the mission flies with now.
+    worlds : sequence of int
+        Seeds of the drawn worlds.
+    plant : Plant
+    """
+
+    mission: str
+    rig: str | None
+    settings: Mapping[str, str]
+    gains: Mapping[str, Gain]
+    start: Mapping[str, float]
+    worlds: Sequence[int]
+    plant: Plant
+
+    def settings_with(self, gains: Mapping[str, float]) -> dict[str, str]:
+        """Settings of a flight under `gains`."""
+        return {**self.settings, **{f"controller.gains.{name}": repr(value) for name, value in gains.items()}}
+
+
+def open_study(path: Path, seed: int, name: str, *, resume: bool) -> Study:
+    """The journal at `path` as an Optuna study; trials that a killed process left running count as failed.
+
+    Raises
+    ------
+    InputError
+        If there is none to resume, or one is there already.
+    """
+    import optuna
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    if resume and not path.is_file():
+        raise InputError(f"{path.parent}: holds no search to resume.")
+    storage = JournalStorage(JournalFileBackend(str(path)))
+    held = optuna.get_all_study_names(storage) if resume else [name]
+    if name not in held:
+        raise InputError(f"{path.parent}: holds the search '{held[0]}', not '{name}'; resume it as it was begun.")
+    study = optuna.create_study(
+        storage=storage,
+        study_name=name,
+        load_if_exists=resume,
+        direction="minimize",
+        pruner=optuna.pruners.MedianPruner(n_startup_trials=STARTUP, n_warmup_steps=1),
+    )
+    for trial in study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):
+        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+    done = len(finished(study))
+    study.sampler = optuna.samplers.TPESampler(
+        seed=int(np.random.SeedSequence([seed, done]).generate_state(1)[0]),
+        n_startup_trials=STARTUP,
+        constant_liar=True,
+    )
+    return study
+
+
+def finished(study: Study) -> list[Any]:
+    """Trials that came to an end, given up ones too."""
+    from optuna.trial import TrialState
+
+    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
+
+
+def search(
+    study: Study, problem: Problem, trials: int, executor: Executor, ended: Callable[[Study], None] = lambda study: None
+) -> None:
+    """Ask, fly and tell until `trials` have come to an end; the present gains are the first."""
+    if not study.get_trials(deepcopy=False):
+        study.enqueue_trial(dict(problem.start))
+    while (left := trials - len(finished(study))) > 0:
+        batch = [study.ask() for _ in range(min(BATCH, left))]
+        gains = [{name: _suggested(trial, name, gain) for name, gain in problem.gains.items()} for trial in batch]
+        for trial, values in zip(batch, fly_batch(study, problem, batch, gains, executor), strict=True):
+            if len(values) == len(problem.worlds):
+                study.tell(trial, float(np.mean(values)))
+            else:
+                from optuna.trial import TrialState
+
+                study.tell(trial, state=TrialState.PRUNED)
+            ended(study)
+
+
+def fly_batch(
+    study: Study, problem: Problem, batch: Sequence[Trial], gains: Sequence[Mapping[str, float]], executor: Executor
+) -> list[list[float]]:
+    """Costs of each trial, world by world; fewer than there are worlds for those that were given up."""
+    costs: list[list[float]] = [[] for _ in batch]
+    alive = list(range(len(batch)))
+    for rung in _rungs(problem.worlds):
+        flights: list[tuple[int, Future[Any]]] = [
+            (i, executor.submit(fly_one, problem.mission, problem.rig, problem.settings_with(gains[i]), seed,
+                                problem.plant))
+            for i in alive for seed in rung
+        ]  # fmt: skip
+        for i, future in flights:
+            costs[i].append(_cost_of(future, refusable=dict(gains[i]) != dict(problem.start)))
+        for i in alive:
+            batch[i].report(float(np.mean(costs[i])), len(costs[i]))
+        alive = [i for i in alive if len(costs[i]) == len(problem.worlds) or not batch[i].should_prune()]
+    return costs
+
+
+def _cost_of(future: Future[Any], *, refusable: bool) -> float:
+    """Cost of a flight; gains that the law refuses, such as a least above a most, cost as much as not to move."""
+    try:
+        return cost(future.result().summary)
+    except InputError:
+        if not refusable:
+            raise
+        return REFUSED
+
+
+def _rungs(worlds: Sequence[int]) -> Iterator[Sequence[int]]:
+    for i in range(0, len(worlds), RUNG):
+        yield worlds[i : i + RUNG]
+
+
+def _suggested(trial: Trial, name: str, gain: Gain) -> float:
+    return trial.suggest_float(name, gain.low, gain.high, log=gain.log)

@@ -1,0 +1,67 @@
+"""Whether tuned gains are better: both flown in the full tank, on worlds that the search did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim.simulate import Plant, fly_one
+from sim.tuning.cost import cost
+from sim.tuning.search import Problem
+from smolbot.statistics import wilson_interval
+
+FIRST_HELD_OUT = 1_000_000
+"""Held-out worlds begin here; those of the search lie below."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Gains, and how they did on the held-out worlds in the full tank."""
+
+    gains: Mapping[str, float]
+    summaries: Sequence[Mapping[str, Any]]
+
+    @property
+    def passed(self) -> int:
+        return sum(s["verdict"] == "passed" for s in self.summaries)
+
+    @property
+    def costs(self) -> list[float]:
+        return [cost(s) for s in self.summaries]
+
+    def figures(self) -> dict[str, Any]:
+        """For tables and JSON."""
+        done = [s for s in self.summaries if s["status"] == "completed"]
+        return {
+            "flown": len(self.summaries),
+            "passed": self.passed,
+            "pass_rate_95": wilson_interval(self.passed, len(self.summaries)),
+            "cost_mm": float(np.mean(self.costs)),
+            "tracking_rms_mm": _mean([s["tracking_error_mm"]["rms"] for s in done]),
+            "duration_s": _mean([s["duration_s"] for s in done]),
+            "gains": dict(self.gains),
+        }
+
+
+def held_out(problem: Problem, gains: Sequence[Mapping[str, float]], count: int, executor: Executor) -> list[Flown]:
+    """Each set of gains over the same `count` held-out worlds, in the full tank."""
+    seeds = range(FIRST_HELD_OUT, FIRST_HELD_OUT + count)
+    flights = [
+        [executor.submit(fly_one, problem.mission, problem.rig, problem.settings_with(one), seed, Plant.FULL)
+         for seed in seeds]
+        for one in gains
+    ]  # fmt: skip
+    return [Flown(one, [f.result().summary for f in group]) for one, group in zip(gains, flights, strict=True)]
+
+
+def better(tuned: Flown, before: Flown) -> bool:
+    """Tuned gains pass at least as often, and cost less on average over the same worlds."""
+    return tuned.passed >= before.passed and float(np.mean(tuned.costs)) < float(np.mean(before.costs))
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
