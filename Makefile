@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $@
 
 mission: setup
-	@$(BIN)/smolbot run r_small --json
+	@$(BIN)/smolbot run r_path --json
 
 test: setup
 	$(BIN)/python -m pytest -n auto --dist loadfile
