@@ -102,7 +102,7 @@ class ReducedRig:
         if listening is not None:
             listen = windows[listening]
             middle = 0.5 * round(listen.duration * self._rate) / self._rate
-            windows[listening : listening + 1] = [Rest(middle), Rest(max(listen.duration - middle, 1e-9))]
+            windows[listening : listening + 1] = [Rest(middle), Rest(listen.duration - middle)]
         if self._turnaround > 0:
             windows.append(Rest(self._turnaround))
         states = self._plant.advance(tuple(windows))
@@ -140,7 +140,11 @@ class ReducedRig:
         assert isinstance(listen, Listen)
         spread = 1.0 + AMPLITUDE_SPREAD * min(max(self._rng.standard_normal(), -3.0), 3.0)
         amplitude = min(spread * math.hypot(*states[index + 1, SWING]), self._device.theta_max)
-        fitted = self._errors.draw(truth[:3], truth[3:], amplitude, listen.half_periods, since)
+        orientation = truth[3:]
+        if self._rng.random() < 0.5:  # turned by half about the moment it sounds alike: only a prior can tell
+            w, x, y, z = orientation
+            orientation = np.array([-z, y, -x, w])
+        fitted = self._errors.draw(truth[:3], orientation, amplitude, listen.half_periods, since)
         return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
 
 
