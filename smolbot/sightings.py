@@ -95,9 +95,11 @@ class Sightings:
         InputError
             Where nothing was seen, as with a recording that has too few usable channels.
         """
-        fitted = recording.fitted if isinstance(recording, Sighting) else None
-        if fitted is None or not isinstance(recording, Sighting) or not math.isfinite(fitted.covariance[0, 0]):
+        if not isinstance(recording, Sighting) or recording.fitted is None:
             raise InputError("This recording holds no pose: nothing was driven before it.")
+        fitted = recording.fitted
+        if not math.isfinite(fitted.covariance[0, 0]):
+            raise InputError("This recording holds no pose: too little of a swing was heard.")
         orientation = fitted.orientation
         if prior is not None:
             twin = quaternion_product(orientation, _HALF_TURN)

@@ -12,8 +12,11 @@ from numba import njit
 
 from smolbot.arrays import FloatArray
 
-LIVE_STEP = 6e-3
-"""Step while a coil carries current, in s: coils settle in 3 ms, alignment takes tens of ms."""
+LIVE_STEP = 2e-3
+"""Step while a coil is driven, in s: coils settle in 3 ms, the cantilever swings in 10, alignment takes tens of ms."""
+
+DYING_STEP = 4e-3
+"""Step while currents die away, in s."""
 
 IDLE_STEP = 3e-2
 """Step while none does, in s: what is left of the earth's field turns the robot by a degree in a second."""
@@ -21,8 +24,10 @@ IDLE_STEP = 3e-2
 LIVE = 2e-2
 """Current, in A, below which a coil without a command moves nothing."""
 
-# Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection of the cantilever (rad)
-STATE_LENGTH = 8
+# Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection at which the cantilever
+# would rest (rad), phasor (2, rad) of its swing about there: now, and a quarter of a period ago
+STATE_LENGTH = 10
+SWING = slice(8, 10)
 # Entries of `device` and `hull` are those of `sim.cantilever` and `sim.hydrodynamics.Hull`.
 # Entries of `grid`: origin x, y (m), 1 / spacing (1/m), height of the plane (m)
 
@@ -93,17 +98,26 @@ def _rates(
     device: FloatArray,
     hull: FloatArray,
     float_height: float,
+    swung: float,
     out: FloatArray,
 ) -> None:
-    """Fill `out` (7,) with velocity (3, m/s, world) and change of the quaternion (4, 1/s); `s[7]` with the deflection.
+    """Fill `out` (8,) with velocity (3, m/s, world), change of the quaternion (4, 1/s), and by what share the field
+    stiffens the cantilever; `s[7]` with the deflection.
 
     The cantilever rests where spring and field balance: ``k theta = m B . (y x m_dir) + F . (y x r)``, up to its stop.
+    `swung`, in rad, is the mean over the step of its swing about there.
     """
     w, i, j, k = s[3], s[4], s[5], s[6]
     xx, xy, xz = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)
     yx, yy, yz = 2 * (i * j + k * w), 1 - 2 * (i * i + k * k), 2 * (j * k - i * w)
     zx, zy, zz = 2 * (i * k - j * w), 2 * (j * k + i * w), 1 - 2 * (i * i + j * j)
-    moment, rest_x, rest_z, l0, stop = device[0], device[1], device[2], device[3], device[4]
+    moment, rest_x, rest_z, l0, stop = (
+        device[0],
+        device[1],
+        device[2],
+        device[3],
+        device[4],
+    )
     stiffness = device[5] * device[9]
     theta = s[7]
     sine, cosine = math.sin(theta), math.cos(theta)
@@ -128,8 +142,11 @@ def _rates(
         theta += (torque - stiffness * theta) / max(stiffness + bx * mx + bz * mz, 0.2 * stiffness)
         theta = min(max(theta, -stop), stop)
         sine, cosine = math.sin(theta), math.cos(theta)
-    mx, mz = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
     s[7] = theta
+    out[7] = (bx * mx + bz * mz) / stiffness
+    theta = min(max(theta + swung, -stop), stop)
+    sine, cosine = math.sin(theta), math.cos(theta)
+    mx, mz = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
     ax, az = l0 * sine - device[10], l0 * cosine - device[12]
     fwx, fwy, fwz = px * mx + qx * mz, py * mx + qy * mz, pz * mx + qz * mz  # grad(m . B), world frame
     fx, fy, fz = xx * fwx + yx * fwy + zx * fwz, xy * fwx + yy * fwy + zy * fwz, xz * fwx + yz * fwy + zz * fwz
@@ -150,14 +167,64 @@ def _rates(
 
 
 @njit(cache=True, error_model="numpy")
+def driving_field(
+    state: FloatArray, device: FloatArray, currents: FloatArray, grid: FloatArray, table: FloatArray
+) -> float:
+    """Field, in T, along y x m at the magnet: the part that drives the oscillation (Eq. S1).
+
+    `currents` (n_sources,) in A and `table` are those of the excitation coils.
+    """
+    w, i, j, k = state[3], state[4], state[5], state[6]
+    xx, xz = 1 - 2 * (j * j + k * k), 2 * (i * k + j * w)
+    yx, yz = 2 * (i * j + k * w), 2 * (j * k - i * w)
+    zx, zz = 2 * (i * k - j * w), 1 - 2 * (i * i + j * j)
+    ahead = device[3] - device[12]
+    field = plane_field(
+        state[0] + ahead * xz, state[1] + ahead * yz, state[2] + ahead * zz, currents, grid, table
+    )  # fmt: skip
+    along_x = field[0] * xx + field[1] * yx + field[2] * zx
+    along_z = field[0] * xz + field[1] * yz + field[2] * zz
+    return along_x * device[2] - along_z * device[1]
+
+
+@njit(cache=True, error_model="numpy")
+def _swing(state: FloatArray, drive: complex, stiffer: float, device: FloatArray, time: float) -> float:
+    """Let the swing go on for `time` s, up to the stops; return its mean over that time, in rad.
+
+        c' = (i omega - eta) c + drive,   theta = Re c
+
+    `drive` is that of a current at resonance, as of the end of the step. Dry friction takes the place of eta (Eq. S3).
+    """
+    eta, omega = device[7], math.sqrt(max(device[5] * (1.0 + stiffer) - device[7] ** 2, 1.0))
+    now = complex(state[8], -state[9])
+    if now == 0.0 and drive == 0.0:
+        return 0.0
+    rate = complex(-eta, omega)
+    turned = now * np.exp(rate * time)
+    mean = ((turned - now) / (rate * time)).real
+    turned += drive * (-math.expm1(-eta * time) / eta if eta > 0.0 else time)
+    size = abs(turned)
+    left = min(size, device[4])
+    if eta == 0.0:
+        left = max(left - 2.0 * device[6] / (math.pi * omega) * time, 0.0)
+    if size > 0.0:
+        turned *= left / size
+    state[8], state[9] = turned.real, -turned.imag
+    return mean
+
+
+@njit(cache=True, error_model="numpy")
 def move(
     state: FloatArray,
     currents: FloatArray,
     commands: FloatArray,
+    drives: FloatArray,
     lengths: FloatArray,
     constants: FloatArray,
+    lags: FloatArray,
     grid: FloatArray,
     table: FloatArray,
+    excitation: FloatArray,
     device: FloatArray,
     hull: FloatArray,
     float_height: float,
@@ -171,40 +238,54 @@ def move(
 
     Parameters
     ----------
-    state : ndarray, shape (8,)
+    state : ndarray, shape (10,)
         As laid out at the top of this file; advanced in place, as `currents` is.
     currents : ndarray, shape (n_sources,), in A
         Of the actuation coils, then of sources that do not change.
     commands : ndarray, shape (n_windows, n_coils), in A
+        Constant in each window.
+    drives : ndarray, shape (n_windows, n_excitation), in A
+        Peaks of a sine at resonance.
     lengths : ndarray, shape (n_windows,), in s
-    constants : ndarray, shape (n_coils,), in s
-        Time constants of the actuation coils.
-    grid, table
-        As `plane_field` takes them.
+    constants, lags : ndarray, shapes (n_coils,) and (n_excitation,), in s
+        Time constants of the actuation coils, and of the excitation coils.
+    grid, table, excitation
+        As `plane_field` takes them; the last for the excitation coils.
     box : ndarray, shape (6,), in m
         Low x, high x, low y, high y of the container; half the housing's length and width.
     start : float, in s
     times, poses : ndarray, shapes (k,) and (k, 7)
         Receive time, rotation centre (m) and orientation at the start of each step, and at the end of the last.
-    states : ndarray, shape (n_windows, 8)
+    states : ndarray, shape (n_windows, 10)
         Receives the state at the start of each window.
     """
     n_coils = commands.shape[1]
-    half, mean, rates = np.empty(STATE_LENGTH), currents.copy(), np.empty(7)
+    half, mean, rates, one = np.empty(STATE_LENGTH), currents.copy(), np.empty(8), np.zeros(drives.shape[1])
+    omega = math.sqrt(device[5])
     rows = 0
     for window in range(len(lengths)):
         states[window] = state
+        growth = 0.0 + 0.0j
+        for n in range(drives.shape[1]):
+            if drives[window, n] != 0.0:
+                one[:] = 0.0
+                one[n] = drives[window, n]
+                lag = math.atan(omega * lags[n])
+                field = driving_field(state, device, one, grid, excitation)
+                growth -= 0.5 * device[0] * field / (device[9] * omega) * complex(math.cos(lag), -math.sin(lag))
         at, duration = 0.0, lengths[window]
         while duration - at > 1e-12:
             times[rows] = start + at
             note(state, device, poses[rows])
             rows += 1
-            live = False
+            live, longest = False, IDLE_STEP
             for n in range(n_coils):
-                if commands[window, n] != 0.0 or abs(currents[n]) > LIVE:
-                    live = True
+                if abs(currents[n]) > LIVE:
+                    live, longest = True, min(longest, DYING_STEP)
+                if commands[window, n] != 0.0:
+                    live, longest = True, LIVE_STEP
             left = duration - at
-            h = left / math.ceil(left / (LIVE_STEP if live else IDLE_STEP) - 1e-9)
+            h = left / math.ceil(left / longest - 1e-9)
             for n in range(n_coils):
                 if live:  # the exact mean of the exponential over the step, and its end
                     settled = 1.0 - math.exp(-h / constants[n]) if constants[n] > 0.0 else 1.0
@@ -213,11 +294,14 @@ def move(
                     currents[n] = commands[window, n] + off * (1.0 - settled)
                 else:
                     mean[n] = currents[n] = 0.0
-            _rates(state, mean, grid, table, device, hull, float_height, rates)
+            _rates(state, mean, grid, table, device, hull, float_height, 0.0, rates)
+            turn = complex(math.cos(omega * (at + h)), math.sin(omega * (at + h)))
+            swung = _swing(state, growth * turn, rates[7], device, h)
             for n in range(7):
                 half[n] = state[n] + 0.5 * h * rates[n]
-            half[7] = state[7]
-            _rates(half, mean, grid, table, device, hull, float_height, rates)
+            for n in range(7, STATE_LENGTH):
+                half[n] = state[n]
+            _rates(half, mean, grid, table, device, hull, float_height, swung, rates)
             for n in range(7):
                 state[n] += h * rates[n]
             state[7] = half[7]
@@ -252,24 +336,3 @@ def note(state: FloatArray, device: FloatArray, pose: FloatArray) -> None:
     pose[1] = state[1] - (2 * (i * j + k * w) * x + (1 - 2 * (i * i + k * k)) * y + 2 * (j * k - i * w) * z)
     pose[2] = state[2] - (2 * (i * k - j * w) * x + 2 * (j * k + i * w) * y + (1 - 2 * (i * i + j * j)) * z)
     pose[3], pose[4], pose[5], pose[6] = w, i, j, k
-
-
-@njit(cache=True, error_model="numpy")
-def driving_field(
-    state: FloatArray, device: FloatArray, currents: FloatArray, grid: FloatArray, table: FloatArray
-) -> float:
-    """Field, in T, along y x m at the magnet: the part that drives the oscillation (Eq. S1).
-
-    `currents` (n_sources,) in A and `table` are those of the excitation coils.
-    """
-    w, i, j, k = state[3], state[4], state[5], state[6]
-    xx, xz = 1 - 2 * (j * j + k * k), 2 * (i * k + j * w)
-    yx, yz = 2 * (i * j + k * w), 2 * (j * k - i * w)
-    zx, zz = 2 * (i * k - j * w), 1 - 2 * (i * i + j * j)
-    ahead = device[3] - device[12]
-    field = plane_field(
-        state[0] + ahead * xz, state[1] + ahead * yz, state[2] + ahead * zz, currents, grid, table
-    )  # fmt: skip
-    along_x = field[0] * xx + field[1] * yx + field[2] * zx
-    along_z = field[0] * xz + field[1] * yz + field[2] * zz
-    return along_x * device[2] - along_z * device[1]

@@ -12,14 +12,14 @@ from sim.history import History
 from sim.hydrodynamics import Hull
 from sim.magnet import true_device
 from sim.mismatch import Streams, Truth, draw
-from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, driving_field, move, note
+from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, move, note
 from sim.sensors import TrueSensors
 from sim.settings import TankSettings
 from sim.tank import put_down
 from smolbot.arrays import FloatArray
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
-from smolbot.shots import Actuate, Window
+from smolbot.shots import Actuate, Excite, Window
 
 SPACING = 1e-3
 """Of the plane's table, in m: cubic splines through it are good to some nT per A between coils 84 mm apart."""
@@ -28,8 +28,8 @@ SPACING = 1e-3
 class ReducedPlant:
     """Plays windows for the robot's motion alone; takes the arguments of `sim.tank.Tank`.
 
-    Left out: inertia, the swing of the cantilever (it rests where field and spring balance), the pull of the
-    excitation, friction and turning at walls.
+    Left out: inertia, what the excitation does to the housing, how the cantilever rings when a field changes, friction
+    and turning at walls. The swing that is left of an excitation turns the robot a little as it is pulled, and is kept.
 
     Attributes
     ----------
@@ -56,6 +56,7 @@ class ReducedPlant:
         self._hull, self._float_height = hull.values, hull.float_height
         self._n, self._n_excitation = coils.n_actuation, coils.n_excitation
         self._constants = coils.circuits[: self._n, 3].copy()
+        self._lags = coils.circuits[self._n : self._n + self._n_excitation, 3].copy()
         self._grid, tables = _plane(coils, rig, hull.float_height - robot.center[1])
         # earth's field and the coil against it are one source that never changes; the excitation moves nothing
         moving = [*range(self._n), tables.shape[2] - 1]
@@ -76,19 +77,22 @@ class ReducedPlant:
         times[0], poses[0] = 0.0, self.pose(self._state)
 
     def advance(self, windows: tuple[Window, ...]) -> FloatArray:
-        """Play windows one after the other; return the state (n_windows, 8) at the start of each, and note the way."""
+        """Play windows one after the other; return the state (n_windows, 10) at the start of each, and note the way."""
         lengths = np.array([w.duration for w in windows])
-        commands = np.zeros((len(windows), self._n))
+        commands, drives = np.zeros((len(windows), self._n)), np.zeros((len(windows), self._n_excitation))
         for row, window in enumerate(windows):
             if isinstance(window, Actuate):
                 commands[row] = window.currents
+            elif isinstance(window, Excite):
+                drives[row] = window.currents[: self._n_excitation]
         states = np.empty((len(windows), STATE_LENGTH))
         self.history.drop_last()  # its closing row is the first row of what follows
         room = sum(math.ceil(w.duration / LIVE_STEP) + 1 for w in windows) + 1
         times, poses = self.history.reserve(room)
         rows = move(
-            self._state, self._currents, commands, lengths, self._constants, self._grid, self._table, self.device,
-            self._hull, self._float_height, self._box, self.time, times, poses, states,
+            self._state, self._currents, commands, drives, lengths, self._constants, self._lags,
+            self._grid, self._table, self._excitation, self.device, self._hull, self._float_height, self._box,
+            self.time, times, poses, states,
         )  # fmt: skip
         self.time = float(times[rows - 1])
         self.history.drop_last(room - rows)
@@ -97,11 +101,6 @@ class ReducedPlant:
     def silence(self) -> None:
         """Every current at zero, at once."""
         self._currents[: self._n] = 0.0
-
-    def driving_field(self, state: FloatArray, currents: tuple[float, ...]) -> float:
-        """True field, in T, with which excitation currents (A) drive the device in a state (8,)."""
-        wanted = np.array(currents[: self._n_excitation])
-        return float(driving_field(state, self.device, wanted, self._grid, self._excitation))
 
     def pose(self, state: FloatArray) -> FloatArray:
         """Rotation centre (m) and orientation of a state, shape (7,)."""

@@ -11,18 +11,18 @@ import numpy as np
 from sim.coils import NominalExcitation
 from sim.history import TankWitness
 from sim.reduced.errors import FitErrors, Heard, true_room
+from sim.reduced.kernel import SWING
 from sim.reduced.plant import ReducedPlant
 from sim.settings import TankSettings
 from smolbot.arrays import FloatArray, as_floats
 from smolbot.config import validate
 from smolbot.errors import InputError, RigError
-from smolbot.excitation import amplitude_after
 from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import Mission
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 from smolbot.sensing import Device, Recording
-from smolbot.shots import Excite, Listen, Rest, Shot
+from smolbot.shots import Listen, Rest, Shot
 from smolbot.sightings import Sighting, Sightings
 from smolbot.worlds import Witness
 
@@ -102,7 +102,7 @@ class ReducedRig:
         if listening is not None:
             listen = windows[listening]
             middle = 0.5 * round(listen.duration * self._rate) / self._rate
-            windows[listening : listening + 1] = [Rest(middle), Rest(max(listen.duration - middle, 1e-9))]
+            windows[listening : listening + 1] = [Rest(middle), Rest(listen.duration - middle)]
         if self._turnaround > 0:
             windows.append(Rest(self._turnaround))
         states = self._plant.advance(tuple(windows))
@@ -138,16 +138,14 @@ class ReducedRig:
         since = sum(w.duration for w in shot.windows[index + 1 : len(states) - 2])
         truth, listen = self._plant.pose(states[-1]), shot.windows[len(states) - 2]
         assert isinstance(listen, Listen)
-        amplitude = self._amplitude(drive, states[index])
-        fitted = self._errors.draw(truth[:3], truth[3:], amplitude, listen.half_periods, since)
-        return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
-
-    def _amplitude(self, drive: Excite, state: FloatArray) -> float:
-        """Amplitude, in rad, that a burst leaves in the true device, up to its stops."""
-        field = abs(self._plant.driving_field(state, drive.currents))
-        grown = amplitude_after(field, self._device, self._plant.device[9], drive.cycles)
         spread = 1.0 + AMPLITUDE_SPREAD * min(max(self._rng.standard_normal(), -3.0), 3.0)
-        return min(grown * spread, self._device.theta_max)
+        amplitude = min(spread * math.hypot(*states[index + 1, SWING]), self._device.theta_max)
+        orientation = truth[3:]
+        if self._rng.random() < 0.5:  # turned by half about the moment it sounds alike: only a prior can tell
+            w, x, y, z = orientation
+            orientation = np.array([-z, y, -x, w])
+        fitted = self._errors.draw(truth[:3], orientation, amplitude, listen.half_periods, since)
+        return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
 
 
 def open_reduced(mission: Mission, seed: int, *, ideal: bool = False) -> ReducedRig:

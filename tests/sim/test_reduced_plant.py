@@ -73,10 +73,20 @@ def test_same_commands_and_seed_lead_along_the_full_tanks_way_within_a_tenth_of_
     rms = float(np.sqrt(np.mean(apart**2)))
     print(f"\n{name}, seed {seed}: {travelled * 1e3:.1f} mm in {len(full)} shots, apart {rms * 1e3:.4f} mm rms")
     assert travelled > 5e-3
-    assert rms < 0.1e-3
-    assert apart.max() < 0.2e-3
+    assert rms < 0.03e-3  # a drag that is 1 % off makes 0.15 mm in half a minute
+    assert apart.max() < 0.1e-3
     turned = 2.0 * np.arccos(np.clip(np.abs(np.sum(full[:, 3:] * reduced[:, 3:], axis=1)), 0.0, 1.0))
     assert np.sqrt(np.mean(turned**2)) < np.radians(2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_commands_of_a_whole_letter_still_lead_along_the_full_tanks_way(seed):
+    mission = load_mission("r_small")
+    full, reduced = ways(mission, seed, commands_of(mission, seed))
+    apart = np.linalg.norm(full[:, :3] - reduced[:, :3], axis=1)
+    print(f"\nseed {seed}: apart {np.sqrt(np.mean(apart**2)) * 1e3:.4f} mm rms, {apart.max() * 1e3:.4f} mm at most")
+    assert np.sqrt(np.mean(apart**2)) < 0.1e-3
 
 
 @pytest.mark.parametrize("coil", [0, 3])
