@@ -42,14 +42,15 @@ class Blind:
 
 
 def check(found, truth, believed):
-    """Frequency within 0.02 Hz, damping and stop within 3 % of the truth.
+    """Frequency within 0.03 Hz, damping and stop within 3 % of the truth.
 
+    What is left of the earth's field, 3 µT, stiffens or softens the cantilever: f m B / (2 k) = 0.023 Hz, and stays.
     The amplitude is heard as moment times angle: the angle's true share is that of their product.
     """
     assert found.stops_reached
     assert found.device.damping_model == "exponential"
     assert found.evidence > 100.0
-    assert found.device.frequency == pytest.approx(believed.frequency * truth["frequency"], abs=0.02)
+    assert found.device.frequency == pytest.approx(believed.frequency * truth["frequency"], abs=0.03)
     assert found.device.damping == pytest.approx(believed.damping * truth["damping"], rel=0.03)
     assert found.device.theta_max == pytest.approx(believed.theta_max * truth["theta_max"], rel=0.03)
     product = truth["theta_max"] * truth["moment"]

@@ -207,10 +207,10 @@ def test_whitened_poses_reach_the_bound_and_are_honest_over_a_thousand(tmp_path)
 
 @pytest.mark.slow
 def test_mismatches_cost_accuracy_and_a_calibration_wins_most_of_it_back(tmp_path):
-    options = Options("accuracy", 5, 2, 4, estimators=("whitened",))
+    options = Options("accuracy", 5, 2, 4, mismatch=2.0, estimators=("whitened",))
     outcome, _ = carry_out(accuracy.STUDY, options, tmp_path / "accuracy")
     mae = {c["kind"]: c["mae_position_mm"] for c in outcome.figures["cases"] if c["span"] == accuracy.WIDE}
-    assert mae["ideal"] < mae["calibrated"] < mae["mismatched"]
+    assert max(mae["ideal"], mae["calibrated"]) < 0.6 * mae["mismatched"]
 
 
 def test_a_constant_in_a_channel_changes_no_pose():
