@@ -14,6 +14,18 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 
+SMALL = 64
+"""Elements up to which a dot product is the quickest look at an array."""
+
+
+def _sums_up(value: FloatArray) -> bool:
+    """True only for an array without nan or infinity; of huge values it may say no, and they are looked at again."""
+    if value.size <= SMALL:
+        flat = value.reshape(-1)
+        return math.isfinite(flat.dot(flat))
+    return math.isfinite(value.sum())
+
+
 def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: bool = True) -> FloatArray:
     """Return `value` as a C-ordered float array of the wanted shape (``None`` matches any length).
 
@@ -23,7 +35,7 @@ def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: b
         If the value is not numeric, has another shape, or holds nan or infinity where `finite` is asked.
     """
     plain = type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous
-    if plain and value.shape == shape and (not finite or math.isfinite(value.sum())):
+    if plain and value.shape == shape and (not finite or _sums_up(value)):
         return value
     try:
         array = np.ascontiguousarray(value, dtype=np.float64)

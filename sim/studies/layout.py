@@ -36,6 +36,9 @@ PATIENCE = 400
 
 MAP_HEIGHT = 0.080
 
+WORTHWHILE = 3
+"""Per cent of improvement below which a found layout counts as no better."""
+
 
 def devices() -> dict[str, Device]:
     """The calibrated device with its moment across the cantilever, and along it."""
@@ -207,6 +210,8 @@ def draw(outcome: Outcome, path: Path) -> None:
     before, after = figures["layouts"]["rig"], figures["layouts"]["found"]
     less = [round(100 * (1 - after[key] / before[key])) for key in ("bound_um", "systematic_um")]
     headline = f"Better sensor places: {less[0]} % less noise, {less[1]} % less from sensors slightly off"
+    if max(less) < WORTHWHILE:
+        headline = "No better sensor places were found than those of the rig file"
     subline = "Cramer-Rao bound, rms per axis, N = 2, |x|, |y| ≤ 20 mm, z 50 to 100 mm, moment across and along"
     both = np.concatenate([columns["_map_rig"], columns["_map_found"]])
     colors = dict(zip("xyz", (OTHERS[1], OTHERS[3], "#1d4e6b"), strict=True))

@@ -333,6 +333,21 @@ def covariance(normal, variance):
     return out
 
 
+@njit(cache=True)
+def moving(field):
+    """Rows (n_sensors, n) that are finite and not constant, as bool (n_sensors,)."""
+    out = np.zeros(field.shape[0], dtype=np.bool_)
+    if field.shape[1] == 0:
+        return out
+    for j in range(field.shape[0]):
+        first, total, changes = field[j, 0], 0.0, False
+        for i in range(field.shape[1]):
+            total += field[j, i]
+            changes |= field[j, i] != first
+        out[j] = changes and np.isfinite(total)
+    return out
+
+
 @njit(cache=True, fastmath=True)
 def tapped(field, first, weights):
     """Weighted sums (n_sensors, n_out) of raw samples (n_sensors, n), each row less its own first sample.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -266,7 +267,7 @@ class Localizer:
         variance = 1.0 if problem.model.white else best.sse / max(problem.data.size - 8, 1)
         if not along:
             best, other = self._both_twins(problem, best)
-            flip_margin = float(max(1.0, np.sqrt(other.sse / max(best.sse, 1e-300))))
+            flip_margin = max(1.0, math.sqrt(other.sse / max(best.sse, 1e-300)))
             odds = (other.sse - best.sse) / variance
             if prior is not None and odds < MIN_ODDS and _turned(other, prior) < _turned(best, prior):
                 best = other
@@ -281,8 +282,8 @@ class Localizer:
         r_squared = 1.0 - best.sse / total if total > 0 else 0.0
         spread = kernels.covariance(best.normal, variance)
         covariance = spread[:6, :6]
-        usable = bool(np.isfinite(spread[0, 0])) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
-        certain = usable and bool(np.sqrt(np.diag(covariance)[:3].max()) < MAX_SIGMA[0])
+        usable = math.isfinite(spread[0, 0]) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
+        certain = usable and max(spread[0, 0], spread[1, 1], spread[2, 2]) < MAX_SIGMA[0] ** 2
         certain = certain and self._knows_direction(covariance[3:, 3:], best, steady)
         clear = prior is not None or odds > MIN_ODDS
         pose = Pose(
@@ -302,7 +303,7 @@ class Localizer:
     def _knows_direction(self, turn: FloatArray, fit: Fit, steady: bool) -> bool:
         """Whether rotations of covariance `turn` are known; of a steady device, the turn about the moment roughly."""
         if not steady:
-            return bool(np.sqrt(np.diag(turn).max()) < MAX_SIGMA[1])
+            return bool(max(turn[0, 0], turn[1, 1], turn[2, 2]) < MAX_SIGMA[1] ** 2)
         moment = fit.rotation @ self.device.moment_in_body
         across = np.eye(3) - np.outer(moment, moment)
         left = across @ turn @ across
@@ -315,7 +316,7 @@ class Localizer:
     def _both_twins(self, problem: Problem, best: Fit) -> tuple[Fit, Fit]:
         """Fit the other member of the two-fold ambiguity as well; the better one first."""
         moment = best.rotation @ self.device.moment_in_body
-        turned = (2.0 * np.outer(moment, moment) - np.eye(3)) @ best.rotation
+        turned = 2.0 * moment[:, None] * self.device.moment_in_body - best.rotation
         position = best.position + self.device.l0 * (best.rotation[:, 2] - turned[:, 2])
         other = problem.fit(position, turned, best.phase + np.pi, best.amplitude, iterations=8, tolerance=1e-3)
         low, high = sorted((best, other), key=lambda t: t.sse)
@@ -337,7 +338,7 @@ def _inflated(problem: Problem, fit: Fit) -> float:
     """Variance of whitened residuals: one, unless they are larger than chance makes them."""
     freedom = max(problem.data.size - 8, 1)
     variance = fit.sse / freedom
-    return variance if variance > 1.0 + 4.0 * np.sqrt(2.0 / freedom) else 1.0
+    return variance if variance > 1.0 + 4.0 * math.sqrt(2.0 / freedom) else 1.0
 
 
 def _same(a: Fit, b: Fit) -> bool:

@@ -232,7 +232,7 @@ FADED = 1e-6
 
 
 def usable_channels(recording: Recording, sensors: SensorArray, device: Device) -> BoolArray:
-    """Channels that take part: not saturated, finite.
+    """Channels that take part: not saturated, finite, and not silent, for a constant has nothing to say.
 
     Raises
     ------
@@ -258,9 +258,8 @@ def usable_channels(recording: Recording, sensors: SensorArray, device: Device) 
             f"Nothing is left of the swing {1e3 * since:g} ms after the drive (damping {device.damping:g} 1/s, "
             f"{device.damping_model}). Is the time in ms?"
         )
-    finite = np.isfinite(recording.field.sum(axis=1))  # a sum with nan or infinity is neither
-    usable: BoolArray = finite & ~recording.saturated
-    return usable
+    moving: BoolArray = _kernels.moving(recording.field)
+    return moving & ~recording.saturated
 
 
 def require_enough(count: int, what: str, usable: BoolArray) -> None:

@@ -136,7 +136,6 @@ def prepare_whitened(
     usable = usable_channels(recording, sensors, device)
     if noise.n_sensors != len(sensors):
         raise InputError(f"The noise model knows {noise.n_sensors} sensors; the sensor array has {len(sensors)}.")
-    usable &= np.ptp(recording.field, axis=1) > 0.0  # a silent channel has nothing to say
     require_enough(int(usable.sum()), "channels", usable)
     n_samples = recording.field.shape[1]
     if whole_half_periods(n_samples, recording.sample_rate, device.frequency) < 1:
