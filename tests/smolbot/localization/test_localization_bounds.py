@@ -45,11 +45,12 @@ def mains(rng, noise, sensors, time):
 def scatter_of_fits(sensors, device, noise, pose, half_periods, repeats, amplitude):
     n = round(half_periods * RATE / (2 * device.frequency))
     rng, errors = np.random.default_rng(8), []
-    silent = prepare_paper(Recording(np.zeros((len(sensors), n)), RATE, 0.02), sensors, device)
+    any_samples = np.random.default_rng(1).standard_normal((len(sensors), n))
+    prepared = prepare_paper(Recording(any_samples, RATE, 0.02), sensors, device)
     time, size = np.arange(n) / RATE, amplitude / REFERENCE_ANGLE
     for i in range(repeats):
         phase = np.pi * (i % 4) / 4
-        clean, _ = silent.model.response(pose.position, pose.rotation, phase, size)
+        clean, _ = prepared.model.response(pose.position, pose.rotation, phase, size)
         field = coloured(rng, noise, len(sensors), n) + mains(rng, noise, sensors, time)
         heard = prepare_paper(Recording(field, RATE, 0.02), sensors, device)
         fit = replace(heard, data=heard.data + clean).fit(pose.position, pose.rotation, phase, size)

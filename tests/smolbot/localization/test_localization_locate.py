@@ -179,8 +179,8 @@ def test_covariance_of_a_fit_is_the_scatter_that_white_noise_causes(array, along
     """White noise at the chain's output: there the fit's own residuals tell all."""
     truth = pose_at((4, -6, 70), 35)
     n, size = 483, 0.8 * along_device.theta_max / REFERENCE_ANGLE
-    silent = Recording(np.zeros((len(array), n)), RATE, 0.02)
-    problem = prepare_paper(silent, array, along_device)
+    any_samples = Recording(np.random.default_rng(1).standard_normal((len(array), n)), RATE, 0.02)
+    problem = prepare_paper(any_samples, array, along_device)
     clean, _ = problem.model.response(truth.position, truth.rotation, 0.4, size)
     rng, level = np.random.default_rng(5), 2e-3 * np.abs(clean).max()
     errors, claimed = [], []
@@ -193,6 +193,14 @@ def test_covariance_of_a_fit_is_the_scatter_that_white_noise_causes(array, along
     scatter = np.std(errors, axis=0)
     expected = np.sqrt(np.diag(np.mean(claimed, axis=0)))
     assert scatter == pytest.approx(expected, rel=0.25)
+
+
+def test_a_silent_channel_is_left_out_by_both_estimators(array, along_device, pose_at, hear, estimator):
+    truth = pose_at((4, -6, 80), 35)
+    recording = hear(array, along_device, truth)
+    recording.field[3] = 2.5e-8
+    found = Localizer(array, along_device, estimator=estimator).locate(recording, nearby(truth))
+    assert at_the_truth(found, truth, estimator)
 
 
 def test_segments_of_a_long_recording_are_poses_in_a_row(array, along_device, pose_at, hear, estimator):
