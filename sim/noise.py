@@ -107,6 +107,7 @@ class SensorNoise:
         variance = np.concatenate([[floor**2 * math.pi * top / 2], np.full(count, flicker)])
         self._deviations = level * np.sqrt(variance)
         self._state = rng.standard_normal((len(self._corners), n_sensors))
+        self._known: dict[int, tuple[npt.NDArray[np.int64], int, FloatArray]] = {}
         self._clock = 0.0
 
     @property
@@ -120,13 +121,20 @@ class SensorNoise:
         rates = 2 * math.pi * self._corners
         kept = np.exp(-rates * max(clock - self._clock, 0.0))[:, None]
         self._state = kept * self._state + np.sqrt(1 - kept**2) * self._rng.standard_normal(self._state.shape)
-        knots = np.ceil(n * rates * STEPS_PER_TIME_CONSTANT / self._rate).astype(np.int64)
-        knots[0] = n
-        knots = np.clip(knots, 1, n)
-        draws = self._rng.standard_normal(int(knots.sum()) * len(signal), dtype=np.float32)
-        decay = np.exp(-rates * n / knots / self._rate)
+        knots, total, decay = self._steps(n)
+        draws = self._rng.standard_normal(total * len(signal), dtype=np.float32)
         _add_processes(signal, self._state, self._deviations, knots, decay, draws)
         self._clock = clock + n / self._rate
+
+    def _steps(self, n: int) -> tuple[npt.NDArray[np.int64], int, FloatArray]:
+        """Knots of each process in a window of `n` samples, how many in all, and the decay from one to the next."""
+        if n not in self._known:
+            rates = 2 * math.pi * self._corners
+            knots = np.ceil(n * rates * STEPS_PER_TIME_CONSTANT / self._rate).astype(np.int64)
+            knots[0] = n
+            knots = np.clip(knots, 1, n)
+            self._known[n] = (knots, int(knots.sum()), np.exp(-rates * n / knots / self._rate))
+        return self._known[n]
 
 
 @njit(cache=True, error_model="numpy")
