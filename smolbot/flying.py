@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.errors import InputError
+from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_frames
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
 from smolbot.loop import CycleRecord, Listener, Loop, Quiet, Run, StopRules
@@ -160,7 +161,19 @@ def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) 
     stop = mission.sections.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
-    return Loop(rig, mission.path, scheduler, locator, tracker, controller, rules, quiet, listeners)
+    return Loop(
+        rig, mission.path, scheduler, locator, tracker, controller, rules, quiet, listeners,
+        array_filter=make_array_filter(mission, locator),
+    )  # fmt: skip
+
+
+def make_array_filter(mission: Mission, locator: object) -> ArrayFilter | None:
+    """What learns the sensors in flight, where the rig file says how far they may be off; None where it does not."""
+    covariance = mission.rig.sensor_covariance
+    if covariance is None or not isinstance(locator, Localizer) or locator.estimator != "whitened":
+        return None
+    frames = tilt_frames(mission.rig.sections.sensors.array)
+    return ArrayFilter(ArrayBelief(locator.sensors, covariance, frames))
 
 
 def search_volume(mission: Mission) -> SearchVolume:

@@ -13,6 +13,7 @@ from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Controller
 from smolbot.errors import InputError, InterlockError, RigError
+from smolbot.localization.array_filter import ArrayFilter
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise import NoiseModel
@@ -23,7 +24,7 @@ from smolbot.poses import Pose
 from smolbot.resonance import Resonance
 from smolbot.rotations import quaternion_from_axes
 from smolbot.scheduler import Scheduler
-from smolbot.sensing import Recording
+from smolbot.sensing import Recording, SensorArray
 from smolbot.shots import Shot
 from smolbot.sightings import SightedSwing, Sightings
 from smolbot.tracking import Tracker
@@ -109,6 +110,12 @@ class Quiet:
     learn_ring_down: bool = False
 
 
+def as_lists(sensors: SensorArray) -> dict[str, object]:
+    """An array for the record, bit for bit."""
+    gains = None if sensors.gains is None else sensors.gains.tolist()
+    return {"positions_m": sensors.positions.tolist(), "axes": sensors.axes.tolist(), "gains": gains}
+
+
 class Loop:
     """Flies one path with a rig, a localizer, a tracker and a controller.
 
@@ -127,6 +134,7 @@ class Loop:
         quiet: Quiet,
         listeners: tuple[Listener, ...] = (),
         clock: Callable[[], float] = time.perf_counter,
+        array_filter: ArrayFilter | None = None,
     ) -> None:
         self.rig = rig
         self.path = path
@@ -139,6 +147,7 @@ class Loop:
         self.events: list[Event] = []
         self.resonance = Resonance(localizer.device)
         self.noise_watch = NoiseWatch(len(localizer.sensors))
+        self.array_filter = array_filter
         self.listeners = listeners
         self._clock = clock
         self._begun = False
@@ -214,7 +223,9 @@ class Loop:
         theta = deflection(device, time_, 0.5 * device.theta_max, 0.3)
         heard = sensor_field(self.localizer.sensors, device, np.array(self.path.points[0]), orientation, theta)
         recording = Recording(heard, rate, cycle.ring_down)
-        self.localizer.locate(recording, self.localizer.locate(recording))
+        _, swing = self.localizer.locate_swing(recording, self.localizer.locate(recording))
+        if self.array_filter is not None:
+            swing.of_the_array(self.array_filter.belief.frames)
 
     def _cycle(self, command: Command) -> CycleRecord:
         begin = self._clock()
@@ -232,7 +243,11 @@ class Loop:
             except InputError:  # too few usable channels: a missed window, counted by the tracker
                 pose = swing = None
         tracked = self.tracker.update(shot, pose, swing)
+        if self.array_filter is not None and self.tracker.motion is not None:
+            self.array_filter.moved(*self.tracker.motion)
         if recording is not None and isinstance(swing, Swing) and tracked is not None and tracked.trusted:
+            if self.array_filter is not None and pose is not None:
+                self._learn_array(tracked.time, self.array_filter, pose, swing)
             self._heard += 1
             if self._heard % LEARN_EVERY == 0:
                 self._follow_resonance(tracked.time, swing)
@@ -240,6 +255,17 @@ class Loop:
         answer = self._command(shot)
         done = self._clock()
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard))
+
+    def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Swing) -> None:
+        """Let the localizer know of sensors that do not stand where they were thought to."""
+        terms = swing.of_the_array(learned.belief.frames)
+        if terms is None or isinstance(self.localizer, Sightings):
+            return
+        sensors = learned.update(pose, terms)
+        if sensors is None:
+            return
+        self.localizer = self.localizer.with_sensors(sensors)
+        self.events.append(Event(time, "array learned", {"recordings": learned.recordings, **as_lists(sensors)}))
 
     def _follow_resonance(self, time: float, swing: Swing) -> None:
         device = self.resonance.update(time, *swing.resonance())

@@ -187,7 +187,7 @@ class RigConfig:
         """The array and its gains as they are believed: of the sensors file, if the rig file names one."""
         section, path = self.sections.sensors, self.sensors_file
         if path is None:
-            return CalibratedSensors(section.array, frozen(section.gain_of_each))
+            return CalibratedSensors(section.array, frozen(section.gain_of_each), section.covariance)
         return load_sensors(path, self.name, section)
 
     @property
@@ -208,6 +208,16 @@ class RigConfig:
     def sensor_gains(self) -> FloatArray:
         """Believed gains relative to the sensitivity, shape (n_sensors,); a recording in T is divided by them."""
         return self.calibrated.gains
+
+    @property
+    def sensor_covariance(self) -> FloatArray | None:
+        """How far the sensors may be off what is believed: covariance (6 n, 6 n), see `array_filter.ArrayBelief`.
+
+        Of the sensors file, if the rig file names one; else by the tolerances that stand in the rig file. None where
+        neither says anything.
+        """
+        section = self.sections.sensors
+        return self.calibrated.covariance if section.calibrated is not None else section.covariance
 
     @property
     def sample_rate(self) -> float:

@@ -26,11 +26,14 @@ class SensorArray:
         Sensitive directions in the world frame, of unit length.
     bandwidth : float, in Hz
         Corner of the first-order low pass that each sensor is; ``inf`` for an ideal one.
+    gains : ndarray, shape (n,), optional
+        What each sensor says over what it should, where that was learned; ones without it.
     """
 
     positions: FloatArray
     axes: FloatArray
     bandwidth: float = np.inf
+    gains: FloatArray | None = None
 
     def __post_init__(self) -> None:
         positions = as_floats(self.positions, (None, 3), "SensorArray positions")
@@ -46,6 +49,16 @@ class SensorArray:
             raise InputError(f"SensorArray bandwidth must be positive, in Hz; got {self.bandwidth}.")
         object.__setattr__(self, "positions", frozen(positions))
         object.__setattr__(self, "axes", frozen(axes / lengths[:, None]))
+        if self.gains is not None:
+            gains = as_floats(self.gains, (len(positions),), "SensorArray gains")
+            if not np.all(gains > 0):
+                raise InputError(f"SensorArray gains must be positive; got {gains.min():.4g}.")
+            object.__setattr__(self, "gains", frozen(gains))
+
+    @property
+    def responses(self) -> FloatArray:
+        """What each sensor says per tesla along x, y and z, shape (n, 3): its axis times its gain."""
+        return self.axes if self.gains is None else self.axes * self.gains[:, None]
 
     def __len__(self) -> int:
         return len(self.positions)

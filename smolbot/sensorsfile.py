@@ -37,13 +37,17 @@ class SensorsSection(FileModel):
     """Single-axis magnetometers and the converter behind them.
 
     `gains` are those of the single sensors relative to the sensitivity; `calibrated` names a sensors file
-    whose places, axes and gains are believed instead of those that stand here.
+    whose places, axes and gains are believed instead of those that stand here. The tolerances say how far
+    sensors may be from what stands here, one standard deviation; where they are given, flights learn what they are off.
     """
 
     positions_mm: Annotated[list[Vector], Field(min_length=1)]
     axes: list[Literal["x", "y", "z"] | Direction]
     gains: list[Positive] | None = None
     calibrated: str | None = None
+    place_tolerance_mm: NotNegative = 0.0
+    gain_tolerance_percent: NotNegative = 0.0
+    axis_tolerance_deg: NotNegative = 0.0
     sample_rate_hz: Positive = 50_000.0
     bandwidth_hz: Positive = 1000.0
     range_ut: Positive = 10.0
@@ -73,16 +77,70 @@ class SensorsSection(FileModel):
         """Gains that stand here, shape (n_sensors,); ones if none are given."""
         return np.ones(len(self.positions_mm)) if self.gains is None else np.array(self.gains)
 
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Of all sensors' deviations by the tolerances, shape (6 n, 6 n): ln gain, two tilts, place; None without."""
+        tilt = np.radians(self.axis_tolerance_deg)
+        one = np.array([1e-2 * self.gain_tolerance_percent, tilt, tilt, *[1e-3 * self.place_tolerance_mm] * 3])
+        return np.diag(np.tile(one, len(self.positions_mm)) ** 2) if one.any() else None
+
 
 class UncertaintySection(FileModel):
-    """One standard deviation of every calibrated value, and what held-out poses said (rms per axis)."""
+    """One standard deviation of every value, and what is known of it.
 
-    positions_mm: list[Vector]
-    axes_deg: list[tuple[float, float]]
+    A calibration says what held-out poses said (rms per axis, before and after); a flight from how many recordings it
+    learned, and the `correlations` between all values: a lower triangle, in the order gain, two tilts, place of
+    each sensor.
+    """
+
+    positions_mm: list[tuple[NotNegative, NotNegative, NotNegative]]
+    axes_deg: list[tuple[NotNegative, NotNegative]]
     gains: list[NotNegative]
-    held_out: int
-    position_mm: tuple[float, float]
-    orientation_deg: tuple[float, float]
+    held_out: int | None = None
+    position_mm: tuple[float, float] | None = None
+    orientation_deg: tuple[float, float] | None = None
+    recordings: int | None = None
+    correlations: list[list[float]] | None = None
+
+    @model_validator(mode="after")
+    def _whole_triangle(self) -> UncertaintySection:
+        n, rows = len(self.positions_mm), self.correlations
+        if len(self.axes_deg) != n or len(self.gains) != n:
+            counts = f"{n} positions_mm, {len(self.axes_deg)} axes_deg and {len(self.gains)} gains"
+            raise ValueError(f"{counts}; each sensor needs all three.")
+        if rows is not None and [len(row) for row in rows] != list(range(1, 6 * n + 1)):
+            raise ValueError(f"correlations must be {6 * n} rows of 1, 2, … {6 * n} numbers: six values for each sensor.")
+        return self
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of all values, shape (6 n, 6 n): ln gain, two tilts (rad), place (m) of each sensor."""
+        tilts, places = np.radians(np.array(self.axes_deg)), 1e-3 * np.array(self.positions_mm)
+        deviations = np.column_stack([self.gains, tilts, places]).ravel()
+        if self.correlations is None:
+            return np.diag(deviations**2)
+        n = len(deviations)
+        full = np.zeros((n, n))
+        full[np.tril_indices(n)] = np.concatenate([np.array(row) for row in self.correlations])
+        full += np.tril(full, -1).T
+        values, vectors = np.linalg.eigh(full)  # rounded numbers need not make a positive matrix
+        full = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        covariance: FloatArray = full * np.outer(deviations, deviations)
+        return covariance
+
+    @classmethod
+    def of(cls, covariance: FloatArray, recordings: int) -> UncertaintySection:
+        """As a flight learned it."""
+        deviations = np.sqrt(np.diag(covariance))
+        full = covariance / np.maximum(np.outer(deviations, deviations), 1e-300)
+        by_sensor = deviations.reshape(-1, 6)
+        return cls(
+            positions_mm=[(float(x), float(y), float(z)) for x, y, z in 1e3 * by_sensor[:, 3:]],
+            axes_deg=[(float(a), float(b)) for a, b in np.degrees(by_sensor[:, 1:3])],
+            gains=by_sensor[:, 0].tolist(),
+            recordings=recordings,
+            correlations=[full[i, : i + 1].tolist() for i in range(len(full))],
+        )
 
 
 class SensorsFile(FileModel):
@@ -97,10 +155,14 @@ class SensorsFile(FileModel):
 
 @dataclass(frozen=True, eq=False)
 class CalibratedSensors:
-    """An array as it was calibrated: places and axes, and the gain of each sensor, shape (n_sensors,)."""
+    """An array as it was calibrated: places and axes, and the gain of each sensor, shape (n_sensors,).
+
+    `covariance` (6 n, 6 n) is of what is left: ln gain, two tilts (rad) and place (m) of each; None if nobody says.
+    """
 
     array: SensorArray
     gains: FloatArray
+    covariance: FloatArray | None = None
 
 
 def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSensors:
@@ -131,7 +193,11 @@ def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSe
             faults.append(Fault(("sensors", key), f"{differ} Calibrate anew."))
     if faults:
         raise document.error(faults)
-    return CalibratedSensors(found.array, frozen(found.gain_of_each))
+    left = sections.uncertainty
+    if left is not None and len(left.positions_mm) != len(found.positions_mm):
+        counts = f"holds {len(left.positions_mm)} sensors; [sensors] holds {len(found.positions_mm)}."
+        raise document.error([Fault(("uncertainty", "positions_mm"), counts)])
+    return CalibratedSensors(found.array, frozen(found.gain_of_each), None if left is None else left.covariance)
 
 
 def write_sensors(path: str | Path, config: SensorsFile) -> None:
@@ -169,10 +235,18 @@ def write_sensors(path: str | Path, config: SensorsFile) -> None:
             *_rows("positions_mm", u.positions_mm),
             *_rows("axes_deg", u.axes_deg),
             *_rows("gains", u.gains),
-            f"held_out = {u.held_out}  # recordings that took no part; their errors (rms per axis) before and after:",
-            f"position_mm = {_cell(u.position_mm)}",
-            f"orientation_deg = {_cell(u.orientation_deg)}",
         ]
+        if u.held_out is not None and u.position_mm is not None and u.orientation_deg is not None:
+            lines += [
+                f"held_out = {u.held_out}  # recordings that took no part; their errors (rms per axis), before and after:",
+                f"position_mm = {_cell(u.position_mm)}",
+                f"orientation_deg = {_cell(u.orientation_deg)}",
+            ]
+        if u.recordings is not None:
+            lines.append(f"recordings = {u.recordings}  # of one flight, from which this was learned")
+        if u.correlations is not None:
+            rows = [f"    [{', '.join(f'{value:.5f}' for value in row)}]," for row in u.correlations]
+            lines += ["correlations = [               # gain, two tilts, place of each sensor", *rows, "]"]
     try:
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:

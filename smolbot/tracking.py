@@ -84,6 +84,11 @@ class Tracker:
     device : Device
     table : FieldTable or None
         Field of the actuation coils; without one, windows are taken to cause no motion.
+
+    Attributes
+    ----------
+    motion : tuple of ndarray, or None
+        What the last shot is thought to have caused: step (3,) in m, turn (3,) in rad, and their variances (6,).
     """
 
     def __init__(self, robot: Robot, device: Device, table: FieldTable | None) -> None:
@@ -95,6 +100,7 @@ class Tracker:
         self._accepted = 0
         self._surprise = 1.0
         self._last: Pose | None = None
+        self.motion: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self.misses = 0
 
     @property
@@ -211,6 +217,8 @@ class Tracker:
             orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
             noise[:2] += (MOTION_ERROR * np.linalg.norm(step)) ** 2
             noise[5] += (MOTION_ERROR * turn) ** 2
+        step = position - state.position
+        self.motion = step, rotation_error(orientation, state.orientation), noise[:6]
         covariance = state.covariance.copy()
         covariance[_P] += wait * state.covariance[_V]
         covariance[:, _P] += wait * covariance[:, _V]

@@ -198,7 +198,7 @@ def channel_series(
     slopes = np.zeros((*values.shape, 6))
     for i in range(len(places)):
         kernels.series(
-            sensors.positions, sensors.axes, device.moment * device.moment_in_body, device.l0, angles,
+            sensors.positions, sensors.responses, device.moment * device.moment_in_body, device.l0, angles,
             time_functions.power_matrix(), places[i], np.ascontiguousarray(turns[i]), values[i], slopes[i],
         )  # fmt: skip
     return values, slopes

@@ -92,7 +92,8 @@ class _FullModel:
     @cached_property
     def heard(self) -> SensorArray:
         used = self.thinned.used
-        return SensorArray(self.sensors.positions[used], self.sensors.axes[used], self.sensors.bandwidth)
+        gains = None if self.sensors.gains is None else self.sensors.gains[used]
+        return SensorArray(self.sensors.positions[used], self.sensors.axes[used], self.sensors.bandwidth, gains)
 
     def unpack(self, values: FloatArray) -> tuple[Device, FloatArray, FloatArray, float, float]:
         full = self.start.copy()

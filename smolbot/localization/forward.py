@@ -76,4 +76,4 @@ def sensor_field(
     swung = np.stack([cosine * mx + sine * mz, zero + my, cosine * mz - sine * mx], axis=-1)  # Eqs. S8, S19
     moment = swung @ rotation.T
     field = dipole_field(sensors.positions[:, None, :] - magnet[None], moment[None])
-    return np.einsum("snk,sk->sn", field, sensors.axes)
+    return np.einsum("snk,sk->sn", field, sensors.responses)

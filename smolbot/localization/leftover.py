@@ -28,7 +28,7 @@ LONGEST = 24
 @lru_cache(maxsize=4)
 def _foretold(model: LinearModel, noise: NoiseModel, block: float) -> tuple[FloatArray, FloatArray]:
     """Whitener (n_channels, n_left, n_channels * n_blocks) of each channel given the others, and signals in blocks."""
-    n = len(model.positions)
+    n = int(model.used.sum())
     n_blocks = min(len(model.chain.first), LONGEST)
     slope = np.linspace(-1.0, 1.0, n_blocks)
     free = np.column_stack([np.ones(n_blocks), slope, model.free[:n_blocks]])
@@ -61,7 +61,7 @@ def energies(model: LinearModel, fit: Fit, recording: Recording, noise: NoiseMod
         Both zero for sensors that took no part. Of noise as foretold, `found` is `expected` on average, with a
         variance of twice that.
     """
-    whiten, answers = _foretold(model, noise, model.chain.weights.shape[1] / recording.sample_rate)
+    whiten, answers = _foretold(model.of_all_arrays, noise, model.chain.weights.shape[1] / recording.sample_rate)
     n = len(model.positions)
     n_blocks = whiten.shape[1] // n
     place = (fit.position, fit.rotation, fit.phase, fit.amplitude)

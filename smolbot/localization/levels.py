@@ -67,7 +67,7 @@ class NoiseLevels:
             gradient *= np.sqrt(3.0) * self.mains_gradient / np.linalg.norm(gradient)
             first, second = np.exp(2j * np.pi * rng.random(2))
             heard = first * direction + second * (sensors.positions @ gradient)
-            out[k] = size * np.einsum("ij,ij->i", sensors.axes, heard)
+            out[k] = size * np.einsum("ij,ij->i", sensors.responses, heard)
         return out
 
     def room(self, sensors: SensorArray, seed: int, top: float = 5000.0) -> NoiseModel:

@@ -11,6 +11,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
+from smolbot.localization.array_terms import ArrayTerms, array_terms
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.cold_start import SearchVolume, best_fits
 from smolbot.localization.leftover import energies
@@ -82,6 +83,10 @@ class Swing:
         """What is left in each channel, and what `noise` foretells, each (n_sensors,) in units of the noise."""
         return energies(self._problem.model, self._fit, recording, noise)
 
+    def of_the_array(self, frames: FloatArray) -> ArrayTerms | None:
+        """What the recording says of the sensors, with tilts along `frames` (n_sensors, 2, 3); None where nothing."""
+        return array_terms(self._problem, self._fit, frames)
+
     def resonance(self) -> tuple[FloatArray, FloatArray]:
         """By how much frequency (Hz) and damping (1/s) seem to be off, shape (2,), and their covariance (2, 2)."""
         return self._problem.resonance(self._fit, self._variance)
@@ -140,6 +145,10 @@ class Localizer:
     def with_device(self, device: Device) -> Localizer:
         """The same localizer for a device that was learned anew."""
         return Localizer(self.sensors, device, self.noise, self.estimator, self.volume, self.transients)
+
+    def with_sensors(self, sensors: SensorArray) -> Localizer:
+        """The same localizer for an array that was learned anew."""
+        return Localizer(sensors, self.device, self.noise, self.estimator, self.volume, self.transients)
 
     def with_transients(self, transients: tuple[float, ...]) -> Localizer:
         """The same localizer for excitation coils whose ring-down was learned."""

@@ -42,7 +42,7 @@ class LinearModel:
     ----------
     device : Device
     positions, axes : ndarray, shape (n_channels, 3)
-        Of the sensors that take part.
+        Of the sensors that take part; an axis is as long as its sensor's gain.
     chain : Taps
         Brings raw samples to fewer ones, channel by channel.
     mixing : ndarray, shape (n_rows, n_channels * n_taps) or (n_differences, n_channels)
@@ -59,6 +59,8 @@ class LinearModel:
         True where `mixing` acts on channels alone, for every tap alike.
     white : bool
         True where the data vector's noise is white and of unit size.
+    common : LinearModel, optional
+        What is the same for every array; see `of_all_arrays`.
     """
 
     device: Device
@@ -73,11 +75,24 @@ class LinearModel:
     free: FloatArray
     separable: bool
     white: bool
+    common: LinearModel | None = None
 
     @property
     def amplitude_max(self) -> float:
         """Stop of the deflection, with room for its own error, as a fraction of the reference angle."""
         return 1.1 * self.device.theta_max / time_functions.REFERENCE_ANGLE
+
+    @property
+    def of_all_arrays(self) -> LinearModel:
+        """One object for all models that differ in nothing but places, axes and gains."""
+        return self.common or self
+
+    @cached_property
+    def ramps(self) -> FloatArray:
+        """Data vector's answer (n_channels, n_out) to a rise by 1 T over the recording, in each channel."""
+        time = np.linspace(-0.5, 0.5, len(self.chain.first))
+        by_channel = self.mixing.reshape(len(self.mixing), -1, len(time))
+        return np.ascontiguousarray((by_channel @ time).T)
 
     @cached_property
     def belief(self) -> FloatArray:
@@ -152,7 +167,7 @@ def paper_model(
     return LinearModel(
         device=device,
         positions=np.ascontiguousarray(sensors.positions[used]),
-        axes=np.ascontiguousarray(sensors.axes[used]),
+        axes=np.ascontiguousarray(sensors.responses[used]),
         used=used,
         chain=chain,
         mixing=mixing,

@@ -6,6 +6,7 @@ constant in every channel), and projected on the directions that a signal can ha
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from math import factorial
 
@@ -63,7 +64,30 @@ def whitened_model(
     trend: int = 0,
     transients: tuple[float, ...] = (),
 ) -> LinearModel:
-    """The whitened chain for recordings of one kind, kept for the next one like it.
+    """The whitened chain for recordings of one kind by one array, kept for the next one like it; see `any_array`."""
+    common = any_array(sensors.bandwidth, device, noise, usable, n_samples, sample_rate, since, trend, transients)
+    used = common.used
+    return replace(
+        common,
+        positions=np.ascontiguousarray(sensors.positions[used]),
+        axes=np.ascontiguousarray(sensors.responses[used]),
+        common=common,
+    )
+
+
+@lru_cache(maxsize=64)
+def any_array(
+    bandwidth: float,
+    device: Device,
+    noise: NoiseModel,
+    usable: bytes,
+    n_samples: int,
+    sample_rate: float,
+    since: float,
+    trend: int = 0,
+    transients: tuple[float, ...] = (),
+) -> LinearModel:
+    """The whitened chain, which no place or axis of a sensor enters; those of the result are empty.
 
     Blind to a polynomial of degree `trend` in every channel (0 for the unknown constant, 1 for a constant
     and a slope), and to a decay of each of the time constants `transients`, in s, where it can still be heard.
@@ -77,7 +101,7 @@ def whitened_model(
     decays = decay_columns(since + (chain.first + 0.5 * size) / sample_rate, transients)
     free = np.column_stack([polynomials, decays])
     constants = np.linalg.qr(whiten @ np.kron(np.eye(n_channels), free))[0]
-    functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, sensors.bandwidth)
+    functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, bandwidth)
     by_channel = whiten.reshape(-1, n_channels, n_blocks)
     answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
     flat = answers.reshape(len(answers), -1)
@@ -97,8 +121,8 @@ def whitened_model(
     projection = directions.T @ whiten - (directions.T @ constants) @ (constants.T @ whiten)
     return LinearModel(
         device=device,
-        positions=np.ascontiguousarray(sensors.positions[used]),
-        axes=np.ascontiguousarray(sensors.axes[used]),
+        positions=np.zeros((0, 3)),
+        axes=np.zeros((0, 3)),
         used=used,
         chain=chain,
         mixing=np.ascontiguousarray(projection),
