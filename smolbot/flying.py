@@ -13,6 +13,7 @@ import numpy as np
 
 from smolbot.errors import InputError
 from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_frames
+from smolbot.localization.array_terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
 from smolbot.loop import CycleRecord, Listener, Loop, Quiet, Run, StopRules
@@ -172,8 +173,12 @@ def make_array_filter(mission: Mission, locator: object) -> ArrayFilter | None:
     covariance = mission.rig.sensor_covariance
     if covariance is None or not isinstance(locator, Localizer) or locator.estimator != "whitened":
         return None
+    n = len(covariance)
+    deviations = np.zeros((n + OF_DEVICE, n + OF_DEVICE))
+    deviations[:n, :n] = covariance
+    deviations[n:, n:] = np.diag(np.array(mission.robot.device_tolerances) ** 2)
     frames = tilt_frames(mission.rig.sections.sensors.array)
-    return ArrayFilter(ArrayBelief(locator.sensors, covariance, frames))
+    return ArrayFilter(ArrayBelief(locator.sensors, locator.device, deviations, frames))
 
 
 def search_volume(mission: Mission) -> SearchVolume:

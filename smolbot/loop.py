@@ -261,11 +261,13 @@ class Loop:
         terms = swing.of_the_array(learned.belief.frames)
         if terms is None or isinstance(self.localizer, Sightings):
             return
-        sensors = learned.update(pose, terms)
-        if sensors is None:
+        if not learned.update(pose, terms):
             return
-        self.localizer = self.localizer.with_sensors(sensors)
-        self.events.append(Event(time, "array learned", {"recordings": learned.recordings, **as_lists(sensors)}))
+        device = replace(self.localizer.device, moment=learned.moment, l0=learned.l0)
+        self.localizer = self.localizer.with_sensors(learned.sensors).with_device(device)
+        self.resonance.device = replace(self.resonance.device, moment=learned.moment, l0=learned.l0)
+        found = {"recordings": learned.recordings, "moment_a_m2": learned.moment, "l0_m": learned.l0}
+        self.events.append(Event(time, "array learned", {**found, **as_lists(learned.sensors)}))
 
     def _follow_resonance(self, time: float, swing: Swing) -> None:
         device = self.resonance.update(time, *swing.resonance())

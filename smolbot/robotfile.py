@@ -27,8 +27,14 @@ class BodySection(FileModel):
 
 
 class DeviceSection(FileModel):
-    """The SMOL device, as calibrated in the medium that the robot swims in."""
+    """The SMOL device, as calibrated in the medium that the robot swims in.
 
+    The tolerances, one standard deviation, count where a flight learns the sensors: what it cannot tell from a device
+    that is not quite as stated, it does not blame on them.
+    """
+
+    moment_tolerance_percent: Annotated[float, Field(ge=0)] = 0.0
+    l0_tolerance_percent: Annotated[float, Field(ge=0)] = 0.0
     moment_ma_m2: Positive
     moment_in_body: Vector
     l0_mm: Positive
@@ -63,6 +69,12 @@ class RobotConfig:
         self.sections = sections
         self.name = sections.name
         self.kind = sections.kind
+
+    @property
+    def device_tolerances(self) -> tuple[float, float]:
+        """One standard deviation of the moment, relative, and of l0, in m."""
+        section = self.sections.device
+        return 1e-2 * section.moment_tolerance_percent, 1e-5 * section.l0_tolerance_percent * section.l0_mm
 
     @property
     def device(self) -> Device:

@@ -16,10 +16,10 @@ import numpy as np
 from smolbot.arrays import FloatArray, frozen
 from smolbot.errors import InputError
 from smolbot.localization.array_fit import across
-from smolbot.localization.array_terms import PER_SENSOR, ArrayTerms
+from smolbot.localization.array_terms import OF_DEVICE, PER_SENSOR, ArrayTerms
 from smolbot.poses import Pose
 from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
-from smolbot.sensing import SensorArray
+from smolbot.sensing import Device, SensorArray
 
 TAKEN_IN_EVERY = 10
 """Recordings after which what they say of the sensors is taken in, all at once: it costs as much as for one."""
@@ -44,39 +44,39 @@ _POSE = 7
 
 @dataclass(frozen=True, eq=False)
 class ArrayBelief:
-    """An array, and how far from it the sensors may be.
+    """An array and a device, and how far from them the true ones may be.
 
     Attributes
     ----------
-    sensors : SensorArray
-        As it is believed to be before anything is learned.
-    covariance : ndarray, shape (PER_SENSOR * n, PER_SENSOR * n)
-        Of the deviations: for each sensor ln gain, two tilts (rad) and place (m).
+    sensors, device : SensorArray, Device
+        As they are believed to be before anything is learned.
+    covariance : ndarray, shape (PER_SENSOR * n + OF_DEVICE, PER_SENSOR * n + OF_DEVICE)
+        Of the deviations: for each sensor ln gain, two tilts (rad) and place (m); then ln moment, and l0 (m).
     frames : ndarray, shape (n, 2, 3)
         Directions of the tilts; across each axis.
     """
 
     sensors: SensorArray
+    device: Device
     covariance: FloatArray
     frames: FloatArray
 
     def __post_init__(self) -> None:
-        n = PER_SENSOR * len(self.sensors)
+        n = PER_SENSOR * len(self.sensors) + OF_DEVICE
         if self.covariance.shape != (n, n):
             raise InputError(f"ArrayBelief covariance must have shape ({n}, {n}); got {self.covariance.shape}.")
 
-    @classmethod
-    def within(cls, sensors: SensorArray, place: float, gain: float, tilt: float) -> ArrayBelief:
-        """Independent deviations: places in m per axis, gains relative, tilts in rad about each direction across."""
-        deviations = np.tile([gain, tilt, tilt, place, place, place], len(sensors))
-        return cls(sensors, frozen(np.diag(deviations**2)), tilt_frames(sensors))
-
     def array(self, deviations: FloatArray) -> SensorArray:
-        """The array whose sensors deviate by so much (PER_SENSOR * n,) from the believed one."""
-        by_sensor, s = deviations.reshape(-1, PER_SENSOR), self.sensors
+        """The array whose sensors deviate by so much from the believed one."""
+        by_sensor, s = deviations[:-OF_DEVICE].reshape(-1, PER_SENSOR), self.sensors
         gains = np.exp(by_sensor[:, 0]) * (1.0 if s.gains is None else s.gains)
         axes = s.axes + np.einsum("nj,njk->nk", by_sensor[:, 1:3], self.frames)
         return SensorArray(s.positions + by_sensor[:, 3:], axes, s.bandwidth, gains)
+
+    def moment_and_l0(self, deviations: FloatArray) -> tuple[float, float]:
+        """Moment in A·m² and l0 in m of a device that deviates by so much."""
+        moment, l0 = self.device.moment * np.exp(deviations[-2]), self.device.l0 + deviations[-1]
+        return float(moment), max(float(l0), 0.0)
 
 
 def tilt_frames(sensors: SensorArray) -> FloatArray:
@@ -85,17 +85,19 @@ def tilt_frames(sensors: SensorArray) -> FloatArray:
 
 
 class ArrayFilter:
-    """A Kalman filter on position, orientation and amplitude of a device, and on the deviations of all sensors.
+    """A Kalman filter on position, orientation and amplitude of a device, and on the deviations of sensors and device.
 
     Feed it what the robot is thought to have moved before every recording (`moved`), then the recording's terms
-    (`update`). When enough was learned, `update` returns the array to believe from then on; terms that come later must
-    be of fits with that one.
+    (`update`). When enough was learned, `update` says so: believe `sensors`, `moment`
+    and `l0` from then on; terms that come later must be of fits with those.
 
     Attributes
     ----------
     belief : ArrayBelief
     deviations : ndarray, shape (n,)
-        Of the sensors, as learned.
+        Of sensors and device, as learned.
+    sensors, moment, l0 : SensorArray, float in A·m², float in m
+        To be believed, as of the last `update` that said so.
     recordings : int
         From which it was learned.
     """
@@ -104,6 +106,7 @@ class ArrayFilter:
         n = len(belief.covariance)
         self.belief = belief
         self.deviations = np.zeros(n)
+        self.sensors, self.moment, self.l0 = belief.sensors, belief.device.moment, belief.device.l0
         self.recordings = 0
         self._applied = np.zeros(n)
         self._covariance = np.zeros((_POSE + n, _POSE + n))
@@ -128,8 +131,8 @@ class ArrayFilter:
         index = np.arange(6)
         self._covariance[index, index] += variance
 
-    def update(self, pose: Pose, terms: ArrayTerms) -> SensorArray | None:
-        """Take in one recording; return an array if the localizer's should be replaced.
+    def update(self, pose: Pose, terms: ArrayTerms) -> bool:
+        """Take in one recording; say whether the localizer's array and device should be replaced.
 
         Parameters
         ----------
@@ -144,7 +147,7 @@ class ArrayFilter:
         if not self._correct(pose, terms):
             self._left_out += 1
             if self._left_out <= PATIENCE:
-                return None
+                return False
             self._begin(pose, terms)
             self._correct(pose, terms)
         self._left_out = 0
@@ -153,13 +156,15 @@ class ArrayFilter:
         self._right += terms.right + terms.information @ self._applied
         self._waiting += 1
         if self._waiting < TAKEN_IN_EVERY:
-            return None
+            return False
         self._take_in()
         change = terms.lean[:3] @ (self.deviations - self._applied)
         if not float(np.linalg.norm(change)) > WORTHWHILE:
-            return None
+            return False
         self._applied = self.deviations.copy()
-        return self.belief.array(self._applied)
+        self.sensors = self.belief.array(self._applied)
+        self.moment, self.l0 = self.belief.moment_and_l0(self._applied)
+        return True
 
     def _begin(self, pose: Pose, terms: ArrayTerms) -> None:
         self._position, self._orientation = np.array(pose.position), np.array(pose.orientation)

@@ -1,10 +1,10 @@
-"""What one recording says of the sensors, beside the pose that was found in it.
+"""What one recording says of sensors and device, beside the pose that was found in it.
 
 A recording holds more numbers than a pose has. Near a finished fit its data are
 
     d = s(x_fit) + J (x - x_fit) + T q + V w + n,
 
-x pose, phase and amplitude, q the sensors' deviations from the array that was believed in, w the turning of the
+x pose, phase and amplitude, q the deviations of sensors and device from what was believed of them, w the turning of the
 device while it was listened to, and n white. Seen from x, q shifts what a fit finds by -L q; in the directions that no
 pose can explain, it shows by itself. Both parts are uncorrelated, and are handed on apart.
 """
@@ -26,6 +26,11 @@ _kernels: Any = compiled
 
 PER_SENSOR = 6
 """Deviations of a sensor: ln gain, two tilts (rad), three coordinates (m)."""
+
+OF_DEVICE = 2
+"""Deviations of the device, which come after those of all sensors: ln moment, l0 (m)."""
+
+_STEP = 1e-6  # m: of the difference quotient for l0
 
 TURNING = 2e-3
 """How far a device turns while it is listened to, one standard deviation, in rad: 0.2 rad/s for ten milliseconds.
@@ -83,15 +88,20 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
         _kernels.series(positions, along, moment, l0, angles, powers, *place, values[1 + k], spare)
     out, jacobian = model.response(*place, fit.phase, fit.amplitude)
     rows = sensor_slopes(matrix, labels, values, slopes, frames[model.used], float(fit.phase), float(fit.amplitude))
+    longer = np.zeros_like(out)
+    _kernels.model(
+        matrix, labels, positions, axes, moment, l0 + _STEP, angles, powers, *place, fit.phase, fit.amplitude, longer,
+        np.zeros((compiled.N_PARAMETERS, len(out))),
+    )  # fmt: skip
     turning = TURNING * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of a device at rest
     found, step, covariance, lean, information, right, left = separated(
-        np.concatenate([jacobian.T, rows]), turning, problem.data - out
+        np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _STEP]), turning, problem.data - out
     )
     if not found or left > MAX_MISFIT * max(len(out) - compiled.N_PARAMETERS, 1):
         return None
-    count = PER_SENSOR * len(model.used)
     if n < len(model.used):
-        kept = np.repeat(model.used, PER_SENSOR)
+        kept = np.concatenate([np.repeat(model.used, PER_SENSOR), np.ones(OF_DEVICE, dtype=np.bool_)])
+        count = len(kept)
         wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
         wide_lean[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = lean, right, information
         lean, right, information = wide_lean, wide_right, wide

@@ -84,7 +84,7 @@ class LinearModel:
 
     @property
     def of_all_arrays(self) -> LinearModel:
-        """One object for all models that differ in nothing but places, axes and gains."""
+        """One object for all models that differ in nothing but places, axes and gains, moment and l0."""
         return self.common or self
 
     @cached_property

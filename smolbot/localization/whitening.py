@@ -19,7 +19,7 @@ from smolbot.localization.chain import Taps, whole_half_periods
 from smolbot.localization.noise import NoiseModel
 from smolbot.localization.problem import LinearModel, Problem, require_enough, usable_channels
 from smolbot.localization.transients import AUDIBLE, decay_columns
-from smolbot.sensing import Device, Recording, SensorArray
+from smolbot.sensing import DampingModel, Device, Recording, SensorArray
 
 BLOCK = 0.5e-3
 """Longest block, in s; within it the fourth harmonic of 180 Hz still keeps 80 % of its size."""
@@ -65,14 +65,22 @@ def whitened_model(
     transients: tuple[float, ...] = (),
 ) -> LinearModel:
     """The whitened chain for recordings of one kind by one array, kept for the next one like it; see `any_array`."""
-    common = any_array(sensors.bandwidth, device, noise, usable, n_samples, sample_rate, since, trend, transients)
+    rhythm = _rhythm(device.frequency, device.damping, device.damping_model)
+    common = any_array(sensors.bandwidth, rhythm, noise, usable, n_samples, sample_rate, since, trend, transients)
     used = common.used
     return replace(
         common,
+        device=device,
         positions=np.ascontiguousarray(sensors.positions[used]),
         axes=np.ascontiguousarray(sensors.responses[used]),
         common=common,
     )
+
+
+@lru_cache(maxsize=64)
+def _rhythm(frequency: float, damping: float, damping_model: DampingModel) -> Device:
+    """One device for all that swing alike."""
+    return Device(1.0, np.array([0.0, 0.0, 1.0]), 0.0, 1.0, frequency, damping, damping_model)
 
 
 @lru_cache(maxsize=64)
@@ -87,7 +95,7 @@ def any_array(
     trend: int = 0,
     transients: tuple[float, ...] = (),
 ) -> LinearModel:
-    """The whitened chain, which no place or axis of a sensor enters; those of the result are empty.
+    """The whitened chain, which no place or axis of a sensor enters, nor moment or l0: those of the result mean nothing.
 
     Blind to a polynomial of degree `trend` in every channel (0 for the unknown constant, 1 for a constant
     and a slope), and to a decay of each of the time constants `transients`, in s, where it can still be heard.
