@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import re
 from collections.abc import Callable, Mapping
-from datetime import datetime
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,13 @@ from smolbot.records.folder import RunFolder
 from smolbot.records.summary import summarise
 from smolbot.records.trace import Trace
 from smolbot.scheduler import Scheduler
+from smolbot.sensorsfile import SensorsFile, UncertaintySection, write_sensors
 from smolbot.sightings import SightingRig
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
+LEARNED = "sensors_learned.toml"
+"""File of a run folder with the sensors as the flight learned them."""
 
 def run(
     mission: str | Mission,
@@ -138,6 +141,8 @@ def _fly_on(
     flown.summary["plant"] = str(drawn.get("plant", "full"))
     flown.summary["run"] = str(folder.path) if folder is not None else None
     if folder is not None:
+        if loop.array_filter is not None and loop.array_filter.recordings:
+            write_sensors(folder.path / LEARNED, learned_sensors(mission, loop.array_filter))
         flown.folder = str(folder.path)
         folder.end(flown.summary)
         from smolbot.records.picture import draw_run
@@ -179,6 +184,24 @@ def make_array_filter(mission: Mission, locator: object) -> ArrayFilter | None:
     deviations[n:, n:] = np.diag(np.array(mission.robot.device_tolerances) ** 2)
     frames = tilt_frames(mission.rig.sections.sensors.array)
     return ArrayFilter(ArrayBelief(locator.sensors, locator.device, deviations, frames))
+
+
+def learned_sensors(mission: Mission, learned: ArrayFilter) -> SensorsFile:
+    """The array as a flight learned it, for the next one to start from."""
+    rig, array = mission.rig, learned.belief.array(learned.deviations)
+    gains = rig.sensor_gains * (1.0 if array.gains is None else array.gains)
+    section = rig.sections.sensors.model_copy(
+        update={
+            "positions_mm": [(x, y, z) for x, y, z in (1e3 * array.positions).tolist()],
+            "axes": [(x, y, z) for x, y, z in array.axes.tolist()],
+            "gains": gains.tolist(),
+            "calibrated": None,
+        }
+    )
+    left = UncertaintySection.of(learned.covariance[:-OF_DEVICE, :-OF_DEVICE], learned.recordings)
+    return SensorsFile(
+        rig=rig.name, date=date.today(), description="learned in flight", sensors=section, uncertainty=left
+    )
 
 
 def search_volume(mission: Mission) -> SearchVolume:

@@ -210,7 +210,7 @@ def write_sensors(path: str | Path, config: SensorsFile) -> None:
     """
     s, u = config.sensors, config.uncertainty
     lines = [
-        "# Sensors as calibrated on a known track; smolbot calibrate-array writes such files.",
+        "# Sensors as found on a known track (smolbot calibrate-array) or in flight (smolbot run, in its run folder).",
         '# Believe them: name this file in the [sensors] section of a rig file, calibrated = "this_file.toml",',
         "# or paste the section over a real bench's own. A tank is built around what stands there: only name the file.",
         f"rig = {_text(config.rig)}",

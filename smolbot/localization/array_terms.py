@@ -37,6 +37,7 @@ TURNING = 2e-3
 
 It swings no more than its static field changes by that; left out, it would be taken for the sensors'."""
 
+DOUBT = float(__import__("os").environ.get("DOUBT", "2"))
 MAX_MISFIT = 3.0
 """Variance of what is left, above which something else than sensors is heard."""
 
@@ -105,7 +106,7 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
         wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
         wide_lean[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = lean, right, information
         lean, right, information = wide_lean, wide_right, wide
-    return ArrayTerms(step, covariance, lean, information, right, fit.amplitude)
+    return ArrayTerms(step, DOUBT * covariance, lean, information / DOUBT, right / DOUBT, fit.amplitude)
 
 
 @njit(cache=True, fastmath=True)
