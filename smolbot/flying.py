@@ -32,6 +32,7 @@ from smolbot.worlds import Rig
 LEARNED = "sensors_learned.toml"
 """File of a run folder with the sensors as the flight learned them."""
 
+
 def run(
     mission: str | Mission,
     rig: str | None = None,

@@ -109,7 +109,7 @@ class UncertaintySection(FileModel):
             counts = f"{n} positions_mm, {len(self.axes_deg)} axes_deg and {len(self.gains)} gains"
             raise ValueError(f"{counts}; each sensor needs all three.")
         if rows is not None and [len(row) for row in rows] != list(range(1, 6 * n + 1)):
-            raise ValueError(f"correlations must be {6 * n} rows of 1, 2, … {6 * n} numbers: six values for each sensor.")
+            raise ValueError(f"correlations must be {6 * n} rows of 1, 2, … {6 * n} numbers: six values a sensor.")
         return self
 
     @property
@@ -238,7 +238,7 @@ def write_sensors(path: str | Path, config: SensorsFile) -> None:
         ]
         if u.held_out is not None and u.position_mm is not None and u.orientation_deg is not None:
             lines += [
-                f"held_out = {u.held_out}  # recordings that took no part; their errors (rms per axis), before and after:",
+                f"held_out = {u.held_out}  # recordings that took no part; errors (rms per axis) before and after:",
                 f"position_mm = {_cell(u.position_mm)}",
                 f"orientation_deg = {_cell(u.orientation_deg)}",
             ]

@@ -37,7 +37,12 @@ TURNING = 2e-3
 
 It swings no more than its static field changes by that; left out, it would be taken for the sensors'."""
 
-DOUBT = float(__import__("os").environ.get("DOUBT", "2"))
+DOUBT = 10.0
+"""Variance of a recording over what its noise foretells.
+
+What else it holds, such as a resonance that is slightly off, lasts from shot to shot, and is not averaged away.
+"""
+
 MAX_MISFIT = 3.0
 """Variance of what is left, above which something else than sensors is heard."""
 
@@ -181,8 +186,8 @@ def separated(rows, turning, residual):
     across = products(rows, turning) @ inner
     rest = rows - across @ turning  # C^-1 times the rows, C = 1 + turning^T turning
     normal = products(rows, rest)
-    right = products(rest, data)[:, 0]
-    heard = products(turning, data)[:, 0]
+    right = products(rest, data)[:, 0].copy()
+    heard = products(turning, data)[:, 0].copy()
     square = products(data, data)[0, 0] - heard @ inner @ heard
     pose = np.zeros(7)
     scale = np.zeros(8)

@@ -95,7 +95,7 @@ def any_array(
     trend: int = 0,
     transients: tuple[float, ...] = (),
 ) -> LinearModel:
-    """The whitened chain, which no place or axis of a sensor enters, nor moment or l0: those of the result mean nothing.
+    """The whitened chain. No place, axis, moment or l0 enters it; those of the result mean nothing.
 
     Blind to a polynomial of degree `trend` in every channel (0 for the unknown constant, 1 for a constant
     and a slope), and to a decay of each of the time constants `transients`, in s, where it can still be heard.
