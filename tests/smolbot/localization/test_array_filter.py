@@ -119,7 +119,7 @@ def rms(errors):
 def test_a_flight_learns_what_its_sensors_are_off(array, noise, along_device, pose_at):
     belief = belief_of(array, along_device)
     ratios, surprise = [], []
-    for seed in (1, 2, 3, 4):
+    for seed in (1, 2, 3):
         q, true, device = drawn(belief, seed)
         still, _ = fly(noise, true, device, belief, pose_at, seed, learn=False)
         errors, learned = fly(noise, true, device, belief, pose_at, seed)
