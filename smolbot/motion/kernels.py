@@ -21,6 +21,7 @@ BODY = 7
 NEAR, FORWARD, HEADING, TAIL, HEAT, FIRM, WEAK, HUBER = range(8)
 WEIGHTS = 8
 RESIDUALS = 8  # for each window
+BACK, AHEAD = 1e-3, 2e-3  # how far, in m, from where it was, a robot is looked for
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -69,6 +70,23 @@ def roll(body, field, gradient, x, y, heading, duration, steps):
     """
     none = np.empty((0, 0))
     return _rolled(body, field, gradient, x, y, heading, duration, steps, none, none, 0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def moved(body, b, g, currents, heading, duration, steps):
+    """Displacement (x, y) and heading after one window of coil currents; see `smolbot.motion.gradient.advance`.
+
+    `b` (n_coils, 3) and `g` (n_coils, 3, 3) are the coils' field and gradient per ampere at the rotation centre.
+    """
+    field, gradient = np.zeros(2), np.zeros((2, 2))
+    for c in range(currents.shape[0]):
+        for i in range(2):
+            field[i] += currents[c] * b[c, i]
+            gradient[i, 0] += currents[c] * g[c, i, 0]
+            gradient[i, 1] += currents[c] * g[c, i, 1]
+    none = np.empty((0, 0))
+    x, y, after, _, _, _ = _rolled(body, field, gradient, 0.0, 0.0, heading, duration, steps, none, none, 0)
+    return x, y, after
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -204,23 +222,23 @@ def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slope
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def nearest(points, arc, first, last, guess, x, y):
+def nearest(points, arc, first, last, guess, x, y, back=BACK, ahead=AHEAD):
     """Arc length of the nearest place on the leg first..last, and the offset from it, along and across.
 
-    Only the strand within some segments of arc length `guess` is looked at. The offset along is not zero before the
-    start and beyond the end of the leg only.
+    Only the strand from `back` m before to `ahead` m beyond the arc length `guess` is looked at. The offset along is not
+    zero before the start and beyond the end of the leg only.
     """
-    s, along, across, _ = _nearest(points, arc, first, last, guess, x, y)
+    s, along, across, _ = _nearest(points, arc, first, last, guess, x, y, back, ahead)
     return s, along, across
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _nearest(points, arc, first, last, guess, x, y):
+def _nearest(points, arc, first, last, guess, x, y, back, ahead):
     """`nearest`, and the segment that it is on."""
     low, high = first, last
-    while low < last - 1 and arc[low + 1] < guess - 1e-3:
+    while low < last - 1 and arc[low + 1] < guess - back:
         low += 1
-    while high > low + 1 and arc[high - 1] > guess + 2e-3:
+    while high > low + 1 and arc[high - 1] > guess + ahead:
         high -= 1
     best, found = 1e300, low
     s = across = along = 0.0
@@ -299,13 +317,13 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
             body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count
         )
         x, y = x + drift[0] * duration, y + drift[1] * duration
-        s, along, across, i = _nearest(points, arc, first, last, guess, mx, my)
+        s, along, across, i = _nearest(points, arc, first, last, guess, mx, my, BACK, AHEAD)
         half = 0.5e3 * weights[NEAR]
         out[row], out[row + 1] = half * across, half * along
         for j in range(count):
             beside, beyond, _ = _place_on_leg(points, i, along, slopes[3, j], slopes[4, j])
             jacobian[row, j], jacobian[row + 1, j] = half * beside, half * beyond
-        s, along, across, i = _nearest(points, arc, first, last, guess, x, y)
+        s, along, across, i = _nearest(points, arc, first, last, guess, x, y, BACK, AHEAD)
         full = 1e3 * weights[NEAR]
         out[row + 2], out[row + 3] = full * across, full * along
         goal = min(goal + stride, arc[last])
