@@ -390,7 +390,7 @@ def strongest_alone(b, g, high):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def forces_by_field(b, g, low, high, ways, angles, rules):
+def forces_by_field(b, g, low, high, ways, angles, rules, head_first):
     """Strongest grad|B| along a way for every direction of the field, at many places.
 
     Parameters
@@ -404,6 +404,8 @@ def forces_by_field(b, g, low, high, ways, angles, rules):
         Directions of the field.
     rules : tuple
         Least field in T, largest tangent of its slope, and of the angle by which the force may miss the way.
+    head_first : bool
+        Whether fields that point against the way count for nothing.
 
     Returns
     -------
@@ -424,6 +426,8 @@ def forces_by_field(b, g, low, high, ways, angles, rules):
         own_b, own_g = b[i] / strong, g[i] / steep
         own_rules = (rules[0] / strong, rules[1], rules[2])
         for k in range(angles.shape[0]):
+            if head_first and ways[i, 0] * math.cos(angles[k]) + ways[i, 1] * math.sin(angles[k]) < -1e-9:
+                continue
             force, _ = _at_angle(
                 angles[k], ways[i], -1.0, own_rules, own_b, own_g, low, high, store, order, basis, trial
             )
