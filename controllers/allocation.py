@@ -22,6 +22,7 @@ from numba import njit
 
 BESIDE, FORCE, ACROSS, FIELD = 0, 1, 2, 3  # rows: field beside u, force along and across d, field along u
 GOLDEN = 0.3819660112501051
+WORTH_A_LOOK, STEEP_AT_EDGES = 0.15, 0.5  # shares of the best by which an angle may be worse and still be refined
 REFINEMENTS = 14  # of an angle: each narrows it to 0.62 of what it was
 TIGHT = 1e-9  # share of a bound by which a current may miss it before it is put on it
 
@@ -374,8 +375,9 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
     for i in range(count):
         left = values[i - 1] if i > 0 else (-1e300 if head_first else values[count - 1])
         right = values[i + 1] if i + 1 < count else (-1e300 if head_first else values[0])
-        floor = best - 0.15 * abs(best)
-        if values[i] < floor or values[i] < left or values[i] < right:
+        # at an edge of what fits the best may be a good deal better than the nearest angle tried
+        share = STEEP_AT_EDGES if min(left, right) < -1e299 else WORTH_A_LOOK
+        if values[i] < best - share * abs(best) or values[i] < left or values[i] < right:
             continue
         center = middle - half + i * width
         a, z, top = center - width, center + width, values[i]

@@ -119,9 +119,7 @@ class _Series:
 class _Model:
     """A localizer's linear model for recordings of one kind, with its answer at each of the phases laid out."""
 
-    def __init__(
-        self, localizer: Localizer, rig: RigConfig, heard: Heard, half_periods: int, since: float
-    ) -> None:
+    def __init__(self, localizer: Localizer, rig: RigConfig, heard: Heard, half_periods: int, since: float) -> None:
         rate, sensors, device = rig.sample_rate, localizer.sensors, localizer.device
         n_samples = round(half_periods * rate / (2.0 * device.frequency))
         everyone = np.ones(len(sensors), dtype=np.bool_).tobytes()

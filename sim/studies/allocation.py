@@ -19,7 +19,7 @@ DIRECTIONS = 360
 TRIES = 400_000
 """Sets of currents that are drawn at each place; the best of each direction are then improved at random."""
 
-KEPT, CHILDREN, STEPS = 12, 24, (0.3, 0.12, 0.05, 0.02, 0.008, 0.003, 0.001)
+KEPT, CHILDREN, STEPS = 12, 24, (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.003, 0.003, 0.001, 0.001)
 """Of each direction: the best that are kept, how often each is changed in a round, by what share of the limit."""
 
 SHARES, STARTS, WARM = (0.3, 0.7), 8, 60
@@ -88,6 +88,8 @@ def strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random
     for share in STEPS:
         change = share * high * rng.standard_normal((len(toward), KEPT, CHILDREN, n))
         change *= rng.random(change.shape) < 0.6
+        one, other = rng.integers(0, KEPT, (2, KEPT, CHILDREN // 2))  # half of them along what sets the best apart
+        change[:, :, ::2] = rng.normal(0.0, 0.7, (KEPT, CHILDREN // 2, 1)) * (parents[:, one] - parents[:, other])
         children = np.clip(parents[:, :, None] + change, low, high).reshape(len(toward), -1, n)
         family = np.concatenate([parents, _stretched(children, high)], axis=1)
         worth, _ = _worth(pull, family, toward, misses)
@@ -253,7 +255,9 @@ def draw(outcome: Outcome, path: Path) -> None:
 
     columns = outcome.columns
     head, either = outcome.figures["cases"]
-    headline = f"At least {head['share_min']:.2f} of the force that brute force finds, {head['direction_p99_deg']:.1f}° off"
+    headline = (
+        f"At least {head['share_min']:.2f} of the force that brute force finds, {head['direction_p99_deg']:.1f}° off"
+    )
     subline = (
         "strongest force on an aligned moment by direction, in µN; line: allocated, grey band: brute force within the "
         f"same angle; out to 20 mm by either end {either['share_min']:.2f} and {either['direction_p99_deg']:.1f}°"

@@ -182,9 +182,7 @@ def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slope
             off = (wx * dby - wy * dbx) / size - dh
             bend = 0.0
             if free:
-                bend = (side * sine * grown + torque * cosine * off) / max(
-                    stiffness + torque * cosine, 0.1 * stiffness
-                )
+                bend = (side * sine * grown + torque * cosine * off) / max(stiffness + torque * cosine, 0.1 * stiffness)
             angle = off - bend
             left = ((1.0 + before * before) * decay * angle - 2.0 * side * after * dt * turn_slip * grown) / (
                 1.0 + after * after
