@@ -255,12 +255,11 @@ def draw(outcome: Outcome, path: Path) -> None:
 
     columns = outcome.columns
     head, either = outcome.figures["cases"]
-    headline = (
-        f"At least {head['share_min']:.2f} of the force that brute force finds, {head['direction_p99_deg']:.1f}° off"
-    )
+    least = min(head["share_min"], either["share_min"])
+    headline = f"At least {least:.3f} of the force that brute force finds, {head['direction_p99_deg']:.1f}° off"
     subline = (
-        "strongest force on an aligned moment by direction, in µN; line: allocated, grey band: brute force within the "
-        f"same angle; out to 20 mm by either end {either['share_min']:.2f} and {either['direction_p99_deg']:.1f}°"
+        "strongest force on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may miss by "
+        "the same angle"
     )
     around = float(columns["around_deg"][-1])
     shown = [("head first", 0.0), ("head first", 4.0), ("head first", 8.0)]

@@ -223,8 +223,8 @@ def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slope
 def nearest(points, arc, first, last, guess, x, y, back=BACK, ahead=AHEAD):
     """Arc length of the nearest place on the leg first..last, and the offset from it, along and across.
 
-    Only the strand from `back` m before to `ahead` m beyond the arc length `guess` is looked at. The offset along is not
-    zero before the start and beyond the end of the leg only.
+    Only the strand from `back` m before to `ahead` m beyond the arc length `guess` is looked at. The offset along is
+    not zero before the start and beyond the end of the leg only.
     """
     s, along, across, _ = _nearest(points, arc, first, last, guess, x, y, back, ahead)
     return s, along, across
