@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from controllers.force_allocator import ForceAllocator
 
 DIRECTIONS = 360
-TRIES = 400_000
+TRIES = 200_000
 """Sets of currents that are drawn at each place; the best of each direction are then improved at random."""
 
 KEPT, CHILDREN, STEPS = 12, 24, (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.003, 0.003, 0.001, 0.001)
@@ -258,8 +258,8 @@ def draw(outcome: Outcome, path: Path) -> None:
     least = min(head["share_min"], either["share_min"])
     headline = f"At least {least:.3f} of the force that brute force finds, {head['direction_p99_deg']:.1f}° off"
     subline = (
-        "strongest force on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may miss by "
-        "the same angle"
+        "strongest force on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may miss "
+        "by the same angle"
     )
     around = float(columns["around_deg"][-1])
     shown = [("head first", 0.0), ("head first", 4.0), ("head first", 8.0)]
