@@ -21,7 +21,10 @@ from smolbot.records.folder import RunFolder
 from smolbot.sensing import Recording
 from smolbot.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
 
-FILES = {"mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json", "path.png"}
+FILES = {
+    *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json", "path.png"),
+    "sensors_learned.toml",
+}
 WALL = ("wall_s", "compute_ms", "realtime_factor", "run")
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "2.0"}
 
