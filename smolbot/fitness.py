@@ -136,7 +136,14 @@ def expected_error(mission: Mission, places: int = 5) -> float:
 
 
 def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
-    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path.
+    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path."""
+    covariances = expected_covariances(mission, arc)
+    errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+    return errors
+
+
+def expected_covariances(mission: Mission, arc: FloatArray) -> FloatArray:
+    """Covariances (n, 6, 6) of one pose, (m, rad), at arc lengths `arc` in m, the robot heading along the path.
 
     Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned.
     """
@@ -144,9 +151,7 @@ def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
     up = np.array([0.0, 0.0, 1.0])
     headings = [quaternion_from_axes(heading, up, "zy") for heading in mission.path.tangent(arc)]
     find = _whitened if mission.sections.localization.estimator == "whitened" else _paper
-    covariances = find(mission, points, headings)
-    errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
-    return errors
+    return find(mission, points, headings)
 
 
 def _whitened(mission: Mission, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
