@@ -120,19 +120,23 @@ class Model:
         )
         return made
 
-    def motion(self, state: State, window: object, scale: float = 1.0) -> tuple[FloatArray, float]:
-        """Displacement (2,) in m and turn in rad that a window causes, `scale` times as large as believed."""
+    def motion(self, state: State, window: object) -> tuple[FloatArray, float]:
+        """Displacement (2,) in m and turn in rad that a window causes, as believed."""
         if not isinstance(window, Actuate) or not any(window.currents):
             return np.zeros(2), 0.0
-        if not self.setup.table.contains(state.position[None, :])[0]:
-            x, y = state.position[:2] * 1e3
-            raise InputError(f"The robot would leave the field table near ({x:.1f}, {y:.1f}) mm.")
+        self.require_inside(state.position)
         field, gradient = self.setup.table.field_and_gradient(state.position[None, :])
         robot: Robot = self.setup.robot
         step, after = advance(
             robot, field[:, 0], gradient[:, 0], np.array(window.currents), state.heading, window.duration
         )
-        return scale * step, scale * (after - state.heading)
+        return step, after - state.heading
+
+    def require_inside(self, position: FloatArray) -> None:
+        """Raise `InputError` where the field is not known."""
+        if not self.setup.table.contains(position[None, :])[0]:
+            x, y = position[:2] * 1e3
+            raise InputError(f"{self.mission.name}: the robot would leave the field table near ({x:.1f}, {y:.1f}) mm.")
 
     def covariance(self, progress: float) -> FloatArray:
         """Covariance (6, 6) of a pose heard at arc length `progress` m."""
@@ -145,7 +149,9 @@ class Model:
         try:
             return copy.deepcopy(controller, memo)
         except (TypeError, copy.Error) as error:
-            raise InputError(f"The law '{self.mission.law}' cannot be copied, so it cannot be probed: {error}.") from error
+            raise InputError(
+                f"The law '{self.mission.law}' cannot be copied, so it cannot be probed: {error}."
+            ) from error
 
     def copied_tracker(self, tracker: Tracker) -> Tracker:
         """The same for a tracker."""
@@ -157,22 +163,22 @@ def fly(
     model: Model,
     controller: Controller,
     *,
-    scale: float = 1.0,
     late: int = 0,
+    seen: Callable[[State], State] = lambda state: state,
     keep: Callable[[int], bool] = lambda cycle: True,
     most: int = MOST_CYCLES,
 ) -> Iterator[Instant]:
-    """Cycles of a flight without noise, from the first command on, until the law is done or `most` have passed.
+    """Cycles of a flight, from the first command on, until the law is done or `most` have passed.
 
     Parameters
     ----------
     model : Model
     controller : Controller
         New; it is flown with.
-    scale : float
-        How much farther than believed each window moves and turns the robot.
     late : int
         By how many cycles each pose is late, without the tracker's knowing.
+    seen : callable
+        What is heard of a state; without it, the truth.
     keep : callable
         Whether to copy tracker and law in the cycle of that number.
     """
@@ -181,21 +187,22 @@ def fly(
     first = mission.path.points[0] - position
     state = State(position, math.atan2(first[1], first[0]))
     tracker = Tracker(setup.robot, setup.device, setup.table)
-    seen: deque[State] = deque([state] * (late + 1), late + 1)
+    states: deque[State] = deque([state] * (late + 1), late + 1)
     clock, progress, begun = 0.0, 0.0, False
     window: Window | None = None
     for cycle in range(most):
         shot = Shot((window, *model.listening) if window is not None else model.listening, "track", clock)
-        state = state.moved(*model.motion(state, window, scale))
-        seen.append(state)
-        wait = 0.5 * model.listening[-1].duration
-        heard = Pose(shot.end - wait, seen[0].position, seen[0].orientation(), model.covariance(progress))
+        state = state.moved(*model.motion(state, window))
+        states.append(state)
+        wait, there = 0.5 * model.listening[-1].duration, seen(states[0])
+        heard = Pose(shot.end - wait, there.position, there.orientation(), model.covariance(progress))
         kept = model.copied_tracker(tracker) if begun and keep(cycle) else None
         tracker.update(shot, heard)
         clock = shot.end + mission.rig.turnaround
         if not tracker.confirmed:
             continue
         pose = tracker.pose_at(shot.end)
+        model.require_inside(np.asarray(pose.position))
         if not begun:
             controller.reset(mission.path, pose)
             begun = True

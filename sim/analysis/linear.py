@@ -135,11 +135,11 @@ def probed(
 @cache
 def _normal_points(pairs: int) -> FloatArray:
     """Points (2 pairs, 2) of unit covariance in opposite pairs, the same each time: none of it is drawn."""
-    angles = np.pi * (np.arange(pairs) + 0.5) / pairs
-    # radii at the middles of equal shares of the chi distribution, dealt out so that near and far alternate
-    radii = np.sqrt(-2.0 * np.log(1.0 - (np.arange(pairs) + 0.5) / pairs))
-    order = np.concatenate([np.arange(0, pairs, 2), np.arange(1, pairs, 2)[::-1]])
-    half = radii[order, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    index = np.arange(pairs)
+    # radii at the middles of equal shares of their distribution, each turned on by the golden section of half a turn
+    radii = np.sqrt(-2.0 * np.log(1.0 - (index + 0.5) / pairs))
+    angles = math.pi * ((index * 0.5 * (math.sqrt(5.0) - 1.0)) % 1.0)
+    half = radii[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     points = np.concatenate([half, -half])
     factor = np.linalg.cholesky(points.T @ points / len(points))
     whitened: FloatArray = np.linalg.solve(factor, points.T).T
@@ -192,5 +192,3 @@ def averaged(cycles: list[Cycle], index: int, reach: int) -> Cycle:
         here.arc, here.position, float(mean("speed")), float(mean("duration")), here.wait, mean("sigma"),
         mean("motion"), mean("feedback"), mean("explained"), mean("currents"), mean("kalman"), here.saturated,
     )  # fmt: skip
-
-

@@ -1,8 +1,8 @@
 """The sampled loop as matrices: closed with a factor, or with late poses; its margins and responses.
 
-The loop is cut where the law's answer moves the robot, which is the same as at the heard pose. A factor there is a robot
-that answers more strongly than believed; a delay is a pose that comes late. Both act on place and heading at once, so
-that the loop has one factor and two channels: its margins are those of the characteristic loci, not of one entry.
+The loop is cut where the law's answer moves the robot, which is the same as at the heard pose. A factor there is a
+robot that answers more strongly than believed; a delay is a pose that comes late. Both act on place and heading at
+once, so the loop has one factor and two channels: its margins are those of the characteristic loci, not of one entry.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class SampledLoop:
         return len(self.motion)
 
     def opened(self, late: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """State-space (A, B, C) from the motion w that the robot makes to the motion that it is told to make, (n,) each.
+        """State-space (A, B, C) from the motion w (n,) that an answer makes to the answer that the law gives, (n,).
 
         The state is (x, x^, v, x one cycle ago, two ago, …); closed, w = c C z.
         """
@@ -213,8 +213,8 @@ def margins(loop: SampledLoop) -> Margins:
     loci = loop.loci(angles)
     share = np.linspace(0.0, 1.0, STEPS + 1)[1:]
     return Margins(
-        gain=_first_unstable(a, fed, lambda x: np.asarray(MOST_GAIN**x), share, math.inf),
-        least_gain=_first_unstable(a, fed, lambda x: np.asarray(MOST_GAIN**-x), share, 0.0),
+        gain=_first_unstable(a, fed, lambda x: MOST_GAIN**x, share, math.inf),
+        least_gain=_first_unstable(a, fed, lambda x: MOST_GAIN**-x, share, 0.0),
         phase=abs(np.angle(_first_unstable(a, fed, lambda x: np.exp(-1j * math.pi * x), share, -1.0))),
         delay=_delay(angles, loci),
         late=_late(loop),

@@ -24,7 +24,10 @@ RigOption = Annotated[
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", help="key=value laid over the mission file; rig.key=value over the rig file."),
+    typer.Option(
+        "--set",
+        help="key=value laid over the mission file; rig.key=value over the rig file; @FILE: all of a TOML file.",
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
@@ -36,19 +39,44 @@ def register(app: typer.Typer) -> None:
 
 
 def settings_from(pairs: list[str] | None) -> dict[str, str]:
-    """``key=value`` options as a dictionary.
+    """``key=value`` options as a dictionary; ``@gains.toml`` stands for all that the file holds.
 
     Raises
     ------
     InputError
-        For an option without ``=``.
+        For an option without ``=``, or a file that cannot be read.
     """
     found: dict[str, str] = {}
     for pair in pairs or []:
+        if pair.startswith("@"):
+            found |= _settings_of(Path(pair[1:]))
+            continue
         key, equals, value = pair.partition("=")
         if not equals or not key.strip():
             raise InputError(f"--set needs key=value, such as controller.tolerance_mm=0.5; got '{pair}'.")
         found[key.strip()] = value.strip()
+    return found
+
+
+def _settings_of(path: Path) -> dict[str, str]:
+    """What a TOML file holds, as settings."""
+    import json
+    import tomllib
+
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"--set @{path}: cannot be read as TOML: {error}.") from error
+    found: dict[str, str] = {}
+
+    def lay(prefix: str, values: dict[str, Any]) -> None:
+        for key, value in values.items():
+            if isinstance(value, dict):
+                lay(f"{prefix}{key}.", value)
+            else:
+                found[f"{prefix}{key}"] = json.dumps(value, default=str)
+
+    lay("", data)
     return found
 
 

@@ -1,0 +1,356 @@
+"""How far a mission's loop is from ringing on along its path, and the gains nearest to a linear-quadratic regulator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.analysis.flight import Model, fly
+from sim.analysis.linear import Cycle, averaged, linearised
+from sim.analysis.loop import Margins, SampledLoop, margins
+from sim.analysis.lqr import Weights, closest_gains
+from sim.studies.columns import joined
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
+from smolbot.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.missionfile import Mission, load_mission
+
+PARTS = 4
+"""Pieces that the cycles of a flight are dealt out to."""
+
+REACH = 4
+"""Cycles before and after one over which its loop is averaged: about what it takes to settle."""
+
+FLIGHTS = 3
+"""Worlds of the reduced plant in which gains are flown, now and closest to the regulator."""
+
+MATRICES = {"motion": (2, 2), "feedback": (2, 2), "kalman": (3, 2), "sigma": (2,), "explained": (2,), "position": (2,)}
+"""What of a cycle is kept beside its numbers, and its shape."""
+
+
+@lru_cache(maxsize=1)
+def _loaded(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Mission:
+    return load_mission(mission, rig, dict(settings))
+
+
+def mission_of(options: Options) -> Mission:
+    """The mission that a study is about."""
+    if options.mission is None:
+        raise InputError("study margins needs a mission: smolbot study margins MISSION, such as r_path.")
+    return _loaded(options.mission, options.own_rig, options.settings)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """The flight's cycles in some pieces, and the search for gains; an unreachable path is refused here.
+
+    Raises
+    ------
+    InputError
+        For a mission without a loop, or one that would not arrive on the controller's own model.
+    """
+    from sim.analysis.flight import require_loop
+    from smolbot.preview import preview
+
+    mission = mission_of(options)
+    require_loop(mission)
+    found = preview(mission)
+    if not found.go:
+        raise InputError(f"{mission.name}: there is no flight to analyse: {' '.join(found.reasons)}")
+    given = {"mission": options.mission, "own_rig": options.own_rig, "settings": options.settings}
+    pieces = [("gains", {**given, "seed": options.seed})]
+    pieces += [(f"path-{i}", {**given, "part": i}) for i in range(PARTS)]
+    return [*cut(options, work_gains, pieces[:1]), *cut(options, work_path, pieces[1:])]
+
+
+def work_path(chunk: Chunk) -> Columns:
+    """Every `PARTS`-th cycle of the flight, linearised."""
+    model = Model(_loaded(chunk["mission"], chunk["own_rig"], chunk["settings"]))
+    rows: list[tuple[int, Cycle]] = []
+    for number, instant in enumerate(fly(model, model.controller(), keep=lambda k: k % PARTS == chunk["part"])):
+        if instant.tracker is not None and instant.command.phase == "follow" and not instant.command.done:
+            rows.append((number, linearised(model, instant)))
+    cycles = [c for _, c in rows]
+    out: Columns = {
+        "cycle": np.array([number for number, _ in rows]),
+        **{name: np.array([getattr(c, name) for c in cycles]) for name in ("arc", "speed", "duration", "wait")},
+        "saturated": np.array([c.saturated for c in cycles]),
+    }
+    for name, shape in MATRICES.items():
+        flat = np.array([getattr(c, name).ravel() for c in cycles]).reshape(len(cycles), math.prod(shape))
+        out |= {f"{name}_{i}": flat[:, i] for i in range(flat.shape[1])}
+    return out
+
+
+def work_gains(chunk: Chunk) -> Columns:
+    """Gains closest to the regulator, and flights of the reduced plant under the present ones and these."""
+    mission = _loaded(chunk["mission"], chunk["own_rig"], chunk["settings"])
+    found = closest_gains(Model(mission))
+    names, settings = list(found.gains), dict(chunk["settings"])
+    start = {name: float(mission.gains.get(name, _declared(mission)[name].default)) for name in names}
+    tuned = {**settings, **{f"controller.gains.{n}": repr(v) for n, v in found.gains.items()}}
+    return {
+        "_names": np.array(names, dtype=np.str_),
+        "_values": np.array([found.gains[n] for n in names]),
+        "_start": np.array([start[n] for n in names]),
+        "_distance": np.array([found.before, found.after]),
+        "_duration": np.array(found.duration),
+        "_flights": np.array([found.flights]),
+        "_flown_before": _flown(chunk, mission, settings),
+        "_flown_after": _flown(chunk, mission, tuned) if names else np.zeros((0, 4)),
+    }
+
+
+def _declared(mission: Mission) -> Mapping[str, Any]:
+    from smolbot.plugins import load
+
+    declared: Mapping[str, Any] = load("controllers", mission.law).gains
+    return declared
+
+
+def _flown(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> FloatArray:
+    """Rows (seed, tracking rms in mm, robot time in s, passed) of flights of the reduced plant; none on a bench."""
+    from sim.reduced.rig import require_flyable
+    from sim.simulate import Plant, fly_one
+
+    try:
+        require_flyable(mission)
+    except InputError:
+        return np.zeros((0, 4))
+    rows = []
+    for seed in range(chunk["seed"], chunk["seed"] + FLIGHTS):
+        summary = fly_one(chunk["mission"], chunk["own_rig"], dict(settings), seed, Plant.REDUCED).summary
+        done = summary["status"] == "completed"
+        rms = summary["tracking_error_mm"]["rms"] if done else math.nan
+        rows.append([seed, rms, summary["duration_s"] if done else math.nan, summary["verdict"] == "passed"])
+    return np.array(rows, dtype=np.float64)
+
+
+def cycles_of(columns: Columns) -> list[Cycle]:
+    """The cycles of a flight, in order, from their columns."""
+    order = np.argsort(columns["cycle"])
+    taken = {name: np.asarray(column)[order] for name, column in columns.items()}
+    matrices = {
+        name: np.stack([taken[f"{name}_{i}"] for i in range(math.prod(shape))], axis=1).reshape(-1, *shape)
+        for name, shape in MATRICES.items()
+    }
+    return [
+        Cycle(
+            arc=float(taken["arc"][k]),
+            speed=float(taken["speed"][k]),
+            duration=float(taken["duration"][k]),
+            wait=float(taken["wait"][k]),
+            currents=np.zeros((2, 0)),
+            saturated=bool(taken["saturated"][k]),
+            **{name: matrix[k] for name, matrix in matrices.items()},
+        )
+        for k in range(len(order))
+    ]
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Margins at every cycle, the worst and the median of each, and what the search for gains found."""
+    gains, columns = parts[0], joined(parts[1:])
+    cycles = cycles_of(columns)
+    if len(cycles) < 2:
+        raise InputError("The flight follows its path for less than two cycles: there is no loop to analyse.")
+    loops = [averaged(cycles, k, REACH) for k in range(len(cycles))]
+    found = [margins(SampledLoop.of(loop)) for loop in loops]
+    periods = np.array([loop.duration for loop in loops])
+    table: Columns = {
+        "cycle": np.sort(columns["cycle"]),
+        "arc_mm": 1e3 * np.array([c.arc for c in cycles]),
+        "x_mm": 1e3 * np.array([c.position[0] for c in cycles]),
+        "y_mm": 1e3 * np.array([c.position[1] for c in cycles]),
+        "cycle_ms": 1e3 * np.array([c.duration for c in cycles]),
+        "gain_margin_db": np.array([m.gain_db for m in found]),
+        "gain_reduction_margin_db": np.array([_reduction(m) for m in found]),
+        "phase_margin_deg": np.degrees([m.phase for m in found]),
+        "delay_margin_cycles": np.array([m.delay for m in found]),
+        "delay_margin_ms": 1e3 * np.array([m.delay for m in found]) * periods,
+        "late_cycles": np.array([m.late for m in found]),
+        "disc_margin": np.array([m.disc for m in found]),
+        "bandwidth_hz": np.array([m.bandwidth for m in found]),
+        "settle_s": np.array([m.settling for m in found]),
+        "largest_pole": np.array([m.radius for m in found]),
+        "explained_across": np.array([loop.explained[0] for loop in loops]),
+        "explained_turn": np.array([loop.explained[1] for loop in loops]),
+        **{f"_{name}": np.array([getattr(loop, name) for loop in loops]) for name in ("motion", "feedback", "kalman")},
+        "_period": periods,
+        "_wait": np.array([loop.wait for loop in loops]),
+    }
+    figures = _figures(options, table, found, gains)
+    return Outcome(_rows(figures, table), figures, table)
+
+
+def _reduction(found: Margins) -> float:
+    return -20.0 * math.log10(found.least_gain) if found.least_gain > 0.0 else math.inf
+
+
+def _summary(table: Columns, name: str) -> dict[str, Any]:
+    """Worst (least), median and place of the worst."""
+    values = np.asarray(table[name])
+    worst = int(np.argmin(values))
+    return {
+        "worst": float(values[worst]),
+        "median": float(np.median(values)),
+        "where_mm": float(table["arc_mm"][worst]),
+        "at_mm": [float(table["x_mm"][worst]), float(table["y_mm"][worst])],
+    }
+
+
+def worst_place(table: Columns) -> int:
+    """Index of the cycle with the smallest disc margin; of those that do not hold, the one with the largest pole."""
+    disc = np.asarray(table["disc_margin"])
+    return int(np.argmin(disc)) if disc.min() > 0.0 else int(np.argmax(table["largest_pole"]))
+
+
+def median_place(table: Columns) -> int:
+    """Index of the cycle whose disc margin is the median one."""
+    order = np.argsort(table["disc_margin"])
+    return int(order[len(order) // 2])
+
+
+def _figures(options: Options, table: Columns, found: Sequence[Margins], gains: Columns) -> dict[str, Any]:
+    mission = mission_of(options)
+    worst = worst_place(table)
+    steady = np.array([m.stable for m in found])
+    settle = np.asarray(table["settle_s"])
+    values = dict(zip(gains["_names"].tolist(), gains["_values"].tolist(), strict=True))
+    weights = Weights()
+    return {
+        "mission": mission.name,
+        "law": mission.law,
+        "places": len(found),
+        "path_length_mm": 1e3 * mission.path.length,
+        "cycle_ms": float(np.median(table["cycle_ms"])),
+        **{name: _summary(table, name) for name in (
+            "gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_ms", "delay_margin_cycles",
+            "disc_margin",
+        )},
+        "late_cycles": {"worst": int(np.min(table["late_cycles"])), "median": float(np.median(table["late_cycles"]))},
+        "bandwidth_hz": float(np.median(table["bandwidth_hz"])),
+        "settle_s": float(np.median(settle)),
+        "settle_s_worst": float(np.max(settle)),
+        "largest_pole": {
+            "worst": float(np.max(table["largest_pole"])), "median": float(np.median(table["largest_pole"])),
+        },
+        "unstable_places": int(np.sum(~steady)),
+        "worst_place": {"arc_mm": float(table["arc_mm"][worst]), "x_mm": float(table["x_mm"][worst]),
+                        "y_mm": float(table["y_mm"][worst])},
+        "explained": [float(np.median(table["explained_across"])), float(np.median(table["explained_turn"]))],
+        "gains": values,
+        "gains_now": dict(zip(gains["_names"].tolist(), gains["_start"].tolist(), strict=True)),
+        "regulator": {
+            "weights": {"across_mm": 1e3 * weights.across, "heading_deg": math.degrees(weights.heading),
+                        "current_share": weights.current},
+            "distance_now": float(gains["_distance"][0]),
+            "distance": float(gains["_distance"][1]),
+            "flights": int(gains["_flights"][0]),
+        },
+        "reduced_flights": {
+            key: [{"seed": int(r[0]), "tracking_rms_mm": float(r[1]), "duration_s": float(r[2]), "passed": bool(r[3])}
+                  for r in np.asarray(gains[f"_flown_{key}"]).reshape(-1, 4)]
+            for key in ("before", "after")
+        },
+    }  # fmt: skip
+
+
+def _rows(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]:
+    n, unstable = figures["places"], figures["unstable_places"]
+    late, poles = figures["late_cycles"], figures["largest_pole"]
+    period = figures["cycle_ms"]
+    rows = [
+        ("law", f"{figures['law']}, {n} cycles of {period:.0f} ms along {figures['path_length_mm']:.0f} mm"),
+        ("gain margin", _least(figures["gain_margin_db"], "dB")),
+        ("phase margin", _least(figures["phase_margin_deg"], "°", 0)),
+        ("delay margin", _least(figures["delay_margin_ms"], "ms", 0)),
+        ("", f"poses may be {max(late['worst'], 0)} cycles late everywhere, {late['median']:.0f} at the median place"),
+        ("disc margin", _least(figures["disc_margin"], "", 2)),
+        ("bandwidth, settling", f"{figures['bandwidth_hz']:.2f} Hz, {figures['settle_s']:.2f} s to 5 % (medians)"),
+        ("largest pole", f"{poles['median']:.3f}; worst {poles['worst']:.3f}"),
+    ]
+    if unstable:
+        at = np.asarray(table["arc_mm"])[np.asarray(table["largest_pole"]) > 1.0 + 1e-6]
+        rows.append(("does not hold", f"at {unstable} of {n} places, {at.min():.1f} to {at.max():.1f} mm"))
+    across, turn = figures["explained"]
+    rows.append(
+        ("linear", f"{across:.0%} of the motion across, {turn:.0%} of the turn are linear in the pose (medians)")
+    )
+    regulator = figures["regulator"]
+    now, then = regulator["distance_now"], regulator["distance"]
+    rows.append(("regulator", f"the law's feedback is {now:.2f} away, with the gains below {then:.2f}, of its size"))
+    if not figures["gains"]:
+        rows.append(("", "no gains of this law come closer without losing pace: it steers in another way"))
+    rows += [(name, f"{figures['gains_now'][name]:.4g} → {value:.4g}") for name, value in figures["gains"].items()]
+    for key, name in (("before", "reduced plant, now"), ("after", "reduced plant, with them")):
+        flown = figures["reduced_flights"][key]
+        if flown:
+            rms = [f["tracking_rms_mm"] for f in flown]
+            time = [f["duration_s"] for f in flown]
+            passed = sum(f["passed"] for f in flown)
+            rows.append((name, f"{passed} of {len(flown)} passed, rms {np.mean(rms):.3f} mm, {np.mean(time):.1f} s"))
+    return rows
+
+
+def _least(summary: Mapping[str, Any], unit: str, digits: int = 1) -> str:
+    gap = "" if unit in ("", "°") else " "
+    x, y = summary["at_mm"]
+
+    def shown(value: float) -> str:
+        return f"{value:.{digits}f}{gap}{unit}" if math.isfinite(value) else "none: nothing makes it ring"
+
+    return f"{shown(summary['worst'])} at worst, {summary['where_mm']:.1f} mm along, at ({x:.1f}, {y:.1f}) mm; " + (
+        f"{shown(summary['median'])} median"
+    )
+
+
+def files(outcome: Outcome) -> dict[str, str]:
+    """The gains file, which a mission or ``--set @gains.toml`` takes."""
+    from sim.tuning.report import gains_text
+
+    figures = outcome.figures
+    if not figures["gains"]:
+        return {}
+    weights = figures["regulator"]["weights"]
+    return {
+        "gains.toml": gains_text(
+            [
+                f"Gains of {figures['law']} for {figures['mission']} whose feedback comes closest to a linear",
+                f"quadratic regulator: {weights['across_mm']:g} mm, {weights['heading_deg']:.0f} degrees and "
+                f"{weights['current_share']:g} of a full current count alike.",
+                "A starting point for smolbot tune, not a result of one.",
+            ],
+            figures["gains"],
+        )
+    }
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """See `sim.studies.margins_picture`."""
+    from sim.studies.margins_picture import draw_margins
+
+    draw_margins(outcome, path)
+
+
+STUDY = Study(
+    name="margins",
+    title="Margins of the loop",
+    devices=dict,
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    mission=True,
+    rig_of=lambda options: mission_of(options).rig,
+    files=files,
+    notes={
+        "cut": "where the law's answer moves the robot: place across the path and heading together",
+        "loop": "frozen at each cycle, averaged over four before and after; the tracker at its covariance there; "
+        "what a law learns in flight is held",
+        "feedback": "least squares over poses that err as tracked ones do, 0.05 mm and 1 degree at least",
+    },
+)
