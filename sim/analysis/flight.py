@@ -55,6 +55,8 @@ class Instant:
 
     Attributes
     ----------
+    number : int
+        Of the cycle in its flight.
     tracker, controller
         As they were just before this cycle's `heard` and `pose`; copy them before use. None where not asked for.
     shot, heard
@@ -69,6 +71,7 @@ class Instant:
         From one command to the next, and from the middle of listening to the end of the shot.
     """
 
+    number: int
     tracker: Tracker | None
     controller: Controller | None
     shot: Shot
@@ -210,7 +213,7 @@ def fly(
         command = controller.command(pose)
         window, progress = command.window, command.progress
         duration = window.duration if window is not None else 0.0
-        yield Instant(kept, before, shot, heard, state, pose, command, duration + model.rest, wait)
+        yield Instant(cycle, kept, before, shot, heard, state, pose, command, duration + model.rest, wait)
         if command.done:
             return
 

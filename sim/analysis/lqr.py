@@ -40,7 +40,7 @@ STEP, LEAST_STEP = 0.16, 0.05
 MATTERS = 0.05
 """Share of the distance that one step of a gain changes, from which on the gain matters."""
 
-WORTH = 0.01
+WORTH = 0.03
 """Share of the distance that a step must gain to be taken."""
 
 MOST = 48
@@ -125,6 +125,17 @@ def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST
             step *= 0.5
     found = {name: best[name] for name in declared if best[name] != start[name]}
     return Found(found, before, shortest, (pace, seconds), flights)
+
+
+def between(
+    declared: Mapping[str, Gain], start: Mapping[str, float], end: Mapping[str, float], share: float
+) -> dict[str, float]:
+    """Gains at `share` of the way from `start` to `end`, each on its own scale."""
+    out = {}
+    for name, goal in end.items():
+        a, b = start[name], goal
+        out[name] = a * (b / a) ** share if declared[name].log else a + share * (b - a)
+    return out
 
 
 def _moved(gain: Gain, value: float, share: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from sim.analysis.flight import Model, fly
 from sim.analysis.linear import Cycle, averaged, linearised
 from sim.analysis.loop import Margins, SampledLoop, margins
-from sim.analysis.lqr import Weights, closest_gains
+from sim.analysis.lqr import Weights, between, closest_gains
 from sim.studies.columns import joined
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
 from smolbot.arrays import FloatArray
@@ -29,6 +29,9 @@ REACH = 4
 FLIGHTS = 3
 """Worlds of the reduced plant in which gains are flown, now and closest to the regulator."""
 
+SHARES = (1.0, 0.5, 0.25)
+"""How far toward the regulator the gains are moved: the first share with which no fewer of these flights pass."""
+
 MATRICES = {"motion": (2, 2), "feedback": (2, 2), "kalman": (3, 2), "sigma": (2,), "explained": (2,), "position": (2,)}
 """What of a cycle is kept beside its numbers, and its shape."""
 
@@ -36,6 +39,11 @@ MATRICES = {"motion": (2, 2), "feedback": (2, 2), "kalman": (3, 2), "sigma": (2,
 @lru_cache(maxsize=1)
 def _loaded(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Mission:
     return load_mission(mission, rig, dict(settings))
+
+
+@lru_cache(maxsize=1)
+def _model(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Model:
+    return Model(_loaded(mission, rig, settings))
 
 
 def mission_of(options: Options) -> Mission:
@@ -69,11 +77,11 @@ def chunks(options: Options) -> list[Chunk]:
 
 def work_path(chunk: Chunk) -> Columns:
     """Every `PARTS`-th cycle of the flight, linearised."""
-    model = Model(_loaded(chunk["mission"], chunk["own_rig"], chunk["settings"]))
+    model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
     rows: list[tuple[int, Cycle]] = []
-    for number, instant in enumerate(fly(model, model.controller(), keep=lambda k: k % PARTS == chunk["part"])):
+    for instant in fly(model, model.controller(), keep=lambda k: k % PARTS == chunk["part"]):
         if instant.tracker is not None and instant.command.phase == "follow" and not instant.command.done:
-            rows.append((number, linearised(model, instant)))
+            rows.append((instant.number, linearised(model, instant)))
     cycles = [c for _, c in rows]
     out: Columns = {
         "cycle": np.array([number for number, _ in rows]),
@@ -88,20 +96,27 @@ def work_path(chunk: Chunk) -> Columns:
 
 def work_gains(chunk: Chunk) -> Columns:
     """Gains closest to the regulator, and flights of the reduced plant under the present ones and these."""
-    mission = _loaded(chunk["mission"], chunk["own_rig"], chunk["settings"])
-    found = closest_gains(Model(mission))
-    names, settings = list(found.gains), dict(chunk["settings"])
-    start = {name: float(mission.gains.get(name, _declared(mission)[name].default)) for name in names}
-    tuned = {**settings, **{f"controller.gains.{n}": repr(v) for n, v in found.gains.items()}}
+    model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
+    mission, found = model.mission, closest_gains(model)
+    names, settings, declared = list(found.gains), dict(chunk["settings"]), _declared(mission)
+    start = {name: float(mission.gains.get(name, declared[name].default)) for name in names}
+    before = _flown(chunk, mission, settings)
+    values, share, after = found.gains, 1.0, np.zeros((0, 4))
+    for share in SHARES if names else ():
+        values = between(declared, start, found.gains, share)
+        after = _flown(chunk, mission, {**settings, **{f"controller.gains.{n}": repr(v) for n, v in values.items()}})
+        if np.sum(after[:, 3:]) >= np.sum(before[:, 3:]):
+            break
     return {
         "_names": np.array(names, dtype=np.str_),
-        "_values": np.array([found.gains[n] for n in names]),
+        "_values": np.array([values[n] for n in names]),
         "_start": np.array([start[n] for n in names]),
+        "_share": np.array([share]),
         "_distance": np.array([found.before, found.after]),
         "_duration": np.array(found.duration),
         "_flights": np.array([found.flights]),
-        "_flown_before": _flown(chunk, mission, settings),
-        "_flown_after": _flown(chunk, mission, tuned) if names else np.zeros((0, 4)),
+        "_flown_before": before,
+        "_flown_after": after,
     }
 
 
@@ -192,11 +207,12 @@ def _reduction(found: Margins) -> float:
 
 
 def _summary(table: Columns, name: str) -> dict[str, Any]:
-    """Worst (least), median and place of the worst."""
+    """Worst (least), what nineteen of twenty places have at least, median, and place of the worst."""
     values = np.asarray(table[name])
     worst = int(np.argmin(values))
     return {
         "worst": float(values[worst]),
+        "p5": float(np.sort(values)[int(0.05 * len(values))]),
         "median": float(np.median(values)),
         "where_mm": float(table["arc_mm"][worst]),
         "at_mm": [float(table["x_mm"][worst]), float(table["y_mm"][worst])],
@@ -250,6 +266,7 @@ def _figures(options: Options, table: Columns, found: Sequence[Margins], gains: 
                         "current_share": weights.current},
             "distance_now": float(gains["_distance"][0]),
             "distance": float(gains["_distance"][1]),
+            "share": float(gains["_share"][0]),
             "flights": int(gains["_flights"][0]),
         },
         "reduced_flights": {
@@ -283,7 +300,11 @@ def _rows(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]:
     )
     regulator = figures["regulator"]
     now, then = regulator["distance_now"], regulator["distance"]
-    rows.append(("regulator", f"the law's feedback is {now:.2f} away, with the gains below {then:.2f}, of its size"))
+    rows.append(
+        ("regulator", f"the law's feedback is {now:.2f} of its size away, with the gains nearest to it {then:.2f}")
+    )
+    if regulator["share"] < 1.0:
+        rows.append(("", f"the gains below go {regulator['share']:.0%} of the way: beyond, fewer flights pass"))
     if not figures["gains"]:
         rows.append(("", "no gains of this law come closer without losing pace: it steers in another way"))
     rows += [(name, f"{figures['gains_now'][name]:.4g} → {value:.4g}") for name, value in figures["gains"].items()]
@@ -302,10 +323,11 @@ def _least(summary: Mapping[str, Any], unit: str, digits: int = 1) -> str:
     x, y = summary["at_mm"]
 
     def shown(value: float) -> str:
-        return f"{value:.{digits}f}{gap}{unit}" if math.isfinite(value) else "none: nothing makes it ring"
+        return f"{value:.{digits}f}{gap}{unit}" if math.isfinite(value) else "without limit"
 
-    return f"{shown(summary['worst'])} at worst, {summary['where_mm']:.1f} mm along, at ({x:.1f}, {y:.1f}) mm; " + (
-        f"{shown(summary['median'])} median"
+    return (
+        f"median {shown(summary['median'])}; {shown(summary['p5'])} or more at 95 % of places; least "
+        f"{shown(summary['worst'])}, {summary['where_mm']:.1f} mm along, at ({x:.1f}, {y:.1f}) mm"
     )
 
 

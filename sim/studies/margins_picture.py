@@ -15,6 +15,9 @@ from sim.studies.study import Columns, Outcome
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+FARTHEST = 2.0
+"""Size from which on a response is not drawn."""
+
 MOST_DB = 14.0
 """Gain margin from which on the colour does not change."""
 
@@ -35,8 +38,8 @@ def draw_margins(outcome: Outcome, path: Path) -> None:
     figures, columns = outcome.figures, outcome.columns
     worst, median = worst_place(columns), median_place(columns)
     gain, delay = figures["gain_margin_db"], figures["delay_margin_ms"]
-    headline = f"{figures['mission']}, {figures['law']}: {_said(gain['median'], 'dB')} of gain margin"
-    headline += f" and {_said(delay['median'], 'ms')} of delay at the median place"
+    headline = f"{figures['mission']}, {figures['law']}: margins of {_said(gain['median'], 'dB')}"
+    headline += f" and {_said(delay['median'], 'ms')} at the median place"
     unstable = figures["unstable_places"]
     held = f"holds at {figures['places'] - unstable} of {figures['places']} places" if unstable else "holds everywhere"
     subline = (
@@ -113,9 +116,11 @@ def _draw_steps(axes: Axes, columns: Columns, shown: list[tuple[int, str, str]])
     axes.set_xlim(0.0, length)
     axes.set_ylim(-0.6, 1.6)
     axes.legend(frameon=False, loc="upper right")
-    titled(axes, "Put 1 mm off the path: how far off, in mm", "time in s")
+    titled(axes, "After a push of 1 mm: offset in mm", "time in s")
 
 
 def _step(axes: Axes, loop: SampledLoop, length: float, **style: Any) -> None:
-    cycles = math.ceil(length / loop.period)
-    axes.step(np.arange(cycles + 1) * loop.period, loop.step(cycles)[:, 0], where="post", **style)
+    response = loop.step(math.ceil(length / loop.period))[:, 0]
+    gone = np.flatnonzero(np.abs(response) > FARTHEST)  # from there on it is no longer the robot's
+    response = response[: gone[0] + 1] if gone.size else response
+    axes.step(np.arange(len(response)) * loop.period, response, where="post", **style)

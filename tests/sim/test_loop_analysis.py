@@ -55,7 +55,7 @@ def test_an_integrator_with_late_poses_rings_at_the_known_gain(late):
     assert margins(integrator(1.01 * limit)).late == late - 1
 
 
-@pytest.mark.filterwarnings("ignore:divide by zero:RuntimeWarning")  # python-control at z = 1, of an integrator
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # python-control divides by zero at z = 1
 @pytest.mark.parametrize(("gain", "kalman"), [(0.4, 1.0), (0.8, 0.5), (1.1, 0.3)])
 def test_margins_agree_with_python_control(gain, kalman):
     import control
@@ -154,7 +154,7 @@ def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equ
     spread = np.array([8e-5, 8e-5, 1e-4, 5e-3, 5e-3, 8e-3])
     state, clock = State(np.array([1e-3, 2e-3, 0.06]), 0.3), 0.0
     heard = None
-    for _ in range(900):
+    for _ in range(500):
         shot = Shot(model.listening, "track", clock)
         clock = shot.end
         before = model.copied_tracker(tracker)
