@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
+from smolbot.kalman import carried_on, corrected
 from smolbot.motion.gradient import advance
 from smolbot.motion.robot import Robot
 from smolbot.poses import Pose
@@ -44,7 +46,6 @@ DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
 _P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
 _SIZE = 10
 _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
-_EYE = np.eye(_SIZE)
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,13 @@ class Tracker:
         -------
         Pose or None
             The tracked pose at the pose's time (or the shot's end), None before the first pose.
+            A shot that does not listen moves the robot, but is no miss.
         """
+        if shot.listen is None:
+            if self._state is not None and self._last is not None:
+                self._predict(shot, shot.end)
+                self._publish(self._last, self._last.trusted)
+            return self._last
         if self._state is None:
             if pose is not None and pose.trusted:
                 self._begin(pose)
@@ -198,51 +205,44 @@ class Tracker:
         for window in shot.windows:
             if not isinstance(window, Actuate) or self._table is None or not any(window.currents):
                 continue
-            if not self._table.contains(position[None, :])[0]:
+            try:
+                field, gradient = self._table.field_and_gradient(position[None, :])
+            except OutsideTableError:
                 continue
             ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
             heading = math.atan2(ahead[1], ahead[0])
-            field, gradient = self._table.field_and_gradient(position[None, :])
             step, after = advance(
                 self._robot, field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
             )
             turn = after - heading
             position[:2] += step
             orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
-            noise[:2] += (MOTION_ERROR * np.linalg.norm(step)) ** 2
+            noise[:2] += MOTION_ERROR**2 * (step[0] * step[0] + step[1] * step[1])
             noise[5] += (MOTION_ERROR * turn) ** 2
-        covariance = state.covariance.copy()
-        covariance[_P] += wait * state.covariance[_V]
-        covariance[:, _P] += wait * covariance[:, _V]
-        covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
+        covariance = carried_on(state.covariance, wait, noise)
         self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
         assert state is not None
         turned = rotation_error(pose.orientation, state.orientation)
+        innovation = np.empty(6 if swing is None else 7)
+        innovation[_P], innovation[_E] = pose.position - state.position, turned
         if swing is None:
-            innovation = np.concatenate([pose.position - state.position, turned])
             heard = self._surprise * pose.covariance + _MODEL_FLOOR[:6, :6]
         else:
             top = self._device.theta_max
-            innovation = np.concatenate(
-                [pose.position - state.position, turned, [swing.amplitude / top - state.amplitude]]
-            )
-            scale = np.array([1.0] * 6 + [1.0 / top])
-            heard = self._surprise * swing.covariance * np.outer(scale, scale) + _MODEL_FLOOR
+            innovation[_A] = swing.amplitude / top - state.amplitude
+            heard = self._surprise * swing.covariance
+            heard[_A] /= top
+            heard[:, _A] /= top
+            heard += _MODEL_FLOOR
         m = len(innovation)
-        inverse = np.linalg.inv(state.covariance[:m, :m] + heard)
-        distance = float(innovation @ inverse @ innovation)
-        if distance > GATE + 2.0 * (m - 6):
+        distance, change, covariance = corrected(state.covariance, heard, innovation)
+        if not distance <= GATE + 2.0 * (m - 6):
             return False
         surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
         self._surprise = min(max(surprise, 1.0), 25.0)
-        gain = state.covariance[:, :m] @ inverse
-        change = gain @ innovation
-        left = _EYE.copy()
-        left[:, :m] -= gain
-        covariance = left @ state.covariance @ left.T + gain @ heard @ gain.T
         orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
         self._state = _State(
             state.time,

@@ -132,7 +132,9 @@ class ReducedRig:
     def _seen(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
         """What is made of a listening window that began at `start` s; the last of `states` is that of its middle."""
         empty, rate, drive = self._no_samples, self._rate, shot.excite
-        if drive is None or self._errors is None:
+        if (
+            drive is None or self._errors is None or shot.mode == "quiet"
+        ):  # without signals nothing is learned of a room
             return Recording(empty, rate, math.inf, drive=drive, clock=start)
         index = max(i for i, w in enumerate(shot.windows[: len(states)]) if w is drive)
         since = sum(w.duration for w in shot.windows[index + 1 : len(states) - 2])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.motion.kernels import roll
+from smolbot.motion.kernels import moved
 from smolbot.motion.robot import Robot
 
 STEP = 2e-3
@@ -55,17 +57,6 @@ def advance(
     heading : float, in rad
         At the end of the window.
     """
-    total_field = currents @ field
-    total_gradient = (currents @ gradient.reshape(len(currents), 9)).reshape(3, 3)
-    steps = max(int(np.ceil(duration / STEP)), 1)
-    x, y, after, _, _, _ = roll(
-        body_of(robot),
-        total_field[:2],
-        np.ascontiguousarray(total_gradient[:2, :2]),
-        0.0,
-        0.0,
-        float(heading),
-        float(duration),
-        steps,
-    )
+    steps = max(math.ceil(duration / STEP), 1)
+    x, y, after = moved(body_of(robot), field, gradient, currents, float(heading), float(duration), steps)
     return np.array([x, y]), after
