@@ -227,8 +227,7 @@ def turned(pose: Pose, across: float, normal: FloatArray, turn: float) -> Pose:
 
 def require_loop(mission: Mission) -> None:
     """Raise `InputError` if the mission has no law, or one that does not pull by coils."""
-    law = getattr(mission.sections, "controller", None)
-    if law is None:
+    if getattr(getattr(mission, "sections", None), "controller", None) is None:
         raise InputError(f"{mission.name}: has no [controller]: it only localizes, so there is no loop to analyse.")
     kind: str = mission.robot.kind
     if kind != "gradient":
