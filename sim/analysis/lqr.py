@@ -21,11 +21,26 @@ from smolbot.plugins import load
 
 @dataclass(frozen=True)
 class Weights:
-    """What counts as much as what, cycle by cycle: so far off (m), so far turned (rad), so much of a full current."""
+    """What counts as much as what, cycle by cycle: so far off (m), so far turned (rad), so much of a full current.
 
-    across: float = 2e-4
+    By default what a tracked pose errs by, a turn that one window makes, and the room that a coil has about its mean.
+    """
+
+    across: float = 1e-4
     heading: float = math.radians(10.0)
-    current: float = 0.25
+    current: float = 0.5
+
+    @classmethod
+    def parse(cls, text: str) -> Weights:
+        """From ``0.1,10,0.5``: mm, degrees, share of a full current. Raises `InputError` for anything else."""
+        try:
+            across, heading, current = (float(part) for part in text.split(","))
+        except ValueError:
+            across = heading = current = math.nan
+        if not all(0.0 < value < math.inf for value in (across, heading, current)):
+            raise InputError(f"--weights must be three numbers above 0, in mm, degrees and share of a full current, "
+                             f"such as 0.1,10,0.5; got '{text}'.")  # fmt: skip
+        return cls(1e-3 * across, math.radians(heading), current)
 
 
 PLACES, PAIRS = 24, 4

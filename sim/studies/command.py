@@ -52,6 +52,10 @@ def study(
     ] = None,
     mismatch: Annotated[float | None, typer.Option(min=0, help="Scale of the rig's mismatches; 0 for none.")] = None,
     estimator: Annotated[str | None, typer.Option(help="whitened, paper or both; default: the study's own.")] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(help="For margins: mm off, degrees off and share of a full current that count alike."),
+    ] = None,
     set_: SetOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the study that --out holds.")] = False,
@@ -63,9 +67,9 @@ def study(
     loaded = load_study(name)
     if loaded.mission:
         given = {"--poses": poses, "--mismatch": mismatch, "--estimator": estimator}
-        options = _mission_options(loaded, mission, seed, jobs, rig, set_, given)
-    elif mission is not None or set_:
-        what = f"MISSION '{mission}'" if mission is not None else "--set"
+        options = replace(_mission_options(loaded, mission, seed, jobs, rig, set_, given), weights=weights)
+    elif mission is not None or set_ or weights is not None:
+        what = f"MISSION '{mission}'" if mission is not None else "--set" if set_ else "--weights"
         raise InputError(f"study {name} is of localization on a bench: it takes no {what}.")
     else:
         options = _options(loaded, seed, jobs, poses, rig or "tank", mismatch, estimator)

@@ -53,6 +53,11 @@ def mission_of(options: Options) -> Mission:
     return _loaded(options.mission, options.own_rig, options.settings)
 
 
+def weights_of(text: str | None) -> Weights:
+    """Those asked for, or the default."""
+    return Weights() if text is None else Weights.parse(text)
+
+
 def chunks(options: Options) -> list[Chunk]:
     """The flight's cycles in some pieces, and the search for gains; an unreachable path is refused here.
 
@@ -69,7 +74,13 @@ def chunks(options: Options) -> list[Chunk]:
     found = preview(mission)
     if not found.go:
         raise InputError(f"{mission.name}: there is no flight to analyse: {' '.join(found.reasons)}")
-    given = {"mission": options.mission, "own_rig": options.own_rig, "settings": options.settings}
+    weights_of(options.weights)
+    given = {
+        "weights": options.weights,
+        "mission": options.mission,
+        "own_rig": options.own_rig,
+        "settings": options.settings,
+    }
     pieces = [("gains", {**given, "seed": options.seed})]
     pieces += [(f"path-{i}", {**given, "part": i}) for i in range(PARTS)]
     return [*cut(options, work_gains, pieces[:1]), *cut(options, work_path, pieces[1:])]
@@ -97,7 +108,7 @@ def work_path(chunk: Chunk) -> Columns:
 def work_gains(chunk: Chunk) -> Columns:
     """Gains closest to the regulator, and flights of the reduced plant under the present ones and these."""
     model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
-    mission, found = model.mission, closest_gains(model)
+    mission, found = model.mission, closest_gains(model, weights_of(chunk["weights"]))
     names, settings, declared = list(found.gains), dict(chunk["settings"]), _declared(mission)
     start = {name: float(mission.gains.get(name, declared[name].default)) for name in names}
     before = _flown(chunk, mission, settings)
@@ -237,7 +248,7 @@ def _figures(options: Options, table: Columns, found: Sequence[Margins], gains: 
     steady = np.array([m.stable for m in found])
     settle = np.asarray(table["settle_s"])
     values = dict(zip(gains["_names"].tolist(), gains["_values"].tolist(), strict=True))
-    weights = Weights()
+    weights = weights_of(options.weights)
     return {
         "mission": mission.name,
         "law": mission.law,

@@ -29,7 +29,8 @@ arrays of any shape, which figures may use and ``results.csv`` leaves out."""
 class Options:
     """What a study was asked for; `poses` and `mismatch` None mean the study's own choice.
 
-    `mission`, `own_rig` (instead of the mission's) and `settings` laid over it are of studies of a mission.
+    `mission`, `own_rig` (instead of the mission's), `settings` laid over it and `weights` of a regulator are of studies
+    of a mission.
     """
 
     name: str
@@ -42,13 +43,14 @@ class Options:
     mission: str | None = None
     own_rig: str | None = None
     settings: tuple[tuple[str, str], ...] = ()
+    weights: str | None = None
 
     def asked(self) -> dict[str, Any]:
         """What decides the result, and must be the same when a study resumes."""
         if self.mission is not None:
             return {
                 "study": self.name, "seed": self.seed, "mission": self.mission, "rig": self.own_rig,
-                "settings": dict(self.settings),
+                "settings": dict(self.settings), "weights": self.weights,
             }  # fmt: skip
         return {
             "study": self.name,

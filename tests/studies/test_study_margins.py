@@ -92,6 +92,9 @@ def test_a_settings_file_that_cannot_be_read_is_named(tmp_path):
         (["margins", "line", "--mismatch", "1"], "takes no --mismatch"),
         (["bound", "line"], "takes no MISSION 'line'"),
         (["bound", "--set", "controller.law=predictive"], "takes no --set"),
+        (["margins", "line", "--weights", "0.1,10"], "three numbers above 0"),
+        (["margins", "line", "--weights", "0.1,-10,1"], "got '0.1,-10,1'"),
+        (["bound", "--weights", "1,1,1"], "takes no --weights"),
         (["margins", "no_such_mission"], "no_such_mission"),
         (["margins", "tests/missions/stalls.toml"], "there is no flight to analyse"),
     ],
@@ -119,7 +122,7 @@ def test_a_study_of_a_mission_resumes_with_the_same_mission_only():
 def test_gains_go_no_further_than_the_reduced_plant_follows(passed, monkeypatch):
     """Of three flights all pass now: the first share of the way with which no fewer pass is taken, or else the last."""
     found = Found({"lookahead_mm": 1.6}, 1.0, 0.5, (10.0, 10.0), 7)
-    monkeypatch.setattr(study, "closest_gains", lambda model: found)
+    monkeypatch.setattr(study, "closest_gains", lambda model, weights: found)
     asked = []
 
     def flown(chunk, mission, settings):
@@ -131,7 +134,7 @@ def test_gains_go_no_further_than_the_reduced_plant_follows(passed, monkeypatch)
         return np.array([[i, 0.3, 50.0, i < count] for i in range(3)], dtype=float)
 
     monkeypatch.setattr(study, "_flown", flown)
-    arguments = {"mission": "line", "own_rig": None, "settings": SHORT, "seed": 1}
+    arguments = {"mission": "line", "own_rig": None, "settings": SHORT, "seed": 1, "weights": None}
     columns = study.work_gains(Chunk("gains", study.work_gains, 1, arguments))
     assert asked == pytest.approx([0.8 * 2.0**share for share in passed])  # a logarithmic gain, from 0.8 to 1.6
     assert columns["_share"][0] == list(passed)[-1]
@@ -140,7 +143,7 @@ def test_gains_go_no_further_than_the_reduced_plant_follows(passed, monkeypatch)
 
 @pytest.mark.slow
 def test_both_sets_of_gains_are_flown_in_the_same_worlds_of_the_reduced_plant():
-    arguments = {"mission": "line", "own_rig": None, "settings": SHORT, "seed": 4}
+    arguments = {"mission": "line", "own_rig": None, "settings": SHORT, "seed": 4, "weights": "0.1,10,0.5"}
     columns = study.work_gains(Chunk("gains", study.work_gains, 1, arguments))
     before, after = columns["_flown_before"], columns["_flown_after"]
     assert list(before[:, 0]) == [4, 5, 6]
