@@ -317,7 +317,7 @@ def _rows(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]:
     if regulator["share"] < 1.0:
         rows.append(("", f"the gains below go {regulator['share']:.0%} of the way: beyond, fewer flights pass"))
     if not figures["gains"]:
-        rows.append(("", "no gains of this law come closer without losing pace: it steers in another way"))
+        rows.append(("", "no gains of this law come closer at this pace"))
     rows += [(name, f"{figures['gains_now'][name]:.4g} → {value:.4g}") for name, value in figures["gains"].items()]
     for key, name in (("before", "reduced plant, now"), ("after", "reduced plant, with them")):
         flown = figures["reduced_flights"][key]
