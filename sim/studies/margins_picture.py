@@ -71,8 +71,10 @@ def _draw_path(axes: Axes, columns: Columns, worst: int) -> None:
     lines.set_clim(0.0, MOST_DB)
     axes.add_collection(lines)
     axes.plot(*points[worst], "o", ms=17, mfc="none", mec=PAPER, mew=2.5, zorder=3)
-    axes.annotate("worst place", points[worst], color=PAPER, fontweight="bold", xytext=(-14, -20),
-                  textcoords="offset points", ha="right")  # fmt: skip
+    left = points[worst, 0] < points[:, 0].mean()  # the name goes toward the middle, where there is room
+    axes.annotate("worst place", points[worst], color=PAPER, fontweight="bold", xytext=(14 if left else -14, -22),
+                  textcoords="offset points", ha="left" if left else "right",
+                  bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.0})  # fmt: skip
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.12)
     bar = axes.figure.colorbar(lines, ax=axes, shrink=0.55, pad=0.02)
