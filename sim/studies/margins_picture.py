@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim.analysis.loop import SampledLoop
-from sim.studies.margins import median_place, worst_place
+from sim.studies.margins_report import median_place, worst_place
 from sim.studies.study import Columns, Outcome
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ import pytest
 from sim.analysis.lqr import Found
 from sim.studies import margins as study
 from sim.studies.command import _mission_options, carry_out, load_study
-from sim.studies.margins import STUDY, conclude, cycles_of, files, work_path
+from sim.studies.margins import STUDY, conclude, cycles_of, work_path
+from sim.studies.margins_report import files
 from sim.studies.study import Chunk, Options
 from smolbot.cli.app import main
 from smolbot.cli.missions import settings_from
