@@ -240,8 +240,8 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         rows += [
             (f"{name}: direction", f"{case['direction_p99_deg']:.2f}° off at p99, {case['direction_max_deg']:.2f}° at "
              f"most, of {case['directions']} that can be reached; {case['missed']} found by brute force alone"),
-            (f"{name}: force over brute force", f"{case['share_min']:.3f} at least, below 0.99 in {case['share_below_099']} "
-             f"directions, {case['share_p1']:.3f} at p1, "
+            (f"{name}: force over brute force", f"{case['share_min']:.3f} at least, below 0.99 in "
+             f"{case['share_below_099']} directions, {case['share_p1']:.3f} at p1, "
              f"{case['share_median']:.3f} in the middle; {case['weakest_un']:.0f} µN at least"),
             (f"{name}: heat over SLSQP's best", f"{case['heat_median']:.4f} in the middle, {case['heat_max']:.3f} at "
              f"most, of {len(heat)}"),
