@@ -21,6 +21,7 @@ from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import Mission
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
+from smolbot.rotations import half_turned
 from smolbot.sensing import Device, Recording
 from smolbot.shots import Listen, Rest, Shot
 from smolbot.sightings import Sighting, Sightings
@@ -144,8 +145,7 @@ class ReducedRig:
         amplitude = min(spread * math.hypot(*states[index + 1, SWING]), self._device.theta_max)
         orientation = truth[3:]
         if self._rng.random() < 0.5:  # turned by half about the moment it sounds alike: only a prior can tell
-            w, x, y, z = orientation
-            orientation = np.array([-z, y, -x, w])
+            orientation = half_turned(orientation)
         fitted = self._errors.draw(truth[:3], orientation, amplitude, listen.half_periods, since)
         return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
 

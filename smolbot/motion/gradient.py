@@ -30,7 +30,13 @@ def body_of(robot: Robot) -> FloatArray:
 
 
 def advance(
-    robot: Robot, field: FloatArray, gradient: FloatArray, currents: FloatArray, heading: float, duration: float
+    robot: Robot,
+    field: FloatArray,
+    gradient: FloatArray,
+    currents: FloatArray,
+    heading: float,
+    duration: float,
+    step: float = STEP,
 ) -> tuple[FloatArray, float]:
     """Motion under constant coil currents for one window.
 
@@ -49,6 +55,8 @@ def advance(
     heading : float, in rad
         Of the cantilever in the horizontal plane, from x toward y.
     duration : float, in s
+    step : float, in s
+        Longest one of the integration.
 
     Returns
     -------
@@ -57,6 +65,6 @@ def advance(
     heading : float, in rad
         At the end of the window.
     """
-    steps = max(math.ceil(duration / STEP), 1)
+    steps = max(math.ceil(duration / step), 1)
     x, y, after = moved(body_of(robot), field, gradient, currents, float(heading), float(duration), steps)
     return np.array([x, y]), after
