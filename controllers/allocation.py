@@ -375,9 +375,8 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
     for i in range(count):
         left = values[i - 1] if i > 0 else (-1e300 if head_first else values[count - 1])
         right = values[i + 1] if i + 1 < count else (-1e300 if head_first else values[0])
-        edge = (
-            min(left, right) < -1e299
-        )  # of what fits: the best may be a good deal better than the nearest angle tried
+        # at an edge of what fits the best may be a good deal better than the nearest angle tried
+        edge = min(left, right) < -1e299
         share = STEEP_AT_EDGES if edge else WORTH_A_LOOK
         if values[i] < best - share * abs(best) or (not edge and (values[i] < left or values[i] < right)):
             continue
