@@ -164,7 +164,8 @@ class Tracker:
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
         if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
-            pose = replace(pose, orientation=nearer_twin(pose.orientation, self._state.orientation))
+            nearer = nearer_twin(pose.orientation, self._state.orientation)
+            pose = pose if nearer is pose.orientation else replace(pose, orientation=nearer)
         believed = pose is not None and pose.trusted and self._correct(pose, swing)
         if believed:
             self.misses = 0
