@@ -259,10 +259,10 @@ def draw(outcome: Outcome, path: Path) -> None:
     head, either = outcome.figures["cases"]
     least, few = min(head["share_p1"], either["share_p1"]), head["share_below_099"] + either["share_below_099"]
     total = head["directions"] + either["directions"]
-    headline = f"{least:.3f} of the force that brute force finds, or more, {head['direction_p99_deg']:.1f}° off"
+    headline = f"In 99 % of directions at least {least:.3f} of the force that brute force finds"
     subline = (
-        "strongest force on an aligned moment by direction, in µN; line: allocated; grey: brute force within the same "
-        f"angle; under 0.99 of it: {few} of {total} directions"
+        "strongest pull on an aligned moment by direction, in µN; line: allocated; grey: brute force, as far off "
+        f"({head['direction_p99_deg']:.1f}°); under 0.99: {few} of {total}"
     )
     around = float(columns["around_deg"][-1])
     shown = [("head first", 0.0), ("head first", 4.0), ("head first", 8.0)]
