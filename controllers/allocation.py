@@ -372,8 +372,8 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
             currents[:] = trial
     if head_first:  # at a right angle to the way the force may miss it toward the field alone
         for hand in (-1.0, 1.0):
-            c, v = math.cos(0.5 * slack), hand * math.sin(0.5 * slack)
-            beside = (c * way[0] - v * way[1], v * way[0] + c * way[1])
+            along, aside = math.cos(0.5 * slack), hand * math.sin(0.5 * slack)
+            beside = (along * way[0] - aside * way[1], aside * way[0] + along * way[1])
             angle = middle + hand * (0.5 * math.pi - 1e-6)
             narrow = (least, steepest, math.tan(0.5 * math.atan(slack)))
             found = _at_angle(angle, beside, size, narrow, b, g, low, high, store, order, basis, trial)
