@@ -259,7 +259,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     head, either = outcome.figures["cases"]
     least = min(head["share_min"], either["share_min"])
     total = head["directions"] + either["directions"]
-    headline = f"At least {least:.3f} of the force that brute force finds, in {total} directions at many places"
+    headline = f"At least {least:.3f} of the force that brute force finds, in {total} directions"
     subline = (
         "strongest pull on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may "
         f"miss a direction as far: {head['direction_p99_deg']:.1f}°"
