@@ -14,6 +14,7 @@ from controllers.adaptation import Adaptation
 from controllers.compass import Compass
 from controllers.course import Course
 from controllers.force_allocator import ForceAllocator, UnreachableForceError
+from controllers.pace import Pace
 from controllers.starts import plan_starts
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
@@ -123,6 +124,8 @@ class Predictive:
         )
         self._headings: list[FloatArray] = []
         self._course: Course | None = None
+        self._pace: Pace | None = None
+        self._wanted = self._speed * self._window
         self._adaptation = Adaptation()
         self._planned: _Plan | None = None
         self._hurry = 1.0
@@ -136,6 +139,7 @@ class Predictive:
     def reset(self, path: Curve, pose: Pose) -> None:
         """Begin a path: first go to its start. What was learned of the robot is kept."""
         self._course = course = Course(path)
+        self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._window)
         self._hurry = 1.0
         self._planned = None
         arc = [np.arange(a, b + 0.5 * SPACING, SPACING) for a, b in itertools.pairwise(course.arc[course.stops])]
@@ -163,7 +167,7 @@ class Predictive:
         duration, currents, gone, turning = self._plan(pose, heading, course)
         saturated = bool(np.any((currents > 0.999 * self._high) | (currents < 0.999 * self._low - 1e-9)))
         note = "turning" if turning else ""
-        if not turning and gone < 0.03 * self._speed * duration:
+        if not turning and gone < 0.03 * self._wanted * duration / self._window:
             note = "hardly any force along the path here" + (", head first" if self._head_first else "")
         window = Actuate(tuple(float(c) for c in currents), duration)
         return Command(window, saturated, note, progress=course.progress, phase=phase)
@@ -217,7 +221,12 @@ class Predictive:
         body[ROTATIONAL_DRAG] /= self._adaptation.agility
         state = np.array([*(place - origin), heading])
         route = (points - origin, arc, headings, SPACING)
-        leg = (first, last, guess, self._speed * self._window * doubt, self._ahead, 0.5 * self._handover)
+        stride = self._speed * self._window * doubt
+        self._wanted = self._speed * self._window
+        if self._pace is not None and course.leg >= 0:
+            stride = min(stride, self._pace.stride(pose.time, course.arc_length))
+            self._wanted = min(self._wanted, stride)
+        leg = (first, last, guess, stride, self._ahead, 0.5 * self._handover)
         starts = np.repeat(self._with_last()[:, None, :], windows, axis=1)
         drift = self._adaptation.drift
         best = None
@@ -245,7 +254,7 @@ class Predictive:
             if rescue is not None:
                 self._planned, self._hurry = None, 0.75 * MOST_HURRY
                 return self._window, rescue, self._speed * self._window, turning
-        idle = gone < 0.1 * self._speed * self._window and abs(end[2] - heading) < 0.05
+        idle = gone < 0.1 * self._wanted and abs(end[2] - heading) < 0.05
         self._hurry = min(1.5 * self._hurry, MOST_HURRY) if idle else max(self._hurry / 1.5, 1.0)
         return duration, currents[0], gone, turning
 

@@ -1,4 +1,4 @@
-"""Letters and signs as one continuous route, in a box of a given width and height: own letters, and a plotter's font."""
+"""Letters and signs as one continuous route, in a box of a given size: three own letters, and a plotter's font."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.drawing.font import FIRST, LAST, in_font, strokes
+from smolbot.drawing.font import KNOWN, in_font, strokes
 from smolbot.drawing.joining import Route, joined
 from smolbot.drawing.outline import Outline
 from smolbot.drawing.polylines import arc_of, even_samples
@@ -40,8 +40,6 @@ def _letter_l(width: float, height: float) -> FloatArray:
 
 GLYPHS = {"I": _letter_i, "L": _letter_l, "R": _letter_r}
 """Own letters, drawn for robots; every other character is of the font."""
-
-KNOWN = f"the printable ASCII characters, {FIRST} to {LAST} (A to Z, a to z, 0 to 9 and signs)"
 
 
 def glyph_fault(name: str) -> str | None:

@@ -11,16 +11,19 @@ import numpy as np
 
 from smolbot.arrays import FloatArray, as_floats, frozen
 from smolbot.errors import InputError
+from smolbot.speeds import SpeedProfile
 
 
 @dataclass(frozen=True)
 class Curve:
     """A curve through `points` (n, 3), in m, world frame, with straight pieces between them.
 
-    Arc length `s` runs from 0 to `length`, in m.
+    Arc length `s` runs from 0 to `length`, in m. `speed` is what is wanted along it, listening included; without one a
+    controller goes as fast as it can.
     """
 
     points: FloatArray
+    speed: SpeedProfile | None = None
 
     def __post_init__(self) -> None:
         points = as_floats(self.points, (None, 3), "Curve points")

@@ -102,9 +102,10 @@ def rounded(points: FloatArray, radius: float) -> Outline:
 
 
 def _part(side: FloatArray, low: float, high: float) -> FloatArray:
+    """What two arcs leave of a side: a point, where it is nothing."""
     arc = arc_of(side)
     inner = side[(arc > low + 1e-9) & (arc < high - 1e-9)]
-    return np.vstack([place_at(side, low), inner, place_at(side, high)]) if high > low + 1e-9 else place_at(side, [low])
+    return np.vstack([place_at(side, min(low, high)), inner, place_at(side, high)])
 
 
 Fillet = tuple[float, FloatArray, float, float]

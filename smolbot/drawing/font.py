@@ -16,6 +16,8 @@ from smolbot.arrays import FloatArray
 FIRST, LAST = "!", "~"
 """The printable characters, without the space, that the font holds."""
 
+KNOWN = f"the printable ASCII characters, {FIRST} to {LAST} (A to Z, a to z, 0 to 9 and signs)"
+
 
 @cache
 def _lines() -> tuple[str, ...]:
@@ -41,8 +43,8 @@ def strokes(character: str) -> list[FloatArray]:
     """
     data = _lines()[ord(character) - ord(" ")][10:]
     return [
-        np.array([[ord(part[i]) - ord("R"), ord("R") - ord(part[i + 1])] for i in range(0, len(part), 2)], dtype=float)
-        for part in "".join(data[i : i + 2] if data[i : i + 2] != " R" else "\n" for i in range(0, len(data), 2)).split(
-            "\n"
+        np.array(
+            [[ord(x) - ord("R"), ord("R") - ord(y)] for x, y in zip(part[::2], part[1::2], strict=True)], dtype=float
         )
+        for part in data.split(" R")
     ]

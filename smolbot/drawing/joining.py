@@ -126,7 +126,8 @@ def _net(strokes: list[FloatArray]) -> _Net:
                     if away < SAME:
                         cuts.append(place)
                 cuts += [place for other in others for place, _ in crossings(piece, other)]
-            length, inside = float(arc_of(piece)[-1]), []
+            length = float(arc_of(piece)[-1])
+            inside: list[float] = []
             for cut in sorted(cuts):
                 if cut > (inside[-1] if inside else 0.0) + SAME and cut < length - SAME:
                     inside.append(cut)
@@ -140,8 +141,8 @@ def _met(strokes: list[FloatArray]) -> tuple[list[FloatArray], list[BoolArray]]:
     met = [stroke.copy() for stroke in strokes]
     for i, stroke in enumerate(met):
         for end in (0, -1):
-            near = [(*reversed(nearest_place(other, stroke[end])), j) for j, other in enumerate(met) if j != i]
-            away, place, j = min(near)
+            near = [(nearest_place(other, stroke[end]), j) for j, other in enumerate(met) if j != i]
+            (place, away), j = min(near, key=lambda found: found[0][1])
             if away > MEET:
                 continue
             arc = arc_of(met[j])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from smolbot.arrays import FloatArray
@@ -57,7 +59,7 @@ def split_at(points: FloatArray, places: list[float]) -> list[FloatArray]:
     arc = arc_of(points)
     bounds = [0.0, *places, float(arc[-1])]
     parts = []
-    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
+    for low, high in pairwise(bounds):
         inner = points[(arc > low + 1e-9) & (arc < high - 1e-9)]
         parts.append(np.vstack([place_at(points, low), inner, place_at(points, high)]))
     return parts

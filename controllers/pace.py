@@ -1,0 +1,49 @@
+"""Keeps a robot to the speed that a path asks for: how far the next window may bring it."""
+
+from __future__ import annotations
+
+from smolbot.speeds import SpeedProfile
+
+CATCH_UP = 1.5
+"""A robot that is behind may be asked for this multiple of the wanted speed."""
+
+PATIENCE = 5.0
+"""The wanted place waits for a robot that is this far behind it, in s: time lost for good is not made up for."""
+
+
+class Pace:
+    """The place where the robot should be by now, and what is missing to it.
+
+    That place moves by the clock, so that windows and listening, turns at corners and windows that went wrong count.
+
+    Parameters
+    ----------
+    profile : SpeedProfile
+    period : float, in s
+        Of a cycle: one window, and listening.
+    """
+
+    def __init__(self, profile: SpeedProfile, period: float) -> None:
+        self._profile = profile
+        self._period = period
+        self._wanted = 0.0
+        self._time: float | None = None
+
+    def stride(self, time: float, s: float) -> float:
+        """Arc length that the next window should bring, in m; 0 for a robot that is ahead.
+
+        Parameters
+        ----------
+        time : float, in s
+            When the window begins.
+        s : float, in m
+            Where the robot is along the path.
+        """
+        profile = self._profile
+        if self._time is not None:
+            self._wanted = profile.after(self._wanted, max(time - self._time, 0.0))
+        self._time = time
+        self._wanted = min(self._wanted, profile.after(s, PATIENCE))
+        goal = profile.after(self._wanted, self._period)
+        most = profile.after(s, CATCH_UP * self._period)
+        return max(min(goal, most) - s, 0.0)
