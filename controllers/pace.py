@@ -10,6 +10,9 @@ CATCH_UP = 1.5
 PATIENCE = 5.0
 """The wanted place waits for a robot that is this far behind it, in s: time lost for good is not made up for."""
 
+LEAST = 0.1e-3
+"""Steps of less than this, in m, drown in the noise of poses; slow robots stand still for a cycle instead."""
+
 
 class Pace:
     """The place where the robot should be by now, and what is missing to it.
@@ -30,7 +33,7 @@ class Pace:
         self._time: float | None = None
 
     def stride(self, time: float, s: float) -> float:
-        """Arc length that the next window should bring, in m; 0 for a robot that is ahead.
+        """Arc length that the next window should bring, in m; 0 where none is wanted yet.
 
         Parameters
         ----------
@@ -44,6 +47,7 @@ class Pace:
             self._wanted = profile.after(self._wanted, max(time - self._time, 0.0))
         self._time = time
         self._wanted = min(self._wanted, profile.after(s, PATIENCE))
-        goal = profile.after(self._wanted, self._period)
-        most = profile.after(s, CATCH_UP * self._period)
-        return max(min(goal, most) - s, 0.0)
+        missing = profile.after(self._wanted, self._period) - s
+        if missing < LEAST and s + LEAST < profile.arc[-1]:
+            return 0.0
+        return max(min(missing, profile.after(s, CATCH_UP * self._period) - s), LEAST)

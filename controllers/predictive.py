@@ -125,7 +125,6 @@ class Predictive:
         self._headings: list[FloatArray] = []
         self._course: Course | None = None
         self._pace: Pace | None = None
-        self._wanted = self._speed * self._window
         self._adaptation = Adaptation()
         self._planned: _Plan | None = None
         self._hurry = 1.0
@@ -164,10 +163,15 @@ class Predictive:
         if course.done:
             return Command(None, note="path's end reached", progress=course.progress, done=True)
         phase: Phase = "approach" if course.leg < 0 else "follow"
-        duration, currents, gone, turning = self._plan(pose, heading, course)
+        stride = self._speed * self._window
+        if self._pace is not None and phase == "follow":
+            stride = min(stride, self._pace.stride(pose.time, course.arc_length))
+            if stride <= 0.0:
+                return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
+        duration, currents, gone, turning = self._plan(pose, heading, course, stride)
         saturated = bool(np.any((currents > 0.999 * self._high) | (currents < 0.999 * self._low - 1e-9)))
         note = "turning" if turning else ""
-        if not turning and gone < 0.03 * self._wanted * duration / self._window:
+        if not turning and gone < 0.03 * stride * duration / self._window:
             note = "hardly any force along the path here" + (", head first" if self._head_first else "")
         window = Actuate(tuple(float(c) for c in currents), duration)
         return Command(window, saturated, note, progress=course.progress, phase=phase)
@@ -197,7 +201,7 @@ class Predictive:
         ahead = pose.rotation @ self.setup.device.moment_in_body
         return math.atan2(ahead[1], ahead[0])
 
-    def _plan(self, pose: Pose, heading: float, course: Course) -> tuple[float, FloatArray, float, bool]:
+    def _plan(self, pose: Pose, heading: float, course: Course, stride: float) -> tuple[float, FloatArray, float, bool]:
         """Duration, currents, progress that is expected in m, and whether it is a turn."""
         place = pose.position[:2]
         origin = place + self.setup.robot.magnet_ahead * np.array([math.cos(heading), math.sin(heading)])
@@ -216,17 +220,13 @@ class Predictive:
         weights = self._weights.copy()
         weights[NEAR] *= doubt
         weights[[FORWARD, HEADING]] *= self._hurry
+        weights[FORWARD] *= self._speed * self._window / stride  # a part of a short stride weighs as that of a long one
         body = body_of(self.setup.robot)
         body[DRAG] /= self._adaptation.mobility
         body[ROTATIONAL_DRAG] /= self._adaptation.agility
         state = np.array([*(place - origin), heading])
         route = (points - origin, arc, headings, SPACING)
-        stride = self._speed * self._window * doubt
-        self._wanted = self._speed * self._window
-        if self._pace is not None and course.leg >= 0:
-            stride = min(stride, self._pace.stride(pose.time, course.arc_length))
-            self._wanted = min(self._wanted, stride)
-        leg = (first, last, guess, stride, self._ahead, 0.5 * self._handover)
+        leg = (first, last, guess, stride * doubt, self._ahead, 0.5 * self._handover)
         starts = np.repeat(self._with_last()[:, None, :], windows, axis=1)
         drift = self._adaptation.drift
         best = None
@@ -254,7 +254,7 @@ class Predictive:
             if rescue is not None:
                 self._planned, self._hurry = None, 0.75 * MOST_HURRY
                 return self._window, rescue, self._speed * self._window, turning
-        idle = gone < 0.1 * self._wanted and abs(end[2] - heading) < 0.05
+        idle = gone < 0.1 * stride and abs(end[2] - heading) < 0.05
         self._hurry = min(1.5 * self._hurry, MOST_HURRY) if idle else max(self._hurry / 1.5, 1.0)
         return duration, currents[0], gone, turning
 
