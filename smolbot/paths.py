@@ -91,6 +91,14 @@ class Curve:
         return s, distance[rows, best]
 
 
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def read_csv(path: Path) -> FloatArray:
     """Points (n, 2) in mm of a CSV file with the columns x and y; a header line is allowed.
 
@@ -104,6 +112,7 @@ def read_csv(path: Path) -> FloatArray:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}.") from error
     rows: list[tuple[float, float]] = []
+    header = False
     for number, line in enumerate(lines, 1):
         cells = [cell.strip() for cell in line.replace(";", ",").split(",")]
         if not line.strip() or line.lstrip().startswith("#"):
@@ -111,7 +120,8 @@ def read_csv(path: Path) -> FloatArray:
         try:
             x, y = (float(cell) for cell in cells)
         except ValueError:
-            if not rows and number == 1:
+            if not rows and not header and not any(_is_number(cell) for cell in cells):
+                header = True
                 continue
             raise InputError(
                 f"{path}:{number}: each row must be two numbers, x and y in mm; got {line.strip()!r}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -241,19 +242,19 @@ def init(
     mission: Annotated[str, typer.Option(help="Shipped mission to start from.")] = "r_small",
 ) -> None:
     """Copy a mission with its rig, robot and path file into a folder, to edit and fly as your own."""
-    from smolbot.config import Document
+    from smolbot.config import Document, Fault
     from smolbot.library import find_file
 
     source = find_file(mission, "missions")
-    data = Document.read(source).data
-    files = {
-        f"{source.stem}.toml": source,
-        f"{data['rig']}.toml": find_file(data["rig"], "rigs"),
-        f"{data['robot']}.toml": find_file(data["robot"], "robots"),
-    }
-    drawing = data.get("path", {}).get("file")
-    if drawing is not None:
-        files[Path(drawing).name] = source.parent / drawing
+    document = Document.read(source)
+    data, beside = document.data, source.parent
+    copies = {key: find_file(str(data.get(key)), f"{key}s", beside) for key in ("rig", "robot")}
+    section = data.get("path", {})
+    if "file" in section:
+        copies["file"] = beside / str(section["file"])
+        if not copies["file"].is_file():
+            raise document.error([Fault(("path", "file"), f"{copies['file']}: no such file.")])
+    files = {source.name: source, **{path.name: path for path in copies.values()}}
     existing = [name for name in files if (folder / name).exists()]
     if existing:
         raise InputError(f"{folder}: {', '.join(existing)} stand there already; nothing was written.")
@@ -261,12 +262,11 @@ def init(
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in files.items():
             shutil.copyfile(path, folder / name)
-        own = folder / f"{source.stem}.toml"
+        own = folder / source.name
         text = own.read_text(encoding="utf-8")
-        for key in ("rig", "robot"):
-            text = text.replace(f'{key} = "{data[key]}"', f'{key} = "{data[key]}.toml"', 1)
-        if drawing is not None:
-            text = text.replace(f'file = "{drawing}"', f'file = "{Path(drawing).name}"', 1)
+        for key, path in copies.items():
+            given = re.escape(str(section["file"] if key == "file" else data[key]))
+            text = re.sub(rf"""(?m)(\b{key}\s*=\s*)["']{given}["']""", rf'\g<1>"{path.name}"', text, count=1)
         own.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error}.") from error

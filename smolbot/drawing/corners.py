@@ -93,11 +93,12 @@ def rounded(points: FloatArray, radius: float) -> Outline:
     if short:
         least, where = min(short, key=lambda item: item[0])
         remarks.append(
-            f"{len(short)} of {len(corners)} corners have sides too short for an arc of {radius:g} mm; the smallest, "
-            f"at ({where[0]:.1f}, {where[1]:.1f}) mm, has {least:.2f} mm"
+            f"{len(short)} of {len(corners)} corners have sides too short for an arc of {radius:g} mm: "
+            f"down to {least:.2f} mm, at ({where[0]:.1f}, {where[1]:.1f}) mm"
         )
     if kept:
-        remarks.append(f"{kept} of {len(corners)} corners stay, since the path turns back on itself there")
+        these = "1 corner stays as it is" if kept == 1 else f"{kept} corners stay as they are"
+        remarks.append(f"{these}: the path turns back on itself there")
     return Outline(whole[new], tuple(remarks))
 
 
