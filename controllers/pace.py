@@ -43,11 +43,12 @@ class Pace:
             Where the robot is along the path.
         """
         profile = self._profile
-        if self._time is not None:
-            self._wanted = profile.after(self._wanted, max(time - self._time, 0.0))
+        since = 0.0 if self._time is None else max(time - self._time, 0.0)
         self._time = time
+        self._wanted = profile.after(self._wanted, since)
         self._wanted = min(self._wanted, profile.after(s, PATIENCE))
         missing = profile.after(self._wanted, self._period) - s
         if missing < LEAST and s + LEAST < profile.arc[-1]:
             return 0.0
-        return max(min(missing, profile.after(s, CATCH_UP * self._period) - s), LEAST)
+        longest = min(max(self._period, since), 2.0 * self._period)
+        return max(min(missing, profile.after(s, CATCH_UP * longest) - s), LEAST)

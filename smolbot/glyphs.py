@@ -81,10 +81,10 @@ def drawn_glyph(name: str, width: float, height: float) -> Outline:
         points = GLYPHS[name](width, height)
         keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9])
         return Outline(points[keep] - 0.5 * np.array([width, height]))
-    route = _route(name)
     box = np.array([width, height])
-    everything = np.vstack(route.pieces)
-    size = np.ptp(everything, axis=0)
+    size = np.ptp(np.vstack(strokes(name)), axis=0)
+    route = _route(name, float(np.round(height * size[0] / (width * size[1]), 6)) if size.all() else 1.0)
+    size = np.ptp(np.vstack(route.pieces), axis=0)
     scale = np.divide(box, size, out=np.zeros(2), where=size > 1e-9)
     pieces = [even_samples(piece * scale, TURN) for piece in route.pieces]
     points = np.vstack([pieces[0], *(piece[1:] for piece in pieces[1:])])
@@ -95,8 +95,8 @@ def drawn_glyph(name: str, width: float, height: float) -> Outline:
 
 
 @cache
-def _route(name: str) -> Route:
-    return joined(strokes(name))
+def _route(name: str, stretch: float) -> Route:
+    return joined(strokes(name), stretch)
 
 
 def _remarks(name: str, route: Route, scale: FloatArray) -> tuple[str, ...]:

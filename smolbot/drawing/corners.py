@@ -130,16 +130,40 @@ def _largest_arc(before: FloatArray, after: FloatArray, room: tuple[float, float
 
 
 def _arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float) -> Fillet | None:
-    """The arc of `radius` that touches both sides, which lead away from the corner; None where there is no room.
+    """The arc of `radius` that touches both sides, which lead away from the corner; None where there is no room."""
+    one, other = directions(before)[0], directions(after)[0]
+    half = float(np.arcsin(min(0.5 * float(np.linalg.norm(one + other)), 1.0)))  # of the turn
+    back = onward = radius * np.tan(half)
+    normal = other - (other @ one) * one
+    center = before[0] + back * one + radius * normal / np.linalg.norm(normal)
+    first = min(float(np.linalg.norm(side[1] - side[0])) for side in (before, after))
+    if back > min(first, *room):
+        bent = None if len(before) == len(after) == 2 else _bent(before, after, room, radius)
+        if bent is None:
+            return None
+        back, onward, center = bent
+    p, q = place_at(before, back) - center, place_at(after, onward) - center
+    angle = float(np.arccos(np.clip(p @ q / np.linalg.norm(p) / np.linalg.norm(q), -1.0, 1.0)))
+    share = np.linspace(0.0, 1.0, max(int(np.ceil(angle / FINE - 1e-6)), 2) + 1)[:, None]
+    sweep = (np.sin((1.0 - share) * angle) * p + np.sin(share * angle) * q) / np.sin(angle)
+    return back, center + sweep, radius, onward
 
-    Its centre lies `radius` beside the first side, and is as far from the second; bends of both are followed.
+
+def _bent(
+    before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float
+) -> tuple[float, float, FloatArray] | None:
+    """Lengths that an arc takes of two sides with bends, and its centre, or None where there is no room.
+
+    The centre lies `radius` beside the first side, and is as far from the second.
     """
-    inside = directions(after)[0] + directions(before)[0]
-    ways = directions(before)
-    arc = arc_of(before)
-    normals = inside - np.sum(ways * inside, axis=1, keepdims=True) * ways
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    at = np.vstack([normals[:1], 0.5 * (normals[1:] + normals[:-1]), normals[-1:]])
+    ways, arc = directions(before), arc_of(before)
+    beside = directions(after)[0]
+    normals = []
+    for way in ways:  # carried along the bend without turning about it
+        beside = beside - (beside @ way) * way
+        beside = beside / np.linalg.norm(beside)
+        normals.append(beside)
+    at = np.vstack([normals[:1], 0.5 * (np.array(normals[1:]) + normals[:-1]).reshape(-1, len(beside)), normals[-1:]])
 
     def center(s: float) -> FloatArray:
         normal = np.array([np.interp(s, arc, at[:, k]) for k in range(before.shape[1])])
@@ -148,20 +172,13 @@ def _arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radiu
     def gap(s: float) -> float:
         return nearest_place(after, center(s))[1] - radius
 
-    steps = np.linspace(0.0, room[0], 65)
+    steps = np.linspace(0.0, room[0], 33)
     first = next((i for i, s in enumerate(steps) if i and gap(s) >= 0.0), None)
     if first is None:
         return None
-    low, high = steps[first - 1], steps[first]
-    for _ in range(50):
+    low, high = float(steps[first - 1]), float(steps[first])
+    for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if gap(middle) < 0.0 else (low, middle)
     onward = nearest_place(after, center(high))[0]
-    if onward > room[1] + 1e-9 or onward <= 0.0:
-        return None
-    middle = center(high)
-    p, q = place_at(before, high) - middle, place_at(after, onward) - middle
-    angle = float(np.arccos(np.clip(p @ q / np.linalg.norm(p) / np.linalg.norm(q), -1.0, 1.0)))
-    share = np.linspace(0.0, 1.0, max(int(np.ceil(angle / FINE)), 2) + 1)[:, None]
-    sweep = (np.sin((1.0 - share) * angle) * p + np.sin(share * angle) * q) / np.sin(angle)
-    return float(high), middle + sweep, radius, onward
+    return (high, onward, center(high)) if 0.0 < onward <= room[1] + 1e-9 else None

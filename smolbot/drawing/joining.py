@@ -94,19 +94,21 @@ class _Net:
         return sum((edge.a == node) + (edge.b == node) for edge in self.edges)
 
 
-def joined(strokes: list[FloatArray]) -> Route:
+def joined(strokes: list[FloatArray], stretch: float = 1.0) -> Route:
     """One route over all strokes, smoothed.
 
     Parameters
     ----------
     strokes : list of ndarray, each (n, 2)
         On the font's grid.
+    stretch : float
+        By how much more heights will be stretched than widths, which decides what is the shortest way.
     """
     if len(strokes) == 1:
         return Route(tuple(smoothed(strokes[0])))
     net = _net(strokes)
     _bridge(net)
-    _retrace(net)
+    _retrace(net, np.array([1.0, stretch]))
     return _route(net, _trail(net))
 
 
@@ -193,15 +195,16 @@ def _bridge(net: _Net) -> None:
         net.add(np.array([point, goal]), bridge=True)
 
 
-def _retrace(net: _Net) -> None:
+def _retrace(net: _Net, scale: FloatArray) -> None:
     """Draw some edges a second time, so that all nodes but two have an even number of edges."""
     n = len(net.nodes)
     way, last = np.full((n, n), np.inf), np.full((n, n), -1)
     np.fill_diagonal(way, 0.0)
     for k, edge in enumerate(net.edges):
+        length = float(arc_of(edge.points * scale)[-1])
         for a, b in ((edge.a, edge.b), (edge.b, edge.a)):
-            if edge.length < way[a, b]:
-                way[a, b], last[a, b] = edge.length, k
+            if length < way[a, b]:
+                way[a, b], last[a, b] = length, k
     for m in range(n):
         through = way[:, m, None] + way[None, m, :]
         shorter = through < way - 1e-12
