@@ -14,10 +14,10 @@ from smolbot.drawing.corners import rounded
 from smolbot.drawing.outline import Outline
 from smolbot.errors import InputError
 from smolbot.glyphs import drawn_glyph, glyph_fault
+from smolbot.missionbase import Positive
 from smolbot.paths import Curve, read_csv
 from smolbot.speeds import speed_profile
 
-Positive = Annotated[float, Field(gt=0)]
 Point = tuple[float, float]
 
 

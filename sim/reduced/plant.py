@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.coilfields import CoilSet
 from sim.coils import TankCoils, volume
+from sim.floating import put_down
 from sim.history import History
 from sim.hydrodynamics import Hull
 from sim.magnet import true_device
@@ -15,7 +16,6 @@ from sim.mismatch import Streams, Truth, draw
 from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, move, note
 from sim.sensors import TrueSensors
 from sim.settings import TankSettings
-from sim.tank import put_down
 from smolbot.arrays import FloatArray
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
@@ -52,7 +52,8 @@ class ReducedPlant:
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         hull = Hull.build(rig, robot, settings, self.truth)
         self.device = true_device(robot, settings, self.truth)
-        coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
+        nobody = np.zeros((0, 3))  # hears the coils here: nothing is recorded
+        coils = TankCoils.build(rig, settings, self.truth, nobody, nobody)
         self._hull, self._float_height = hull.values, hull.float_height
         self._n, self._n_excitation = coils.n_actuation, coils.n_excitation
         self._constants = coils.circuits[: self._n, 3].copy()
