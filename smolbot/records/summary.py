@@ -45,6 +45,7 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
         "coil_energy_j": coil_energy(mission, run),
         "path_length_mm": mission.path.length * 1e3,
         "progress_mm": max((c.command.progress for c in cycles), default=0.0) * 1e3,
+        "path_time_s": path_time(trace),
     }
     out |= _against_truth(mission, trace)
     out["wall_s"] = run.wall
@@ -89,6 +90,12 @@ def coil_energy(mission: Mission, run: Run) -> float:
             if isinstance(window, Actuate)
         )
     )
+
+
+def path_time(trace: Trace) -> float | None:
+    """Time in s from the path's start to its end, or as far as it was followed; None where it was not."""
+    following = trace.following
+    return following[-1].cycle.shot.end - following[0].cycle.shot.end if following else None
 
 
 def _against_truth(mission: Mission, trace: Trace) -> dict[str, Any]:
