@@ -41,10 +41,41 @@ AMPLITUDE_WANDER = 0.02
 DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
 """Steady drift that is thought likely (m/s), and how fast it may change (m/s per square root of a second)."""
 
-_P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
-_SIZE = 10
+_P, _E, _A, _V, _W = slice(0, 3), slice(3, 6), 6, slice(7, 10), slice(10, 13)
 _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
-_EYE = np.eye(_SIZE)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a device is thought to move for reasons of its own, such as the hand that leads it.
+
+    Velocity and turn rate wander about zero (an Ornstein-Uhlenbeck process in each axis): the next moment goes on like
+    this one, and in the long run nothing is known.
+
+    Attributes
+    ----------
+    speed : float, in m/s
+        Standard deviation of the velocity, per axis.
+    turn : float, in rad/s
+        The same of the turn rate.
+    change : float, in s
+        Time in which either becomes another one.
+    """
+
+    speed: float
+    turn: float
+    change: float
+
+    def carry(self, wait: float) -> tuple[float, float]:
+        """How much of a rate is left after `wait` s, and the time in s by which it has carried the device on."""
+        kept = math.exp(-wait / self.change)
+        return kept, self.change * (1.0 - kept)
+
+    def spread(self, wait: float) -> tuple[float, float, float]:
+        """Variances, for a rate of unit variance, that `wait` s add: of the path, of path with rate, of the rate."""
+        kept, carried = self.carry(wait)
+        path = self.change * (2.0 * wait - self.change * (3.0 - 4.0 * kept + kept**2))
+        return max(path, 0.0), carried**2, 1.0 - kept**2
 
 
 @dataclass(frozen=True)
@@ -54,6 +85,7 @@ class _State:
     orientation: FloatArray
     amplitude: float
     drift: FloatArray
+    turning: FloatArray
     covariance: FloatArray
 
 
@@ -71,7 +103,7 @@ class Oscillation(Protocol):
 
 
 class Tracker:
-    """A Kalman filter on position, orientation, amplitude of the swing, and drift.
+    """A Kalman filter on position, orientation, amplitude of the swing, and drift; of a led device, turn rate too.
 
     Prediction moves the believed pose through a shot's windows by the controller's motion model.
     Correction weighs a pose by its covariance, scaled by how surprising poses have been of late,
@@ -80,16 +112,23 @@ class Tracker:
 
     Parameters
     ----------
-    robot : Robot
+    robot : Robot or None
     device : Device
     table : FieldTable or None
-        Field of the actuation coils; without one, windows are taken to cause no motion.
+        Field of the actuation coils; without one, or without a robot, windows are taken to cause no motion.
+    motion : Motion, optional
+        Of a device that moves for reasons of its own; without it, it rests but for windows and a slow drift.
     """
 
-    def __init__(self, robot: Robot, device: Device, table: FieldTable | None) -> None:
+    def __init__(
+        self, robot: Robot | None, device: Device, table: FieldTable | None, motion: Motion | None = None
+    ) -> None:
         self._robot = robot
         self._device = device
         self._table = table
+        self._motion = motion
+        self._size = 10 if motion is None else 13
+        self._eye = np.eye(self._size)
         self._state: _State | None = None
         self._candidate: Pose | None = None
         self._accepted = 0
@@ -131,9 +170,19 @@ class Tracker:
         if self._last is None or self._state is None:
             raise ValueError("There is no pose yet to carry on.")
         wait = max(time - self._state.time, 0.0)
+        if self._motion is not None:
+            state = self._led(self._state, wait, self._motion)
+            covariance = state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
+            place = state.position, state.orientation
+            return replace(self._last, time=time, position=place[0], orientation=place[1], covariance=covariance)
         covariance = self._state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
         position = self._state.position + wait * self._state.drift
         return replace(self._last, time=time, position=position, covariance=covariance)
+
+    @property
+    def turning(self) -> FloatArray:
+        """Turn rate (3,), in rad/s, world frame; zero of a device that is not thought to turn by itself."""
+        return np.zeros(3) if self._state is None else self._state.turning.copy()
 
     def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
         """Predict through a shot, then correct by the pose that it gave, if any.
@@ -173,12 +222,16 @@ class Tracker:
         return self._publish(pose, believed)
 
     def _begin(self, pose: Pose) -> None:
-        covariance = np.zeros((_SIZE, _SIZE))
+        covariance = np.zeros((self._size, self._size))
         covariance[:6, :6] = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
         covariance[_A, _A] = 0.3**2
-        covariance[_V, _V] = DRIFT_START**2 * np.eye(3)
+        if self._motion is None:
+            covariance[_V, _V] = DRIFT_START**2 * np.eye(3)
+        else:
+            covariance[_V, _V] = self._motion.speed**2 * np.eye(3)
+            covariance[_W, _W] = self._motion.turn**2 * np.eye(3)
         place = np.array(pose.position), np.array(pose.orientation)
-        self._state = _State(pose.time, *place, 0.75, np.zeros(3), covariance)
+        self._state = _State(pose.time, *place, 0.75, np.zeros(3), np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
         self._publish(pose, True)
 
@@ -196,15 +249,19 @@ class Tracker:
         state = self._state
         assert state is not None
         wait = max(time - state.time, 0.0)
-        position, orientation = state.position + wait * state.drift, state.orientation
-        noise = np.zeros(_SIZE)
+        noise = np.zeros(self._size)
         noise[:6] = WANDER**2 * wait
         noise[_A] = AMPLITUDE_WANDER**2
+        if self._motion is not None:
+            led = self._led(state, wait, self._motion)
+            self._state = replace(led, time=time, covariance=led.covariance + np.diag(noise))
+            return
+        position, orientation = state.position + wait * state.drift, state.orientation
         noise[_V] = DRIFT_WANDER**2 * wait
         for window in shot.windows:
             if not isinstance(window, Actuate) or self._table is None or not any(window.currents):
                 continue
-            if not self._table.contains(position[None, :])[0]:
+            if self._robot is None or not self._table.contains(position[None, :])[0]:
                 continue
             ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
             heading = math.atan2(ahead[1], ahead[0])
@@ -220,8 +277,30 @@ class Tracker:
         covariance = state.covariance.copy()
         covariance[_P] += wait * state.covariance[_V]
         covariance[:, _P] += wait * covariance[:, _V]
-        covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
-        self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
+        covariance[np.arange(self._size), np.arange(self._size)] += noise
+        self._state = replace(state, time=time, position=position, orientation=orientation, covariance=covariance)
+
+    def _led(self, state: _State, wait: float, motion: Motion) -> _State:
+        """The state carried on by `wait` s at its velocity and turn rate, with what the motion adds in doubt."""
+        kept, carried = motion.carry(wait)
+        turned = quaternion_product(quaternion_from_rotation_vector(carried * state.turning), state.orientation)
+        through = self._eye.copy()
+        path, crossed, rate = motion.spread(wait)
+        noise = np.zeros((self._size, self._size))
+        for place, speed, size in ((_P, _V, motion.speed), (_E, _W, motion.turn)):
+            through[place, speed] = carried * np.eye(3)
+            through[speed, speed] = kept * np.eye(3)
+            noise[place, place] = path * size**2 * np.eye(3)
+            noise[place, speed] = noise[speed, place] = crossed * size**2 * np.eye(3)
+            noise[speed, speed] = rate * size**2 * np.eye(3)
+        return replace(
+            state,
+            position=state.position + carried * state.drift,
+            orientation=turned / math.sqrt(turned @ turned),
+            drift=kept * state.drift,
+            turning=kept * state.turning,
+            covariance=through @ state.covariance @ through.T + noise,
+        )
 
     def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
@@ -246,7 +325,7 @@ class Tracker:
         self._surprise = min(max(surprise, 1.0), 25.0)
         gain = state.covariance[:, :m] @ inverse
         change = gain @ innovation
-        left = _EYE.copy()
+        left = self._eye.copy()
         left[:, :m] -= gain
         covariance = left @ state.covariance @ left.T + gain @ heard @ gain.T
         orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
@@ -256,6 +335,7 @@ class Tracker:
             orientation / math.sqrt(orientation @ orientation),
             state.amplitude + float(change[_A]),
             state.drift + change[_V],
+            state.turning if self._motion is None else state.turning + change[_W],
             covariance,
         )
         return True
@@ -273,3 +353,30 @@ class Tracker:
             trusted=believed,
         )
         return self._last
+
+
+class Glimpse(Tracker):
+    """Stands where a tracker would when measurements are to be independent: remembers a pose for one shot.
+
+    A search ends with a pose, by which the next excitation is aimed; what that shot gives is a measurement, and
+    everything is forgotten.
+    """
+
+    def __init__(self, device: Device) -> None:
+        super().__init__(None, device, None)
+        self.measured = 0
+
+    def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
+        """Keep the pose of a search; after a measurement, forget it. A measurement without a trusted pose is a miss."""
+        if self._state is None:
+            misses = self.misses
+            found = super().update(shot, pose, swing)
+            self.misses = misses if found is not None else self.misses  # a search alone is no success
+            return found
+        self._state = self._last = None
+        if pose is None or not pose.trusted:
+            self.misses += 1
+            return None
+        self.misses = 0
+        self.measured += 1
+        return pose
