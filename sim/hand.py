@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,12 +83,19 @@ class Hand:
         self._plan = [self._times(route, section.routes[i].dwell_s) for i, route in enumerate(self.routes)]
         self.ends = self.begins + sum(float(times[-1]) for times, _ in self._plan)
         ticks = np.arange(self.begins, self.ends + 2 * TICK, TICK)
-        self._ticks, self._poses = ticks, self._planned(ticks)
+        self._poses = self._planned(ticks)
 
     def poses(self, times: FloatArray) -> FloatArray:
         """Rotation centre (m) and orientation (scalar first), shape (n, 7), at times (n,) in s on the tank's clock."""
-        found = np.stack([np.interp(times, self._ticks, column) for column in self._poses.T], axis=1)
-        found[:, 3:] /= np.linalg.norm(found[:, 3:], axis=1)[:, None]
+        return np.array([self.pose(float(t)) for t in times])
+
+    def pose(self, time: float) -> FloatArray:
+        """The same (7,) at one time; asked a thousand times a second."""
+        ticks = min(max((time - self.begins) / TICK, 0.0), len(self._poses) - 1.001)
+        first = int(ticks)
+        share = ticks - first
+        found = (1.0 - share) * self._poses[first] + share * self._poses[first + 1]
+        found[3:] /= math.sqrt(found[3:] @ found[3:])
         return found
 
     def behind(self, times: FloatArray, distances: FloatArray) -> FloatArray:

@@ -53,7 +53,7 @@ class Leading:
 
     def state(self) -> State:
         """Where the track says that the device is now."""
-        x, y, z, w, i, j, k = self.hand.poses(np.array([self._time]))[0].tolist()
+        x, y, z, w, i, j, k = self.hand.pose(self._time).tolist()
         return (x, y, z), (w, i, j, k), STILL, STILL
 
     def begin(self, window: Window, time: float) -> None:

@@ -51,6 +51,7 @@ class Tank:
         self.carrier: Carrier = make_carrier(
             rig, robot, settings, self.truth, start, seed, gui=gui, ideal=ideal
         )
+        self._magnetised = self.carrier if isinstance(self.carrier, Magnetised) else None
         self.history = History()
         self.time = 0.0
         self.running = False
@@ -96,8 +97,10 @@ class Tank:
         field = sensors.clean(
             clock, n, self.device, self.coils.coupling, self._trace_times[:end], self._trace[:end], pose_times, poses
         )
-        if isinstance(self.carrier, Magnetised):
-            field += self.carrier.heard(clock, n, sensors.rate, sensors.time_constant, sensors.positions, sensors.axes)
+        if self._magnetised is not None:
+            field += self._magnetised.heard(
+                clock, n, sensors.rate, sensors.time_constant, sensors.positions, sensors.axes
+            )
         return field, sensors.measure(field, clock)
 
     def silence(self) -> None:
@@ -112,7 +115,7 @@ class Tank:
         read, move = self.carrier.state, self.carrier.advance
         used, start = self._used, self.time
         trace = self._trace
-        near = self.carrier.field_at_magnet if isinstance(self.carrier, Magnetised) else None
+        near = None if self._magnetised is None else self._magnetised.field_at_magnet
         steady = earth
         played = 0
         for i in range(n):

@@ -176,8 +176,10 @@ def make_loop(rig: Rig, mission: AnyMission, listeners: tuple[Listener, ...] = (
     stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
-    independent = isinstance(tracker, Glimpse)
-    return Loop(rig, scheduler, locator, tracker, pilot, rules, quiet, listeners, independent=independent)
+    return Loop(
+        rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
+        independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
+    )  # fmt: skip
 
 
 def _steer(mission: Mission) -> tuple[Tracker, Pilot]:

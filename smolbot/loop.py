@@ -113,7 +113,8 @@ class Loop:
     """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
     In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
-    Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
+    Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next. A device
+    that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
     """
 
     def __init__(
@@ -129,6 +130,7 @@ class Loop:
         clock: Callable[[], float] = time.perf_counter,
         *,
         independent: bool = False,
+        led: bool = False,
     ) -> None:
         self.rig = rig
         self.scheduler = scheduler
@@ -142,6 +144,7 @@ class Loop:
         self.noise_watch = NoiseWatch(len(localizer.sensors))
         self.listeners = listeners
         self.independent = independent
+        self.led = led
         self._clock = clock
         self._started = 0.0
         self._heard = 0
@@ -258,7 +261,7 @@ class Loop:
 
     def _refresh_noise(self, time: float, swing: Swing, recording: Recording) -> None:
         """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
-        if isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
+        if self.led or isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
             return
         ratios = self.noise_watch.update(*swing.energies(recording, self.localizer.noise))
         if ratios is None:
