@@ -47,7 +47,7 @@ class Shaft:
         first = size * section.tip_ut * 1e-6 * (float(side @ side) + l0**2) * 1e7
         strongest = size * section.surface_ut * 1e-6 * (1e-3 * section.radius_mm) ** 2 * 1e7
         pieces = rng.uniform(-1.0, 1.0, count)
-        poles = np.diff(np.concatenate([[0.0], pieces, [0.0]]))
+        poles: FloatArray = np.diff(np.concatenate([[0.0], pieces, [0.0]]))
         poles[1:] *= strongest / np.max(np.abs(poles[1:]))
         poles[0] = np.copysign(first, pieces[0])
         poles[-1] -= poles.sum()  # a shaft has no pole too many
@@ -62,7 +62,9 @@ class Shaft:
         """Field (m, n, 3) in T at points (m, 3) in m and times (n,) in s on the tank's clock, world frame."""
         places = hand.behind(times, self.distances)
         away = points[:, None, None, :] - places
-        return np.asarray(1e-7 * np.einsum("k,mnki->mni", self.poles, away / np.linalg.norm(away, axis=3)[..., None] ** 3))
+        return np.asarray(
+            1e-7 * np.einsum("k,mnki->mni", self.poles, away / np.linalg.norm(away, axis=3)[..., None] ** 3)
+        )
 
     def heard(
         self, hand: Hand, clock: float, n: int, rate: float, delay: float, points: FloatArray, axes: FloatArray

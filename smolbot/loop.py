@@ -113,8 +113,8 @@ class Loop:
     """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
     In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
-    Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next. A device
-    that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
+    Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
+    A device that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ class ObservationPreview:
     duration : float, in s
         Quiet and search included.
     noise_error : ndarray, shape (n,), in m
-        Root mean square error in space that noise alone leaves of one pose, over the container, level, headings spread evenly.
+        Root mean square error in space that noise alone leaves of one pose, over the container, headings all round.
     reasons : list of str
         Why not to begin; empty means go.
     """

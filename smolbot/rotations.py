@@ -116,7 +116,7 @@ def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> F
 
 
 def mean_rotation(quaternions: FloatArray) -> FloatArray:
-    """The rotation (4,) nearest to all of `quaternions` (n, 4) in the mean square: their chordal mean (Markley 2007)."""
+    """The rotation (4,) nearest in the mean square to all of `quaternions` (n, 4) (Markley 2007)."""
     values, vectors = np.linalg.eigh(quaternions.T @ quaternions)
     mean = vectors[:, int(np.argmax(values))]
     return np.asarray(mean if mean[0] >= 0 else -mean)

@@ -21,8 +21,8 @@ PROBE_HALF_PERIODS = 8
 """Length of the recordings from which the coils' ring-down is learned."""
 
 AUDIBLE_LEFT = 0.2
-"""Share of a swing below which it is not minded when the next burst is made: a device in a capsule swings on for seconds,
-and a burst against that swing would leave little of either; strong damping leaves nothing to mind."""
+"""Share of a swing below which it is not minded when the next burst is made. A device in a capsule swings on for a
+second, and a burst against that swing would leave little of either; strong damping leaves nothing to mind."""
 
 SEARCH_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
 """Excitation mixes (x, y) tried in turn while the orientation is unknown."""
@@ -140,7 +140,7 @@ class Scheduler:
         return "hold" if self.paused or not tracker.confirmed else "track"
 
     def _excite(self, mode: Mode, pose: Pose | None, start: float) -> Excite:
-        """Excitation for the orientation expected at `start` s; in a search, each direction in turn, then for longer."""
+        """Excitation for the pose expected at `start` s; in a search, each direction in turn, then for longer."""
         turn = (self.searched - 1) % (len(SEARCH_DIRECTIONS) + 1) if mode in ("search", "lost") else 0
         rounds = max(self.searched - 1, 0) // (len(SEARCH_DIRECTIONS) + 1)
         if mode == "search":

@@ -18,15 +18,25 @@ def observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     if "pose_rate_hz" in summary:
         gaps = summary["gaps"]
-        text = f"{gaps['count']}, {gaps['shots']} shots in all, longest {gaps['longest_s']:.2f} s" if gaps["count"] else "none"
+        text = (
+            f"{gaps['count']}, {gaps['shots']} shots in all, longest {gaps['longest_s']:.2f} s"
+            if gaps["count"]
+            else "none"
+        )
         rows += [("trusted poses", f"{summary['pose_rate_hz']:.2f} Hz"), ("gaps", text)]
     if "sigma_mm" in summary:
         place, turn = summary["sigma_mm"], summary["sigma_deg"]
         rows += [
             ("measurements", f"{summary['measurements']}, {summary['shots_per_measurement']:.1f} shots each"),
             ("mean position", "({:.2f}, {:.2f}, {:.2f}) mm".format(*summary["mean_mm"])),
-            ("sigma", f"x {place['x']:.3f}, y {place['y']:.3f}, z {place['z']:.3f}, in space {place['distance']:.3f} mm"),
-            ("sigma of orientation", f"x {turn['x']:.2f}, y {turn['y']:.2f}, z {turn['z']:.2f}, angle {turn['angle']:.2f}°"),
+            (
+                "sigma",
+                f"x {place['x']:.3f}, y {place['y']:.3f}, z {place['z']:.3f}, in space {place['distance']:.3f} mm",
+            ),
+            (
+                "sigma of orientation",
+                f"x {turn['x']:.2f}, y {turn['y']:.2f}, z {turn['z']:.2f}, angle {turn['angle']:.2f}°",
+            ),
         ]
     elif "measurements" in summary:
         rows.append(("measurements", str(summary["measurements"])))
@@ -40,7 +50,10 @@ def show_observation_preview(mission: Observation, seen: ObservationPreview, jso
         ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
         ("loop rate", f"{seen.rate:.2f} Hz (timeline allows {seen.rate_limit:.2f} Hz)"),
         ("expected duration", f"{seen.duration:.0f} s, about {seen.cycles} cycles"),
-        ("noise alone", f"{error.min():.3f} to {error.max():.3f} mm rms in space, each pose; sensors out of place add to it"),
+        (
+            "noise alone",
+            f"{error.min():.3f} to {error.max():.3f} mm rms in space, each pose; sensors out of place add to it",
+        ),
         ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons)),
     ]
     table(f"preview of {mission.name} on {mission.rig.name}", rows, err=json)

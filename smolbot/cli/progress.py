@@ -144,7 +144,9 @@ class Watching(Shown):
             x, y, z = 1e3 * record.pose.position
             parts.append(f"({x:+.1f}, {y:+.1f}, {z:.1f}) mm")
         parts.append(f"{self._made} measurements" if self._counts else f"{self._cycles / record.shot.end:.1f} Hz")
-        left = "" if self._counts or self._begun is None else f", {max(self._total - self.done(record), 0.0):.0f} s left"
+        left = (
+            "" if self._counts or self._begun is None else f", {max(self._total - self.done(record), 0.0):.0f} s left"
+        )
         parts.append(f"{record.shot.end:.0f} s{left}")
         return "  ".join(parts)
 

@@ -1,4 +1,4 @@
-"""The picture of a mission that only looks: where a device was seen, how well, how often; or how measurements scatter."""
+"""The picture of a mission that only looks: where a device was seen, how well, how often; or how it scatters."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PALE = "#b9bec7"
-ARROW = 4.0  # mm: length of a tip's arrow
-ARROWS = 70  # shown of a whole track
+ARROW = 6.5  # mm: length of a tip's arrow
+ARROWS = 36  # shown of a whole track
 
 
 def draw_observation(mission: Observation, run: Run, trace: Trace, path: Path) -> None:
@@ -56,7 +56,8 @@ def subline(summary: dict[str, Any]) -> str:
         gaps = summary["gaps"]["count"]
         parts += [f"{summary['pose_rate_hz']:.1f} poses a second", f"{gaps or 'no'} gap{'' if gaps == 1 else 's'}"]
     if "sigma_mm" in summary:
-        parts.append(f"{summary['measurements']} independent measurements, sigma {summary['sigma_mm']['distance']:.3f} mm")
+        sigma = summary["sigma_mm"]["distance"]
+        parts.append(f"{summary['measurements']} independent measurements, sigma {sigma:.3f} mm")
     if "localization_error_mm" in summary:
         e, a = summary["localization_error_mm"], summary["orientation_error_deg"]
         parts.append(f"localization error {e['mean']:.2f} ± {e['std']:.2f} mm, {a['mean']:.1f}°")
@@ -91,16 +92,16 @@ def _draw_view(axes: Axes, trace: Trace, sides: list[tuple[float, float]], acros
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PALE, lw=1.2)
     truth = 1e3 * trace.true_positions()
     if len(truth):
-        axes.plot(truth[:, 0], truth[:, across], color=TRUE, lw=1.1, label="true")
+        axes.plot(truth[:, 0], truth[:, across], color=TRUE, lw=0.9, label="true", zorder=4)
     seen = [m.cycle.pose for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
     if seen:
         places = 1e3 * np.array([p.position for p in seen])
-        axes.scatter(places[:, 0], places[:, across], s=8, color=LOCATED, alpha=0.55, lw=0, label="localized", zorder=3)
+        axes.scatter(places[:, 0], places[:, across], s=14, color=LOCATED, alpha=0.4, lw=0, label="localized", zorder=3)
         chosen = seen[:: max(len(seen) // ARROWS, 1)]
         start, ahead = 1e3 * np.array([p.position for p in chosen]), np.array([p.rotation[:, 2] for p in chosen])
         axes.quiver(
             start[:, 0], start[:, across], ARROW * ahead[:, 0], ARROW * ahead[:, across],
-            angles="xy", scale_units="xy", scale=1.0, width=0.0022, headwidth=4.5, color="#f2a541", zorder=2,
+            angles="xy", scale_units="xy", scale=1.0, width=0.0028, headwidth=4.0, color="#f2a541", zorder=2,
             label="the tip's axis, localized",
         )  # fmt: skip
     axes.set_aspect("equal")

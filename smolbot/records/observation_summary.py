@@ -36,7 +36,8 @@ def summarise_observation(mission: Observation, run: Run, trace: Trace) -> dict[
 
 def measurements(trace: Trace) -> list[Moment]:
     """The cycles that measured: those after a search, with a pose that can be trusted."""
-    return [m for m in trace.moments if m.cycle.shot.mode == "hold" and m.cycle.pose is not None and m.cycle.pose.trusted]
+    heard = [m for m in trace.moments if m.cycle.shot.mode == "hold" and m.cycle.pose is not None]
+    return [m for m in heard if m.cycle.pose is not None and m.cycle.pose.trusted]
 
 
 def watching(run: Run) -> dict[str, Any]:
@@ -64,8 +65,8 @@ def watching(run: Run) -> dict[str, Any]:
 def scatter(poses: list[Pose]) -> dict[str, Any]:
     """Mean of independent poses and how far they lie from each other: standard deviations with n - 1.
 
-    `sigma_mm` has one for each axis, and `distance`, the root of their squares' sum; `sigma_deg` likewise, of rotations
-    about the world's axes.
+    `sigma_mm` has one for each axis, and `distance`, the root of their squares' sum; `sigma_deg`, with `angle`,
+    likewise of rotations about the world's axes.
     """
     if len(poses) < 2:
         return {"measurements": len(poses)}
@@ -79,8 +80,8 @@ def scatter(poses: list[Pose]) -> dict[str, Any]:
     }
     for name, values in (("sigma_mm", 1e3 * places), ("sigma_deg", np.degrees(turns))):
         deviations = values.std(axis=0, ddof=1)
-        out[name] = {**dict(zip("xyz", deviations.tolist(), strict=True)), "distance": float(np.linalg.norm(deviations))}
-    out["sigma_deg"]["angle"] = out["sigma_deg"].pop("distance")
+        whole = "distance" if name == "sigma_mm" else "angle"
+        out[name] = {**dict(zip("xyz", deviations.tolist(), strict=True)), whole: float(np.linalg.norm(deviations))}
     return out
 
 
