@@ -51,7 +51,8 @@ class Shaft:
         poles[1:] *= strongest / np.max(np.abs(poles[1:]))
         poles[0] = np.copysign(first, pieces[0])
         poles[-1] -= poles.sum()  # a shaft has no pole too many
-        return cls(poles, 1e-3 * section.piece_mm * np.arange(count + 1), side)
+        distances: FloatArray = 1e-3 * section.piece_mm * np.arange(count + 1, dtype=np.float64)
+        return cls(poles, distances, side)
 
     def at_magnet(self, l0: float) -> FloatArray:
         """Field (3,) in T at the magnet, body frame: of the tip's pole, which is nearest by far."""

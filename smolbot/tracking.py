@@ -75,7 +75,7 @@ class Motion:
         """Variances, for a rate of unit variance, that `wait` s add: of the path, of path with rate, of the rate."""
         kept, carried = self.carry(wait)
         path = self.change * (2.0 * wait - self.change * (3.0 - 4.0 * kept + kept**2))
-        return max(path, 0.0), carried**2, 1.0 - kept**2
+        return max(path, 0.0), carried**2 / self.change, 1.0 - kept**2
 
 
 @dataclass(frozen=True)
