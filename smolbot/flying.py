@@ -28,7 +28,8 @@ from smolbot.records.summary import summarise
 from smolbot.records.trace import Trace
 from smolbot.scheduler import Scheduler
 from smolbot.sightings import SightingRig
-from smolbot.tracking import Glimpse, Tracker
+from smolbot.tracking import Tracker
+from smolbot.watching import Glimpse, LedTracker
 from smolbot.worlds import Rig
 
 
@@ -128,8 +129,7 @@ def _fly_on(
 
     extra = listeners(mission) if listeners else ()
     loop = make_loop(rig, mission, (write, *extra))
-    gc.collect()
-    gc.freeze()
+    gc.freeze()  # what is there by now is not looked through again while the robot waits
     try:
         flown = loop.fly()
     finally:
@@ -196,7 +196,9 @@ def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
         glimpse = Glimpse(mission.robot.device)
         return glimpse, Measurer(glimpse, section.measurements)
     assert section.duration_s is not None
-    return Tracker(None, mission.robot.device, None, mission.motion), Watcher(section.duration_s)
+    device, motion = mission.robot.device, mission.motion
+    tracker = Tracker(None, device, None) if motion is None else LedTracker(device, motion)
+    return tracker, Watcher(section.duration_s)
 
 
 def search_volume(mission: MissionBase) -> SearchVolume:

@@ -19,7 +19,7 @@ from smolbot.missionbase import (
 from smolbot.plugins import load_world
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
-from smolbot.tracking import Motion
+from smolbot.watching import Motion
 
 STEERING = ("path", "start", "controller")
 """Sections of a mission that steers; none of them goes with [observe]."""

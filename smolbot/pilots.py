@@ -7,7 +7,8 @@ from typing import Protocol
 from smolbot.control import Command, Controller
 from smolbot.paths import Curve
 from smolbot.shots import Shot
-from smolbot.tracking import Glimpse, Tracker
+from smolbot.tracking import Tracker
+from smolbot.watching import Glimpse
 
 
 class Pilot(Protocol):

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
+from smolbot.kalman import carried_on, corrected
 from smolbot.motion.gradient import advance
 from smolbot.motion.robot import Robot
 from smolbot.poses import Pose
 from smolbot.rotations import (
     matrix_from_quaternion,
+    nearer_twin,
     quaternion_from_rotation_vector,
     quaternion_product,
     rotation_error,
@@ -32,6 +35,12 @@ MOTION_ERROR = 0.3
 MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
 """What sensors slightly out of place leave in every pose, per axis (m, rad, share of the amplitude)."""
 
+COIL_ERROR = 0.03
+"""Share of a coil's field by which it may differ from its table: 2 % of gain, some tenths of a mm of place."""
+
+COARSE = 6e-3
+"""Step, in s, with which a turn is followed whose size alone is asked for."""
+
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
 
@@ -41,51 +50,20 @@ AMPLITUDE_WANDER = 0.02
 DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
 """Steady drift that is thought likely (m/s), and how fast it may change (m/s per square root of a second)."""
 
-_P, _E, _A, _V, _W = slice(0, 3), slice(3, 6), 6, slice(7, 10), slice(10, 13)
+_P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
+_SIZE = 10
 _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
 
 
 @dataclass(frozen=True)
-class Motion:
-    """How a device is thought to move for reasons of its own, such as the hand that leads it.
+class State:
+    """What is believed at one time, in SI; covariance of (position, rotation e, amplitude, drift)."""
 
-    Velocity and turn rate wander about zero (an Ornstein-Uhlenbeck process in each axis): the next moment goes on like
-    this one, and in the long run nothing is known.
-
-    Attributes
-    ----------
-    speed : float, in m/s
-        Standard deviation of the velocity, per axis.
-    turn : float, in rad/s
-        The same of the turn rate.
-    change : float, in s
-        Time in which either becomes another one.
-    """
-
-    speed: float
-    turn: float
-    change: float
-
-    def carry(self, wait: float) -> tuple[float, float]:
-        """How much of a rate is left after `wait` s, and the time in s by which it has carried the device on."""
-        kept = math.exp(-wait / self.change)
-        return kept, self.change * (1.0 - kept)
-
-    def spread(self, wait: float) -> tuple[float, float, float]:
-        """Variances, for a rate of unit variance, that `wait` s add: of the path, of path with rate, of the rate."""
-        kept, carried = self.carry(wait)
-        path = self.change * (2.0 * wait - self.change * (3.0 - 4.0 * kept + kept**2))
-        return max(path, 0.0), carried**2 / self.change, 1.0 - kept**2
-
-
-@dataclass(frozen=True)
-class _State:
     time: float
     position: FloatArray
     orientation: FloatArray
     amplitude: float
     drift: FloatArray
-    turning: FloatArray
     covariance: FloatArray
 
 
@@ -103,7 +81,7 @@ class Oscillation(Protocol):
 
 
 class Tracker:
-    """A Kalman filter on position, orientation, amplitude of the swing, and drift; of a led device, turn rate too.
+    """A Kalman filter on position, orientation, amplitude of the swing, and drift.
 
     Prediction moves the believed pose through a shot's windows by the controller's motion model.
     Correction weighs a pose by its covariance, scaled by how surprising poses have been of late,
@@ -116,20 +94,13 @@ class Tracker:
     device : Device
     table : FieldTable or None
         Field of the actuation coils; without one, or without a robot, windows are taken to cause no motion.
-    motion : Motion, optional
-        Of a device that moves for reasons of its own; without it, it rests but for windows and a slow drift.
     """
 
-    def __init__(
-        self, robot: Robot | None, device: Device, table: FieldTable | None, motion: Motion | None = None
-    ) -> None:
+    def __init__(self, robot: Robot | None, device: Device, table: FieldTable | None) -> None:
         self._robot = robot
         self._device = device
         self._table = table
-        self._motion = motion
-        self._size = 10 if motion is None else 13
-        self._eye = np.eye(self._size)
-        self._state: _State | None = None
+        self._state: State | None = None
         self._candidate: Pose | None = None
         self._accepted = 0
         self._surprise = 1.0
@@ -170,19 +141,9 @@ class Tracker:
         if self._last is None or self._state is None:
             raise ValueError("There is no pose yet to carry on.")
         wait = max(time - self._state.time, 0.0)
-        if self._motion is not None:
-            state = self._led(self._state, wait, self._motion)
-            covariance = state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
-            place = state.position, state.orientation
-            return replace(self._last, time=time, position=place[0], orientation=place[1], covariance=covariance)
         covariance = self._state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
         position = self._state.position + wait * self._state.drift
         return replace(self._last, time=time, position=position, covariance=covariance)
-
-    @property
-    def turning(self) -> FloatArray:
-        """Turn rate (3,), in rad/s, world frame; zero of a device that is not thought to turn by itself."""
-        return np.zeros(3) if self._state is None else self._state.turning.copy()
 
     def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
         """Predict through a shot, then correct by the pose that it gave, if any.
@@ -210,6 +171,8 @@ class Tracker:
                 self.misses += 1
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
+        if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
+            pose = replace(pose, orientation=nearer_twin(pose.orientation, self._state.orientation))
         believed = pose is not None and pose.trusted and self._correct(pose, swing)
         if believed:
             self.misses = 0
@@ -222,16 +185,12 @@ class Tracker:
         return self._publish(pose, believed)
 
     def _begin(self, pose: Pose) -> None:
-        covariance = np.zeros((self._size, self._size))
+        covariance = np.zeros((_SIZE, _SIZE))
         covariance[:6, :6] = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
         covariance[_A, _A] = 0.3**2
-        if self._motion is None:
-            covariance[_V, _V] = DRIFT_START**2 * np.eye(3)
-        else:
-            covariance[_V, _V] = self._motion.speed**2 * np.eye(3)
-            covariance[_W, _W] = self._motion.turn**2 * np.eye(3)
+        covariance[_V, _V] = DRIFT_START**2 * np.eye(3)
         place = np.array(pose.position), np.array(pose.orientation)
-        self._state = _State(pose.time, *place, 0.75, np.zeros(3), np.zeros(3), covariance)
+        self._state = State(pose.time, *place, 0.75, np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
         self._publish(pose, True)
 
@@ -241,104 +200,81 @@ class Tracker:
         self._candidate = pose
         if other is None or self.misses < 3:
             return
+        orientation = pose.orientation
+        if self._device.along_cantilever:
+            orientation = nearer_twin(orientation, other.orientation)
         near = np.linalg.norm(pose.position - other.position) < 2e-3
-        if near and np.dot(pose.orientation, other.orientation) ** 2 > 0.95:
+        if near and np.dot(orientation, other.orientation) ** 2 > 0.95:
             self._begin(pose)
 
     def _predict(self, shot: Shot, time: float) -> None:
         state = self._state
         assert state is not None
         wait = max(time - state.time, 0.0)
-        noise = np.zeros(self._size)
+        position, orientation = state.position + wait * state.drift, state.orientation
+        noise = np.zeros(_SIZE)
         noise[:6] = WANDER**2 * wait
         noise[_A] = AMPLITUDE_WANDER**2
-        if self._motion is not None:
-            led = self._led(state, wait, self._motion)
-            self._state = replace(led, time=time, covariance=led.covariance + np.diag(noise))
-            return
-        position, orientation = state.position + wait * state.drift, state.orientation
         noise[_V] = DRIFT_WANDER**2 * wait
         for window in shot.windows:
-            if not isinstance(window, Actuate) or self._table is None or not any(window.currents):
+            if not isinstance(window, Actuate) or not any(window.currents):
                 continue
-            if self._robot is None or not self._table.contains(position[None, :])[0]:
+            if self._table is None or self._robot is None:
+                continue
+            try:
+                field, gradient = self._table.field_and_gradient(position[None, :])
+            except OutsideTableError:
                 continue
             ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
             heading = math.atan2(ahead[1], ahead[0])
-            field, gradient = self._table.field_and_gradient(position[None, :])
             step, after = advance(
                 self._robot, field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
             )
             turn = after - heading
             position[:2] += step
             orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
-            noise[:2] += (MOTION_ERROR * np.linalg.norm(step)) ** 2
+            noise[:2] += MOTION_ERROR**2 * (step[0] * step[0] + step[1] * step[1])
             noise[5] += (MOTION_ERROR * turn) ** 2
-        covariance = state.covariance.copy()
-        covariance[_P] += wait * state.covariance[_V]
-        covariance[:, _P] += wait * covariance[:, _V]
-        covariance[np.arange(self._size), np.arange(self._size)] += noise
-        self._state = replace(state, time=time, position=position, orientation=orientation, covariance=covariance)
-
-    def _led(self, state: _State, wait: float, motion: Motion) -> _State:
-        """The state carried on by `wait` s at its velocity and turn rate, with what the motion adds in doubt."""
-        kept, carried = motion.carry(wait)
-        turned = quaternion_product(quaternion_from_rotation_vector(carried * state.turning), state.orientation)
-        through = self._eye.copy()
-        path, crossed, rate = motion.spread(wait)
-        noise = np.zeros((self._size, self._size))
-        for place, speed, size in ((_P, _V, motion.speed), (_E, _W, motion.turn)):
-            through[place, speed] = carried * np.eye(3)
-            through[speed, speed] = kept * np.eye(3)
-            noise[place, place] = path * size**2 * np.eye(3)
-            noise[place, speed] = noise[speed, place] = crossed * size**2 * np.eye(3)
-            noise[speed, speed] = rate * size**2 * np.eye(3)
-        return replace(
-            state,
-            position=state.position + carried * state.drift,
-            orientation=turned / math.sqrt(turned @ turned),
-            drift=kept * state.drift,
-            turning=kept * state.turning,
-            covariance=through @ state.covariance @ through.T + noise,
-        )
+            doubt = float(state.covariance[5, 5])
+            noise[5] += _stray_turn(self._robot, field[:, 0], gradient[:, 0], window, heading, doubt)
+        covariance = carried_on(state.covariance, wait, noise)
+        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
         assert state is not None
         turned = rotation_error(pose.orientation, state.orientation)
+        innovation = np.empty(6 if swing is None else 7)
+        innovation[_P], innovation[_E] = pose.position - state.position, turned
         if swing is None:
-            innovation = np.concatenate([pose.position - state.position, turned])
             heard = self._surprise * pose.covariance + _MODEL_FLOOR[:6, :6]
         else:
             top = self._device.theta_max
-            innovation = np.concatenate(
-                [pose.position - state.position, turned, [swing.amplitude / top - state.amplitude]]
-            )
-            scale = np.array([1.0] * 6 + [1.0 / top])
-            heard = self._surprise * swing.covariance * np.outer(scale, scale) + _MODEL_FLOOR
+            innovation[_A] = swing.amplitude / top - state.amplitude
+            heard = self._surprise * swing.covariance
+            heard[_A] /= top
+            heard[:, _A] /= top
+            heard += _MODEL_FLOOR
         m = len(innovation)
-        inverse = np.linalg.inv(state.covariance[:m, :m] + heard)
-        distance = float(innovation @ inverse @ innovation)
-        if distance > GATE + 2.0 * (m - 6):
+        distance, change, covariance = corrected(state.covariance, heard, innovation)
+        if not distance <= GATE + 2.0 * (m - 6):
             return False
         surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
         self._surprise = min(max(surprise, 1.0), 25.0)
-        gain = state.covariance[:, :m] @ inverse
-        change = gain @ innovation
-        left = self._eye.copy()
-        left[:, :m] -= gain
-        covariance = left @ state.covariance @ left.T + gain @ heard @ gain.T
         orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
-        self._state = _State(
-            state.time,
-            state.position + change[_P],
-            orientation / math.sqrt(orientation @ orientation),
-            state.amplitude + float(change[_A]),
-            state.drift + change[_V],
-            state.turning if self._motion is None else state.turning + change[_W],
-            covariance,
+        self._state = replace(
+            state,
+            position=state.position + change[_P],
+            orientation=orientation / math.sqrt(orientation @ orientation),
+            amplitude=state.amplitude + float(change[_A]),
+            drift=state.drift + change[_V],
+            covariance=covariance,
         )
+        self._learn(change)
         return True
+
+    def _learn(self, change: FloatArray) -> None:
+        """What a correction says of more than a resting robot's state; nothing here."""
 
     def _publish(self, pose: Pose | None, believed: bool) -> Pose:
         state = self._state
@@ -355,28 +291,21 @@ class Tracker:
         return self._last
 
 
-class Glimpse(Tracker):
-    """Stands where a tracker would when measurements are to be independent: remembers a pose for one shot.
+def _stray_turn(
+    robot: Robot, field: FloatArray, gradient: FloatArray, window: Actuate, heading: float, variance: float
+) -> float:
+    """Variance of the turn, in rad², that errors of the coils' fields and of the heading (`variance`) add.
 
-    A search ends with a pose, by which the next excitation is aimed; what that shot gives is a measurement, and
-    everything is forgotten.
+    A robot that nearly points against the field turns either way: what decides is smaller than any belief.
     """
-
-    def __init__(self, device: Device) -> None:
-        super().__init__(None, device, None)
-        self.measured = 0
-
-    def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
-        """Keep the pose of a search; after a measurement, forget it. A measurement without a trusted pose is a miss."""
-        if self._state is None:
-            misses = self.misses
-            found = super().update(shot, pose, swing)
-            self.misses = misses if found is not None else self.misses  # a search alone is no success
-            return found
-        self._state = self._last = None
-        if pose is None or not pose.trusted:
-            self.misses += 1
-            return None
-        self.misses = 0
-        self.measured += 1
-        return pose
+    currents = np.array(window.currents)
+    each = currents[:, None] * field
+    size = math.sqrt(float(np.sum(each.sum(axis=0) ** 2)))
+    aside = math.atan2(COIL_ERROR * math.sqrt(float(np.sum(each * each))), size)
+    doubt = math.sqrt(max(variance, 0.0))
+    nudge = max(aside, doubt)
+    low, high = (
+        advance(robot, field, gradient, currents, heading + a, window.duration, COARSE)[1] - a for a in (-nudge, nudge)
+    )
+    slope = (high - low) / (2.0 * nudge)  # of the turn for the heading; the field's direction counts the other way
+    return (slope * aside) ** 2 + max((1.0 + slope) ** 2 - 1.0, 0.0) * variance

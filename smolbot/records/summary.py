@@ -13,10 +13,8 @@ from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.poses import Pose
 from smolbot.records.trace import Moment, Trace
-from smolbot.rotations import quaternion_product, rotation_error
+from smolbot.rotations import nearer_twin, rotation_error
 from smolbot.shots import Actuate
-
-_HALF_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
@@ -132,11 +130,8 @@ def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
 
 def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
     """Angle between two orientations, in rad; to the nearer twin where a half turn about the moment changes nothing."""
-    error = float(np.linalg.norm(rotation_error(pose.orientation, truth.orientation)))
-    if not along_cantilever:
-        return error
-    twin = quaternion_product(pose.orientation, _HALF_TURN)
-    return min(error, float(np.linalg.norm(rotation_error(twin, truth.orientation))))
+    estimate = nearer_twin(pose.orientation, truth.orientation) if along_cantilever else pose.orientation
+    return float(np.linalg.norm(rotation_error(estimate, truth.orientation)))
 
 
 def _compute(run: Run) -> dict[str, float | None]:

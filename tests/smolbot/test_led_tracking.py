@@ -1,4 +1,4 @@
-"""A tracker that believes in a hand: velocity and turn rate wander; and bursts that undo a swing which is still there."""
+"""A tracker that believes in a hand: velocity and turn rate wander; and bursts that undo a swing still there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from smolbot.rotations import (
 )
 from smolbot.sensing import Device
 from smolbot.shots import Excite, Listen, RingDown, Shot
-from smolbot.tracking import Motion, Tracker
+from smolbot.tracking import Tracker
+from smolbot.watching import LedTracker, Motion
 
 DEVICE = Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, np.radians(17.8), 103.5, 1.1, "linear")
 MOTION = Motion(8e-3, np.radians(30.0), 0.3)
@@ -34,7 +35,7 @@ def led_pose(time: float) -> Pose:
 
 
 def led_tracker(until: float) -> Tracker:
-    tracker = Tracker(None, DEVICE, None, MOTION)
+    tracker = LedTracker(DEVICE, MOTION)
     for start in np.arange(0.0, until, 0.075):
         one = shot(float(start))
         tracker.update(one, led_pose(one.end - 0.0145))
