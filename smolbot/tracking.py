@@ -11,7 +11,7 @@ import numpy as np
 from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.kalman import carried_on, corrected
-from smolbot.motion.gradient import advance
+from smolbot.motion.gradient import advance, stray_turn
 from smolbot.motion.robot import Robot
 from smolbot.poses import Pose
 from smolbot.rotations import (
@@ -34,12 +34,6 @@ MOTION_ERROR = 0.3
 
 MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
 """What sensors slightly out of place leave in every pose, per axis (m, rad, share of the amplitude)."""
-
-COIL_ERROR = 0.03
-"""Share of a coil's field by which it may differ from its table: 2 % of gain, some tenths of a mm of place."""
-
-COARSE = 6e-3
-"""Step, in s, with which a turn is followed whose size alone is asked for."""
 
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
@@ -172,7 +166,8 @@ class Tracker:
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
         if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
-            pose = replace(pose, orientation=nearer_twin(pose.orientation, self._state.orientation))
+            nearer = nearer_twin(pose.orientation, self._state.orientation)
+            pose = pose if nearer is pose.orientation else replace(pose, orientation=nearer)
         believed = pose is not None and pose.trusted and self._correct(pose, swing)
         if believed:
             self.misses = 0
@@ -227,16 +222,16 @@ class Tracker:
                 continue
             ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
             heading = math.atan2(ahead[1], ahead[0])
-            step, after = advance(
-                self._robot, field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
-            )
+            currents = np.array(window.currents)
+            step, after = advance(self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration)
             turn = after - heading
             position[:2] += step
             orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
             noise[:2] += MOTION_ERROR**2 * (step[0] * step[0] + step[1] * step[1])
             noise[5] += (MOTION_ERROR * turn) ** 2
-            doubt = float(state.covariance[5, 5])
-            noise[5] += _stray_turn(self._robot, field[:, 0], gradient[:, 0], window, heading, doubt)
+            noise[5] += stray_turn(
+                self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration, state.covariance[5, 5]
+            )
         covariance = carried_on(state.covariance, wait, noise)
         self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
@@ -289,23 +284,3 @@ class Tracker:
             trusted=believed,
         )
         return self._last
-
-
-def _stray_turn(
-    robot: Robot, field: FloatArray, gradient: FloatArray, window: Actuate, heading: float, variance: float
-) -> float:
-    """Variance of the turn, in rad², that errors of the coils' fields and of the heading (`variance`) add.
-
-    A robot that nearly points against the field turns either way: what decides is smaller than any belief.
-    """
-    currents = np.array(window.currents)
-    each = currents[:, None] * field
-    size = math.sqrt(float(np.sum(each.sum(axis=0) ** 2)))
-    aside = math.atan2(COIL_ERROR * math.sqrt(float(np.sum(each * each))), size)
-    doubt = math.sqrt(max(variance, 0.0))
-    nudge = max(aside, doubt)
-    low, high = (
-        advance(robot, field, gradient, currents, heading + a, window.duration, COARSE)[1] - a for a in (-nudge, nudge)
-    )
-    slope = (high - low) / (2.0 * nudge)  # of the turn for the heading; the field's direction counts the other way
-    return (slope * aside) ** 2 + max((1.0 + slope) ** 2 - 1.0, 0.0) * variance

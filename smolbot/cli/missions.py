@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -161,8 +162,10 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
     rows = [
         ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
         ("loop rate", f"{seen.rate:.2f} Hz (timeline allows {seen.rate_limit:.2f} Hz)"),
-        ("path", f"{seen.length * 1e3:.1f} mm"),
+        ("path", _path(seen)),
+        *[("", remark) for remark in seen.remarks],
         ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
+        ("along the path", _pace(seen)),
         ("force along the path", f"{reach.force.min() * 1e6:.0f} to {reach.force.max() * 1e6:.0f} µN"),
         (
             "force direction error",
@@ -186,6 +189,11 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
                 "timeline_limit_hz": seen.rate_limit,
                 "loop_rate_hz": seen.rate,
                 "path_length_mm": seen.length * 1e3,
+                "path_corners": seen.corners,
+                "path_tightest_bend_mm": as_json(seen.tightest * 1e3),
+                "path_remarks": list(seen.remarks),
+                "path_time_s": as_json(seen.path_time),
+                "path_time_wanted_s": seen.wanted_time,
                 "expected_duration_s": as_json(seen.duration),
                 "expected_cycles": seen.cycles,
                 "force_un": {"min": reach.force.min() * 1e6, "max": reach.force.max() * 1e6},
@@ -200,9 +208,29 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
     raise typer.Exit(0 if seen.go else 1)
 
 
+def _path(seen: Preview) -> str:
+    import math
+
+    corners = {0: "no corners", 1: "1 corner"}.get(seen.corners, f"{seen.corners} corners")
+    bend = f"tightest bend {seen.tightest * 1e3:.1f} mm" if math.isfinite(seen.tightest) else "no bends"
+    return f"{seen.length * 1e3:.1f} mm, {corners}, {bend}"
+
+
+def _pace(seen: Preview) -> str:
+    if not seen.go:
+        return "does not end"
+    got = f"{seen.path_time:.0f} s, {seen.length * 1e3 / seen.path_time:.2f} mm/s on average"
+    if seen.wanted_time is None:
+        return got
+    wanted = f"{seen.wanted_time:.0f} s, {seen.length * 1e3 / seen.wanted_time:.2f} mm/s"
+    late = seen.path_time > 1.1 * seen.wanted_time
+    return f"{got}; wanted {wanted}{': more than the law can do' if late else ''}"
+
+
 def list_(json: JsonOption = False) -> None:
     """List shipped missions, rigs and robots, and the installed controllers."""
     from smolbot.config import Document
+    from smolbot.drawing.font import KNOWN
     from smolbot.library import KINDS, shipped
     from smolbot.plugins import names
 
@@ -214,25 +242,29 @@ def list_(json: JsonOption = False) -> None:
         table(kind, list(entries.items()), err=json)
     laws = names("controllers")
     table("controllers", [(name, "") for name in laws], err=json)
+    table("glyphs", [('glyph = "S"', KNOWN)], err=json)
     if json:
-        echo_json({**found, "controllers": laws})
+        echo_json({**found, "controllers": laws, "glyphs": KNOWN})
 
 
 def init(
     folder: Annotated[Path, typer.Argument(help="Folder to make.", metavar="DIR")],
     mission: Annotated[str, typer.Option(help="Shipped mission to start from.")] = "r_small",
 ) -> None:
-    """Copy a mission with its rig and robot into a folder, to edit and fly as your own."""
-    from smolbot.config import Document
+    """Copy a mission with its rig, robot and path file into a folder, to edit and fly as your own."""
+    from smolbot.config import Document, Fault
     from smolbot.library import find_file
 
     source = find_file(mission, "missions")
-    data = Document.read(source).data
-    files = {
-        f"{source.stem}.toml": source,
-        f"{data['rig']}.toml": find_file(data["rig"], "rigs"),
-        f"{data['robot']}.toml": find_file(data["robot"], "robots"),
-    }
+    document = Document.read(source)
+    data, beside = document.data, source.parent
+    copies = {key: find_file(str(data.get(key)), f"{key}s", beside) for key in ("rig", "robot")}
+    section = data.get("path", {})
+    if "file" in section:
+        copies["file"] = beside / str(section["file"])
+        if not copies["file"].is_file():
+            raise document.error([Fault(("path", "file"), f"{copies['file']}: no such file.")])
+    files = {source.name: source, **{path.name: path for path in copies.values()}}
     existing = [name for name in files if (folder / name).exists()]
     if existing:
         raise InputError(f"{folder}: {', '.join(existing)} stand there already; nothing was written.")
@@ -240,10 +272,11 @@ def init(
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in files.items():
             shutil.copyfile(path, folder / name)
-        own = folder / f"{source.stem}.toml"
+        own = folder / source.name
         text = own.read_text(encoding="utf-8")
-        for key in ("rig", "robot"):
-            text = text.replace(f'{key} = "{data[key]}"', f'{key} = "{data[key]}.toml"', 1)
+        for key, path in copies.items():
+            given = re.escape(str(section["file"] if key == "file" else data[key]))
+            text = re.sub(rf"""(?m)(\b{key}\s*=\s*)["']{given}["']""", rf'\g<1>"{path.name}"', text, count=1)
         own.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error}.") from error

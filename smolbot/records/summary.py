@@ -28,6 +28,7 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     out["coil_energy_j"] = coil_energy(mission, run)
     out["path_length_mm"] = mission.path.length * 1e3
     out["progress_mm"] = max((c.command.progress for c in run.cycles), default=0.0) * 1e3
+    out["path_time_s"] = path_time(trace)
     out |= against_truth(mission, trace.moments)
     distance = tracking_distance(mission, trace.following)
     if distance.size:
@@ -98,6 +99,12 @@ def coil_energy(mission: Mission, run: Run) -> float:
             if isinstance(window, Actuate)
         )
     )
+
+
+def path_time(trace: Trace) -> float | None:
+    """Time in s from the path's start to its end, or as far as it was followed; None where it was not."""
+    following = trace.following
+    return following[-1].cycle.shot.end - following[0].cycle.shot.end if following else None
 
 
 def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:
