@@ -10,12 +10,15 @@ from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from smolbot.cli.missions import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 from smolbot.errors import InputError
+
+if TYPE_CHECKING:
+    from smolbot.anymission import AnyMission
 
 COLUMNS = {
     "seed": ("seed",),
@@ -34,6 +37,15 @@ COLUMNS = {
     "tracking_rms_mm": ("tracking_error_mm", "rms"),
     "tracking_p95_mm": ("tracking_error_mm", "p95"),
     "tracking_max_mm": ("tracking_error_mm", "max"),
+    "pose_rate_hz": ("pose_rate_hz",),
+    "gaps": ("gaps", "count"),
+    "longest_gap_s": ("gaps", "longest_s"),
+    "measurements": ("measurements",),
+    "sigma_x_mm": ("sigma_mm", "x"),
+    "sigma_y_mm": ("sigma_mm", "y"),
+    "sigma_z_mm": ("sigma_mm", "z"),
+    "sigma_mm": ("sigma_mm", "distance"),
+    "sigma_deg": ("sigma_deg", "angle"),
     "r_squared_median": ("r_squared_median",),
     "flips": ("flips",),
     "compute_p99_ms": ("compute_ms", "p99"),
@@ -85,7 +97,8 @@ def simulate(
 ) -> None:
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
     from sim.executors import open_executor
-    from smolbot.missionfile import load_mission
+    from smolbot.anymission import load_mission
+    from smolbot.observationfile import Observation
     from smolbot.records.folder import RunFolder
 
     wanted = parse_seeds(seeds)
@@ -95,7 +108,8 @@ def simulate(
         from sim.reduced.rig import require_flyable
 
         require_flyable(loaded)
-    loaded.rig.table()  # built once, before the workers need it
+    if not isinstance(loaded, Observation):
+        loaded.rig.table()  # built once, before the workers need it
     folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
     folder.begin(loaded, wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
     begin = time.perf_counter()
@@ -105,9 +119,7 @@ def simulate(
         wall = time.perf_counter() - begin
     flights.sort(key=lambda f: f.summary["seed"])
     write_results(folder.path / "results.csv", flights)
-    from sim.study_picture import draw_flights
-
-    draw_flights(loaded, flights, folder.path / "flights.png")
+    draw(loaded, flights, folder.path / "flights.png")
     figures = combine(loaded.name, flights)
     figures["flights_per_minute"] = {"in_all": 60.0 * len(flights) / wall, **warm_rates(flights)}
     figures["folder"] = str(folder.path)
@@ -153,8 +165,8 @@ _loaded: dict[tuple[Any, ...], Any] = {}
 
 def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, plant: Plant = Plant.FULL) -> Flight:
     """One flight, in whatever process this is; files are read once per process."""
+    from smolbot.anymission import load_mission
     from smolbot.flying import fly
-    from smolbot.missionfile import load_mission
 
     key = (mission, rig, tuple(sorted(settings.items())))
     if key not in _loaded:
@@ -166,6 +178,20 @@ def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, 
         opener = open_reduced
     run = fly(_loaded[key], seed, settings=settings, opener=opener)
     return Flight(run.summary, run.true_trail, os.getpid(), time.time(), time.process_time())
+
+
+def draw(mission: AnyMission, flights: list[Flight], path: Path) -> None:
+    """Write the picture of all flights."""
+    from smolbot.observationfile import Observation
+
+    if isinstance(mission, Observation):
+        from sim.observations_picture import draw_observations
+
+        draw_observations(mission, flights, path)
+    else:
+        from sim.study_picture import draw_flights
+
+        draw_flights(mission, flights, path)
 
 
 def combine(mission: str, flights: list[Flight]) -> dict[str, Any]:
@@ -218,8 +244,9 @@ def write_results(path: Path, flights: list[Flight]) -> None:
     """One line per flight."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows([[f.value(column) for column in COLUMNS] for f in flights])
+        told = [column for column in COLUMNS if any(f.value(column) is not None for f in flights)]
+        writer.writerow(told)
+        writer.writerows([[f.value(column) for column in told] for f in flights])
 
 
 def _new_folder(name: str) -> Any:

@@ -108,7 +108,7 @@ class Mission(MissionBase):
 
 
 def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Mission:
-    """Read a shipped mission by name, or a user's by path, with the rig and robot that it names.
+    """Read a mission that steers, shipped or a user's own by path, with the rig and robot that it names.
 
     Parameters
     ----------
@@ -125,6 +125,9 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     """
     settings = settings or {}
     document = open_document(name, settings)
+    if "observe" in document.data:
+        message = "this mission only looks, and steers nothing; smolbot run and smolbot simulate carry it out."
+        raise document.error([Fault(("observe",), message)])
     sections, faults = document.validate(MissionFile)
     messages = [document.error(faults)] if faults else []
     rig_config, robot_config, found = load_parts(document, rig, settings)

@@ -50,7 +50,9 @@ _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
 
 
 @dataclass(frozen=True)
-class _State:
+class State:
+    """What is believed at one time, in SI; covariance of (position, rotation e, amplitude, drift)."""
+
     time: float
     position: FloatArray
     orientation: FloatArray
@@ -82,17 +84,17 @@ class Tracker:
 
     Parameters
     ----------
-    robot : Robot
+    robot : Robot or None
     device : Device
     table : FieldTable or None
-        Field of the actuation coils; without one, windows are taken to cause no motion.
+        Field of the actuation coils; without one, or without a robot, windows are taken to cause no motion.
     """
 
-    def __init__(self, robot: Robot, device: Device, table: FieldTable | None) -> None:
+    def __init__(self, robot: Robot | None, device: Device, table: FieldTable | None) -> None:
         self._robot = robot
         self._device = device
         self._table = table
-        self._state: _State | None = None
+        self._state: State | None = None
         self._candidate: Pose | None = None
         self._accepted = 0
         self._surprise = 1.0
@@ -183,7 +185,7 @@ class Tracker:
         covariance[_A, _A] = 0.3**2
         covariance[_V, _V] = DRIFT_START**2 * np.eye(3)
         place = np.array(pose.position), np.array(pose.orientation)
-        self._state = _State(pose.time, *place, 0.75, np.zeros(3), covariance)
+        self._state = State(pose.time, *place, 0.75, np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
         self._publish(pose, True)
 
@@ -210,7 +212,9 @@ class Tracker:
         noise[_A] = AMPLITUDE_WANDER**2
         noise[_V] = DRIFT_WANDER**2 * wait
         for window in shot.windows:
-            if not isinstance(window, Actuate) or self._table is None or not any(window.currents):
+            if not isinstance(window, Actuate) or not any(window.currents):
+                continue
+            if self._table is None or self._robot is None:
                 continue
             try:
                 field, gradient = self._table.field_and_gradient(position[None, :])
@@ -229,7 +233,7 @@ class Tracker:
                 self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration, state.covariance[5, 5]
             )
         covariance = carried_on(state.covariance, wait, noise)
-        self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
+        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
@@ -253,15 +257,19 @@ class Tracker:
         surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
         self._surprise = min(max(surprise, 1.0), 25.0)
         orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
-        self._state = _State(
-            state.time,
-            state.position + change[_P],
-            orientation / math.sqrt(orientation @ orientation),
-            state.amplitude + float(change[_A]),
-            state.drift + change[_V],
-            covariance,
+        self._state = replace(
+            state,
+            position=state.position + change[_P],
+            orientation=orientation / math.sqrt(orientation @ orientation),
+            amplitude=state.amplitude + float(change[_A]),
+            drift=state.drift + change[_V],
+            covariance=covariance,
         )
+        self._learn(change)
         return True
+
+    def _learn(self, change: FloatArray) -> None:
+        """What a correction says of more than a resting robot's state; nothing here."""
 
     def _publish(self, pose: Pose | None, believed: bool) -> Pose:
         state = self._state

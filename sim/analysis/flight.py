@@ -14,7 +14,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Controller, Setup
 from smolbot.errors import InputError
-from smolbot.fitness import expected_covariances
+from smolbot.fitness import covariances_along
 from smolbot.localization.transients import QUIET_AFTER
 from smolbot.missionfile import Mission
 from smolbot.motion.gradient import advance
@@ -109,7 +109,7 @@ class Model:
             Listen(cycle.half_periods, frequency),
         )
         self._arc = np.linspace(0.0, mission.path.length, PLACES)
-        self._covariances = expected_covariances(mission, self._arc)
+        self._covariances = covariances_along(mission, self._arc)
 
     @property
     def rest(self) -> float:

@@ -13,6 +13,7 @@ from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
+    from smolbot.anymission import AnyMission
     from smolbot.loop import Listener, Run
     from smolbot.missionfile import Mission
     from smolbot.preview import Preview
@@ -90,10 +91,10 @@ def run(
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Fly a mission, closed loop, and leave a run folder with its figures and picture."""
+    """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
+    from smolbot.anymission import load_mission
     from smolbot.cli.progress import shown_progress
     from smolbot.flying import fly, new_folder
-    from smolbot.missionfile import load_mission
     from smolbot.records.folder import RunFolder
 
     settings = settings_from(set_)
@@ -101,7 +102,7 @@ def run(
     folder = RunFolder(out) if out is not None else new_folder(loaded, seed)
     with shown_progress(loaded) as progress:
 
-        def listeners(_: Mission) -> tuple[Listener, ...]:
+        def listeners(_: AnyMission) -> tuple[Listener, ...]:
             return (progress,)
 
         flown = fly(loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners)
@@ -115,14 +116,15 @@ def _exit_code(run: Run) -> int:
     return 0 if run.summary["verdict"] == "passed" else 1
 
 
-def _show_run(mission: Mission, run: Run, json: bool) -> None:
+def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
+    from smolbot.cli.observations import observation_rows
     from smolbot.records.summary import label_of
 
     s = run.summary
     rows = [
         ("status", f"{s['status']}: {s['stop_reason']}"),
         ("verdict", "; ".join([str(s["verdict"]), *_texts(s["verdict_reasons"])])),
-        ("robot time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
+        ("robot time" if "path_length_mm" in s else "time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
         ("loop rate", f"{s['loop_rate_hz']:.2f} Hz (timeline allows {s['timeline_limit_hz']:.2f} Hz)"),
         ("computing", _compute(s)),
     ]
@@ -135,9 +137,11 @@ def _show_run(mission: Mission, run: Run, json: bool) -> None:
         if key in s:
             unit = key.rsplit("_", 1)[1]
             rows.append((label, ", ".join(f"{name} {value:.2f}" for name, value in s[key].items()) + f" {unit}"))  # type: ignore[attr-defined]
+    rows += observation_rows(s)
     if s["r_squared_median"] is not None:
         rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
-    rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
+    if "coil_energy_j" in s:
+        rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
     table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
@@ -158,7 +162,10 @@ def _compute(summary: dict[str, Any]) -> str:
 
 def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = None, json: JsonOption = False) -> None:
     """Time a mission on paper: a cycle's timeline, rate, duration, reach of force; go or no-go with reasons."""
-    from smolbot.missionfile import load_mission
+    from smolbot.anymission import load_mission
+    from smolbot.cli.observations import show_observation_preview
+    from smolbot.observation_preview import preview_observation
+    from smolbot.observationfile import Observation
     from smolbot.preview import preview as look
 
     try:
@@ -168,7 +175,10 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
             echo_json({"mission": mission, "go": False, "reasons": str(error).splitlines()})
         typer.echo("no-go", err=True)
         raise
-    _show_preview(loaded, look(loaded), json)
+    if isinstance(loaded, Observation):
+        show_observation_preview(loaded, preview_observation(loaded), json)
+    else:
+        _show_preview(loaded, look(loaded), json)
 
 
 def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from lookup_tables import FieldTable
+from smolbot.anymission import load_mission
 from smolbot.config import Document
 from smolbot.errors import ConfigError, MissingFileError, SmolbotError
 from smolbot.library import find_file, shipped
-from smolbot.missionfile import load_mission
 from smolbot.rigfile import load_rig
 from smolbot.robotfile import load_robot
 
