@@ -120,6 +120,8 @@ class Loop:
     """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
     In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
+    Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
+    A device that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
     """
 
     def __init__(
@@ -133,6 +135,9 @@ class Loop:
         quiet: Quiet,
         listeners: tuple[Listener, ...] = (),
         clock: Callable[[], float] = time.perf_counter,
+        *,
+        independent: bool = False,
+        led: bool = False,
         array_filter: ArrayFilter | None = None,
     ) -> None:
         self.rig = rig
@@ -147,6 +152,8 @@ class Loop:
         self.noise_watch = NoiseWatch(len(localizer.sensors))
         self.array_filter = array_filter
         self.listeners = listeners
+        self.independent = independent
+        self.led = led
         self._clock = clock
         self._started = 0.0
         self._heard = 0
@@ -235,7 +242,8 @@ class Loop:
         swing: Swing | SightedSwing | None = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
-            prior = None if shot.mode in ("search", "lost") else self.tracker.pose
+            stale = self.independent or self.tracker.pose is None or shot.mode in ("search", "lost")
+            prior = None if stale else self.tracker.pose_at(recording.middle)
             try:
                 pose, swing = self.localizer.locate_swing(recording, prior)
             except InputError:  # too few usable channels: a missed window, counted by the tracker
@@ -243,7 +251,9 @@ class Loop:
         tracked = self.tracker.update(shot, pose, swing)
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.moved(*self.tracker.motion)
-        if recording is not None and isinstance(swing, Swing) and tracked is not None and tracked.trusted:
+        learns = not self.independent and tracked is not None and tracked.trusted
+        if recording is not None and isinstance(swing, Swing) and learns:
+            assert tracked is not None
             if self.array_filter is not None and pose is not None:
                 self._learn_array(tracked.time, self.array_filter, pose, swing)
             self._heard += 1
@@ -279,7 +289,7 @@ class Loop:
 
     def _refresh_noise(self, time: float, swing: Swing, recording: Recording) -> None:
         """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
-        if isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
+        if self.led or isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
             return
         ratios = self.noise_watch.update(*swing.energies(recording, self.localizer.noise))
         if ratios is None:
