@@ -150,7 +150,7 @@ def _fly_on(
     flown.summary["plant"] = str(drawn.get("plant", "full"))
     flown.summary["run"] = str(folder.path) if folder is not None else None
     if folder is not None:
-        if loop.array_filter is not None and loop.array_filter.recordings:
+        if isinstance(mission, Mission) and loop.array_filter is not None and loop.array_filter.recordings:
             write_sensors(folder.path / LEARNED, learned_sensors(mission, loop.array_filter))
         flown.folder = str(folder.path)
         folder.end(flown.summary)
