@@ -9,6 +9,7 @@ the other stands in the covariance between them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,11 @@ WORTHWHILE = 1.5e-5
 
 AMPLITUDE_WANDER = 0.02
 """Share by which the amplitude of the drive varies from one shot to the next."""
+
+SURE = 4.0
+"""Standard deviations by which chi-square must exceed what noise makes of it before sensors are believed to be off.
+
+Sensors that stand as they should would else be moved by the noise of what was learned."""
 
 VAGUE = np.array([3e-3] * 3 + [0.3] * 3 + [0.3])
 """Standard deviations that a track begins with: m, rad, share of the amplitude."""
@@ -109,6 +115,7 @@ class ArrayFilter:
         self.sensors, self.moment, self.l0 = belief.sensors, belief.device.moment, belief.device.l0
         self.recordings = 0
         self._applied = np.zeros(n)
+        self._told = False
         self._covariance = np.zeros((_POSE + n, _POSE + n))
         self._covariance[_POSE:, _POSE:] = belief.covariance
         self._position: FloatArray | None = None
@@ -158,6 +165,9 @@ class ArrayFilter:
         if self._waiting < TAKEN_IN_EVERY:
             return False
         self._take_in()
+        self._told = self._told or surprising(self.deviations, self.covariance, self.belief.covariance)
+        if not self._told:
+            return False
         change = terms.lean[:3] @ (self.deviations - self._applied)
         if not float(np.linalg.norm(change)) > WORTHWHILE:
             return False
@@ -215,3 +225,22 @@ class ArrayFilter:
         self._orientation /= np.linalg.norm(self._orientation)
         self._amplitude += float(change[6])
         self.deviations = self.deviations + change[_POSE:]
+
+
+def surprising(deviations: FloatArray, covariance: FloatArray, prior: FloatArray) -> bool:
+    """Whether learned deviations (n,) are more than noise, where truly none are there.
+
+    Looked at are the directions of which more is known by now (`covariance`, (n, n)) than was before (`prior`): there
+    a true zero would be learned with a variance of v (1 - v), v being what is left of a prior variance of one.
+    """
+    own = np.sqrt(np.diag(prior))
+    free = own > 0.0
+    scale = own[free]
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(scale, scale))
+    known = (values < 0.5) & (values > 0.0)
+    count = int(known.sum())
+    if count == 0:
+        return False
+    seen = vectors[:, known].T @ (deviations[free] / scale)
+    square = float(np.sum(seen**2 / (values[known] * (1.0 - values[known]))))
+    return square > count + SURE * math.sqrt(2.0 * count)

@@ -4,9 +4,10 @@ A recording holds more numbers than a pose has. Near a finished fit its data are
 
     d = s(x_fit) + J (x - x_fit) + T q + V w + n,
 
-x pose, phase and amplitude, q the deviations of sensors and device from what was believed of them, w the turning of the
-device while it was listened to, and n white. Seen from x, q shifts what a fit finds by -L q; in the directions that no
-pose can explain, it shows by itself. Both parts are uncorrelated, and are handed on apart.
+x pose, phase and amplitude, q the deviations of sensors and device from what was believed of them, w what else may be
+off, namely how the device turned while it was listened to, and its resonance; n is white. Seen from x, q shifts what a
+fit finds by -L q; in the directions that no pose can explain, it shows by itself. Both parts are uncorrelated, and are
+handed on apart.
 """
 
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
@@ -37,11 +38,9 @@ TURNING = 2e-3
 
 It swings no more than its static field changes by that; left out, it would be taken for the sensors'."""
 
-DOUBT = 10.0
-"""Variance of a recording over what its noise foretells.
-
-What else it holds, such as a resonance that is slightly off, lasts from shot to shot, and is not averaged away.
-"""
+OFF_RESONANCE = (0.08, 0.06)
+"""How far frequency (Hz) and damping (relative) may be off without being learned anew, one standard deviation; see
+`smolbot.resonance`."""
 
 MAX_MISFIT = 3.0
 """Variance of what is left, above which something else than sensors is heard."""
@@ -100,8 +99,17 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
         np.zeros((compiled.N_PARAMETERS, len(out))),
     )  # fmt: skip
     turning = TURNING * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of a device at rest
+    spread = OFF_RESONANCE[0], OFF_RESONANCE[1] * model.device.damping
+    retuned = np.stack(
+        [
+            size * model.response(*place, fit.phase, fit.amplitude, slope)[0]
+            for size, slope in zip(spread, model.slopes, strict=True)
+        ]
+    )
     found, step, covariance, lean, information, right, left = separated(
-        np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _STEP]), turning, problem.data - out
+        np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _STEP]),
+        np.concatenate([turning, retuned]),
+        problem.data - out,
     )
     if not found or left > MAX_MISFIT * max(len(out) - compiled.N_PARAMETERS, 1):
         return None
@@ -111,7 +119,7 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
         wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
         wide_lean[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = lean, right, information
         lean, right, information = wide_lean, wide_right, wide
-    return ArrayTerms(step, DOUBT * covariance, lean, information / DOUBT, right / DOUBT, fit.amplitude)
+    return ArrayTerms(step, covariance, lean, information, right, fit.amplitude)
 
 
 @njit(cache=True, fastmath=True)
@@ -173,21 +181,21 @@ def products(a, b):
 
 
 @njit(cache=True)
-def separated(rows, turning, residual):
+def separated(rows, strays, residual):
     """Pose and sensors told apart in one recording's data.
 
-    `rows` (8 + m, n_out): the data's change per pose, phase and amplitude, then per deviation. `turning` (3, n_out) is
-    heard as noise. Returns whether it could be done, the step of the pose (7,) and its covariance, the lean (7, m),
-    information and right of the deviations, and the squared residual that is left of the data.
+    `rows` (8 + m, n_out): the data's change per pose, phase and amplitude, then per deviation. `strays` (k, n_out) are
+    heard as noise, each of unit size. Returns whether it could be done, the step of the pose (7,) and its covariance,
+    the lean (7, m), information and right of the deviations, and the squared residual that is left of the data.
     """
     m = rows.shape[0] - 8
     data = residual.reshape(1, -1)
-    inner = np.linalg.inv(np.eye(3) + products(turning, turning))
-    across = products(rows, turning) @ inner
-    rest = rows - across @ turning  # C^-1 times the rows, C = 1 + turning^T turning
+    inner = np.linalg.inv(np.eye(strays.shape[0]) + products(strays, strays))
+    across = products(rows, strays) @ inner
+    rest = rows - across @ strays  # C^-1 times the rows, C = 1 + strays^T strays
     normal = products(rows, rest)
     right = products(rest, data)[:, 0].copy()
-    heard = products(turning, data)[:, 0].copy()
+    heard = products(strays, data)[:, 0].copy()
     square = products(data, data)[0, 0] - heard @ inner @ heard
     pose = np.zeros(7)
     scale = np.zeros(8)
