@@ -214,7 +214,7 @@ class RigConfig:
         """How far the sensors may be off what is believed: covariance (6 n, 6 n), see `array_filter.ArrayBelief`.
 
         Of the sensors file, if the rig file names one; else by the tolerances that stand in the rig file. None where
-        neither says anything.
+        neither says anything, and for a file without correlations, as a stage calibration writes it.
         """
         section = self.sections.sensors
         return self.calibrated.covariance if section.calibrated is not None else section.covariance

@@ -113,12 +113,16 @@ class UncertaintySection(FileModel):
         return self
 
     @property
-    def covariance(self) -> FloatArray:
-        """Of all values, shape (6 n, 6 n): ln gain, two tilts (rad), place (m) of each sensor."""
+    def covariance(self) -> FloatArray | None:
+        """Of all values, shape (6 n, 6 n): ln gain, two tilts (rad), place (m) of each sensor.
+
+        None without correlations: the values of a calibration hang together far more closely than each by itself is
+        known, and a flight that did not know that would take them apart again.
+        """
+        if self.correlations is None:
+            return None
         tilts, places = np.radians(np.array(self.axes_deg)), 1e-3 * np.array(self.positions_mm)
         deviations = np.column_stack([self.gains, tilts, places]).ravel()
-        if self.correlations is None:
-            return np.diag(deviations**2)
         n = len(deviations)
         full = np.zeros((n, n))
         full[np.tril_indices(n)] = np.concatenate([np.array(row) for row in self.correlations])
@@ -157,7 +161,8 @@ class SensorsFile(FileModel):
 class CalibratedSensors:
     """An array as it was calibrated: places and axes, and the gain of each sensor, shape (n_sensors,).
 
-    `covariance` (6 n, 6 n) is of what is left: ln gain, two tilts (rad) and place (m) of each; None if nobody says.
+    `covariance` (6 n, 6 n) is of what is left: ln gain, two tilts (rad) and place (m) of each; None if nobody
+    says, correlations included.
     """
 
     array: SensorArray

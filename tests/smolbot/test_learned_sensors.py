@@ -54,6 +54,17 @@ def test_a_sensors_file_that_says_nothing_of_its_errors_is_believed_as_it_stands
     assert load_rig("tank", settings).sensor_covariance is None
 
 
+def test_what_a_stage_calibrated_is_left_as_it_is(tmp_path):
+    settings = written(tmp_path / "stage.toml", covariance_of(10, 1))
+    lines = (tmp_path / "stage.toml").read_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("correlations"))
+    end = next(i for i in range(at, len(lines)) if lines[i].strip() == "]" or lines[i].endswith("]]"))
+    (tmp_path / "stage.toml").write_text("\n".join(lines[:at] + lines[end + 1 :]) + "\n")
+    rig = load_rig("tank", settings)
+    assert rig.calibrated.array is not None
+    assert rig.sensor_covariance is None
+
+
 def test_a_triangle_with_a_row_too_short_is_told(tmp_path):
     settings = written(tmp_path / "learned.toml", covariance_of(10, 1))
     lines = (tmp_path / "learned.toml").read_text().splitlines()

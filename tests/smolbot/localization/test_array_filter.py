@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smolbot.errors import InputError
-from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_frames
+from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, surprising, tilt_frames
 from smolbot.localization.array_terms import OF_DEVICE, PER_SENSOR
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
@@ -182,3 +182,22 @@ def test_a_gain_that_is_known_changes_no_pose(array, along_device, pose_at):
 def test_gains_that_are_not_positive_are_refused(array):
     with pytest.raises(InputError, match="gains must be positive"):
         SensorArray(array.positions, array.axes, array.bandwidth, np.zeros(len(array)))
+
+
+def test_noise_alone_does_not_move_the_sensors_and_real_deviations_do():
+    rng = np.random.default_rng(8)
+    n, k = 30, 12
+    prior = np.diag(rng.uniform(1e-4, 5e-3, n) ** 2)
+    prior[3, 3] = 0.0  # believed beyond doubt
+    own = np.sqrt(np.diag(prior))
+    rows = 3.0 * rng.standard_normal((k, n)) / np.where(own > 0.0, own, 1.0)  # what was heard: rows q + unit noise
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.eye(k))
+    covariance = prior - gain @ rows @ prior
+    false = [surprising(gain @ rng.standard_normal(k), covariance, prior) for _ in range(400)]
+    true = [
+        surprising(gain @ (rows @ (own * rng.standard_normal(n)) + rng.standard_normal(k)), covariance, prior)
+        for _ in range(100)
+    ]
+    assert sum(false) <= 4  # beyond four sigma of chi-square
+    assert all(true)
+    assert not surprising(np.zeros(n), prior, prior)
