@@ -19,11 +19,13 @@ from smolbot.cli import app as command_line
 from smolbot.errors import InputError, InterlockError, RigError
 from smolbot.flying import fly
 from smolbot.localization.localizer import Localizer
+from smolbot.missionfile import load_mission
 from smolbot.records.folder import RunFolder
 from smolbot.records.picture import headline as headline_of_run
 from smolbot.shots import Actuate, Excite, Listen, RingDown, Shot
 from smolbot.worlds import Rig
 
+UNITS = (("place", "mm"), ("gain", "percent"), ("axis", "deg"))
 CYCLE = Shot((Actuate((8.0, 0.0, 3.0, 0.0), 0.03), Excite((6.0, 6.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5)))
 
 
@@ -69,8 +71,10 @@ def test_without_the_witness_poses_and_commands_are_the_same(line, flown):
     assert "tracking_error_mm" not in alone.summary
 
 
-def test_poses_err_as_those_of_the_full_tank_with_the_same_draws(line, flown):
-    full, reduced = fly(line, 2).summary, flown[2].summary
+def test_poses_err_as_those_of_the_full_tank_with_the_same_draws(flown):
+    # the reduced plant learns no sensors
+    unlearned = load_mission("line", settings={f"rig.sensors.{a}_tolerance_{unit}": "0" for a, unit in UNITS})
+    full, reduced = fly(unlearned, 2).summary, flown[2].summary
     bias, other = np.array(full["localization_bias_mm"]), np.array(reduced["localization_bias_mm"])
     assert np.linalg.norm(bias) > 0.3
     assert np.linalg.norm(bias - other) < 0.15

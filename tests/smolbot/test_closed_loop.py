@@ -13,7 +13,7 @@ import pytest
 import smolbot
 from smolbot import flying
 from smolbot.errors import ConfigError, InputError, InterlockError, RigError, SmolbotError
-from smolbot.flying import fly, make_loop
+from smolbot.flying import LEARNED, fly, make_loop
 from smolbot.loop import Loop
 from smolbot.missionfile import load_mission
 from smolbot.plugins import load_world
@@ -23,7 +23,7 @@ from smolbot.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
 
 FILES = {
     *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json", "path.png"),
-    "sensors_learned.toml",
+    LEARNED,
 }
 WALL = ("wall_s", "compute_ms", "realtime_factor", "run")
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "2.0"}
@@ -186,7 +186,7 @@ def test_ctrl_c_stops_cleanly_and_leaves_a_complete_folder(plain, tmp_path):
     run = fly(plain, 3, folder=RunFolder(tmp_path / "run"), listeners=lambda _: (Interrupt(5),))
     assert run.status == "stopped"
     assert "Ctrl-C" in run.stop_reason
-    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES
+    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES - {LEARNED}
     assert json.loads((tmp_path / "run/summary.json").read_text())["status"] == "stopped"
     assert len((tmp_path / "run/cycles.csv").read_text().splitlines()) == 1 + 5
 
@@ -253,14 +253,14 @@ def test_a_failing_rig_ends_the_flight_with_its_reason(plain, fly_wrapped, tmp_p
     assert run.summary["verdict"] == "failed"
     assert rig.stops >= 1
     assert len(run.cycles) == 3
-    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES
+    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES - {LEARNED}
 
 
 def test_a_rig_that_fails_at_once_still_leaves_a_folder(plain, fly_wrapped, tmp_path):
     run, _ = fly_wrapped(plain, fail_at=1, folder=RunFolder(tmp_path / "run"))
     assert run.status == "failed"
     assert run.cycles == []
-    assert {p.name for p in (tmp_path / "run").iterdir()} >= FILES - {"cycles.csv"}
+    assert {p.name for p in (tmp_path / "run").iterdir()} >= FILES - {"cycles.csv", LEARNED}
 
 
 def test_a_signal_that_was_never_there_is_searched_for_and_then_given_up(plain, fly_wrapped):
@@ -332,7 +332,7 @@ def test_a_sensor_that_becomes_noisy_on_the_way_is_found_and_weighed_less(fly_wr
         field[5] += 4e-9 * rng.standard_normal(field.shape[1])
         return replace(heard, field=field)
 
-    settings = {"path.points_mm": "[[-4.0, 0.0], [4.0, 0.0]]", "rig.tank.mismatch.scale": "0"}
+    settings = {"path.points_mm": "[[-5.0, 0.0], [5.0, 0.0]]", "rig.tank.mismatch.scale": "0"}
     run, _ = fly_wrapped(load_mission("line", settings=SHORT | settings), spoil=noisy)
     ratios = [e.detail["power_ratios"] for e in run.events if e.what == "noise refreshed"]
     assert run.status == "completed"
