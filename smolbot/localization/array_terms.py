@@ -13,6 +13,7 @@ handed on apart.
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,15 +112,18 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
         np.concatenate([turning, retuned]),
         problem.data - out,
     )
-    if not found or left > MAX_MISFIT * max(len(out) - compiled.N_PARAMETERS, 1):
+    freedom = max(len(out) - compiled.N_PARAMETERS, 1)
+    misfit = left / freedom
+    if not found or misfit > MAX_MISFIT:
         return None
+    doubt = misfit if misfit > 1.0 + 4.0 * math.sqrt(2.0 / freedom) else 1.0  # as a pose is doubted
     if n < len(model.used):
         kept = np.concatenate([np.repeat(model.used, PER_SENSOR), np.ones(OF_DEVICE, dtype=np.bool_)])
         count = len(kept)
         wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
         wide_lean[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = lean, right, information
         lean, right, information = wide_lean, wide_right, wide
-    return ArrayTerms(step, covariance, lean, information, right, fit.amplitude)
+    return ArrayTerms(step, doubt * covariance, lean, information / doubt, right / doubt, fit.amplitude)
 
 
 @njit(cache=True, fastmath=True)
