@@ -99,10 +99,10 @@ class TankRig:
         self._tank.silence()
 
     def close(self) -> None:
-        """Stop, then let go of Bullet's world; harmless when repeated."""
+        """Stop, then let go of what carries the robot; harmless when repeated."""
         self.stop()
         self._open = False
-        self._tank.bodies.close()
+        self._tank.carrier.close()
 
     def provenance(self) -> dict[str, Any]:
         """What this tank was drawn as: seed, whether ideal, and every drawn mismatch."""

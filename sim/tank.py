@@ -6,20 +6,19 @@ import math
 
 import numpy as np
 
-from sim.bodies import Bodies
 from sim.cantilever import STATE_LENGTH, swing
+from sim.carriers import Carrier, make_carrier
 from sim.coils import TankCoils, volume
 from sim.history import History
-from sim.hydrodynamics import Hull, float_step
 from sim.magnet import true_device
 from sim.mismatch import Streams, Truth, draw
 from sim.sensors import TrueSensors
 from sim.settings import TankSettings
 from smolbot.arrays import BoolArray, FloatArray
-from smolbot.errors import InputError, RigError
+from smolbot.errors import RigError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
+from smolbot.rotations import matrix_from_quaternion
 from smolbot.shots import Actuate, Excite, Window
 
 SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
@@ -48,10 +47,8 @@ class Tank:
         self.truth: Truth = draw(settings, n_coils, len(rig.sensors), streams, ideal=ideal)
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
-        self.hull = Hull.build(rig, robot, settings, self.truth)
         self.device = true_device(robot, settings, self.truth)
-        position, orientation = put_down(rig, robot, self.truth, self.hull, start)
-        self.bodies = Bodies(rig, robot, position, orientation, friction=settings.wall_friction, gui=gui)
+        self.carrier: Carrier = make_carrier(rig, robot, settings, self.truth, start, gui=gui)
         self.history = History()
         self.time = 0.0
         self.running = False
@@ -107,20 +104,18 @@ class Tank:
         substeps = _substeps(step)
         device, earth, state = self.device, self.coils.earth, self._state
         rows, table, circuits = self.coils.fields.rows, self.coils.fields.coefficients, self.coils.circuits
-        hull, height = self.hull.values, self.hull.float_height
-        read, move = self.bodies.state, self.bodies.move
+        read, move = self.carrier.state, self.carrier.advance
         used, start = self._used, self.time
         trace = self._trace
         played = 0
         for i in range(n):
             if not self.running:
                 break
-            position, quaternion, velocity, spin = read()
+            body = read()
             magnetic = swing(
-                position, quaternion, device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps
+                body[0], body[1], device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps
             )
-            velocity, spin = float_step(position, quaternion, velocity, spin, magnetic, hull, height, step)
-            move(velocity, spin, step)
+            move(body, magnetic, start + i * step, step)
             used += substeps
             played += 1
         times[:played] = start + step * np.arange(played)
@@ -132,6 +127,7 @@ class Tank:
 
     def _command(self, window: Window) -> None:
         self.silence()
+        self.carrier.begin(window, self.time)
         self._state[2:4] = 0.0
         actuation = self.coils.n_actuation
         if isinstance(window, Actuate):
@@ -154,32 +150,11 @@ class Tank:
         self._used = kept
 
     def _note_pose(self, time: FloatArray, pose: FloatArray) -> None:
-        position, quaternion, _, _ = self.bodies.state()
+        position, quaternion, _, _ = self.carrier.state()
         turn = matrix_from_quaternion(np.array(quaternion))
         time[0] = self.time
         pose[0, :3] = position - turn @ self.device[10:13]
         pose[0, 3:] = quaternion
-
-
-def put_down(
-    rig: RigConfig, robot: RobotConfig, truth: Truth, hull: Hull, start: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Middle (3,) in m and orientation (4,) of the housing: afloat, level, near `start` (m), its heading drawn."""
-    section = rig.sections.container
-    wanted = np.asarray(start, dtype=np.float64)[:2]
-    away = np.abs(wanted - 1e-3 * np.array(section.center_mm))
-    room = 0.5e-3 * np.array(section.size_mm) - np.hypot(robot.size[0], robot.size[2]) / 2
-    if np.any(away > room):
-        raise InputError(
-            f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "
-            f"got ({1e3 * wanted[0]:.1f}, {1e3 * wanted[1]:.1f}) mm."
-        )
-    heading = truth.start_heading
-    ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
-    orientation = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zy")
-    middle = np.array([*(wanted + truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
-    middle[2] = hull.float_height
-    return middle, orientation
 
 
 def _divide(duration: float, longest: float) -> tuple[int, float]:

@@ -17,6 +17,7 @@ from smolbot.localization.localizer import Localizer
 from smolbot.loop import CycleRecord, Listener, Loop, Quiet, Run, StopRules
 from smolbot.missionfile import Mission, load_mission
 from smolbot.motion.robot import magnet_inertia
+from smolbot.pilots import Follower
 from smolbot.plugins import load, load_world
 from smolbot.records.folder import RunFolder
 from smolbot.records.summary import summarise
@@ -160,7 +161,7 @@ def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) 
     stop = mission.sections.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
-    return Loop(rig, mission.path, scheduler, locator, tracker, controller, rules, quiet, listeners)
+    return Loop(rig, scheduler, locator, tracker, Follower(mission.path, controller), rules, quiet, listeners)
 
 
 def search_volume(mission: Mission) -> SearchVolume:

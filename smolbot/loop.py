@@ -11,14 +11,14 @@ import numpy as np
 
 from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
-from smolbot.control import Command, Controller
+from smolbot.control import Command
 from smolbot.errors import InputError, InterlockError, RigError
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise import NoiseModel
 from smolbot.localization.transients import QUIET_AFTER, learn_time_constant
 from smolbot.noisewatch import NoiseWatch
-from smolbot.paths import Curve
+from smolbot.pilots import Pilot
 from smolbot.poses import Pose
 from smolbot.resonance import Resonance
 from smolbot.rotations import quaternion_from_axes
@@ -110,7 +110,7 @@ class Quiet:
 
 
 class Loop:
-    """Flies one path with a rig, a localizer, a tracker and a controller.
+    """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
     In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
     """
@@ -118,22 +118,20 @@ class Loop:
     def __init__(
         self,
         rig: Rig,
-        path: Curve,
         scheduler: Scheduler,
         localizer: Localizer | Sightings,
         tracker: Tracker,
-        controller: Controller,
+        pilot: Pilot,
         rules: StopRules,
         quiet: Quiet,
         listeners: tuple[Listener, ...] = (),
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.rig = rig
-        self.path = path
         self.scheduler = scheduler
         self.localizer: Localizer | Sightings = localizer
         self.tracker = tracker
-        self.controller = controller
+        self.pilot = pilot
         self.rules = rules
         self.quiet = quiet
         self.events: list[Event] = []
@@ -141,7 +139,6 @@ class Loop:
         self.noise_watch = NoiseWatch(len(localizer.sensors))
         self.listeners = listeners
         self._clock = clock
-        self._begun = False
         self._started = 0.0
         self._heard = 0
 
@@ -212,7 +209,8 @@ class Loop:
         samples = round(cycle.half_periods * rate / (2.0 * device.frequency))
         time_ = cycle.ring_down + np.arange(samples) / rate
         theta = deflection(device, time_, 0.5 * device.theta_max, 0.3)
-        heard = sensor_field(self.localizer.sensors, device, np.array(self.path.points[0]), orientation, theta)
+        middle = 0.5 * np.add(self.localizer.volume.low, self.localizer.volume.high)
+        heard = sensor_field(self.localizer.sensors, device, middle, orientation, theta)
         recording = Recording(heard, rate, cycle.ring_down)
         self.localizer.locate(recording, self.localizer.locate(recording))
 
@@ -237,7 +235,7 @@ class Loop:
             if self._heard % LEARN_EVERY == 0:
                 self._follow_resonance(tracked.time, swing)
                 self._refresh_noise(tracked.time, swing, recording)
-        answer = self._command(shot)
+        answer = self.pilot.command(shot, self.tracker)
         done = self._clock()
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard))
 
@@ -261,20 +259,9 @@ class Loop:
         self.localizer = self.localizer.with_noise(self.localizer.noise.rescaled(ratios))
         self.events.append(Event(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]}))
 
-    def _command(self, shot: Shot) -> Command:
-        if self.tracker.pose is None:
-            return Command(None, note="searching for the signal")
-        if not self.tracker.confirmed:
-            return Command(None, note="waiting for a second pose to agree")
-        pose = self.tracker.pose_at(shot.end)
-        if not self._begun:
-            self.controller.reset(self.path, pose)
-            self._begun = True
-        return self.controller.command(pose)
-
     def _ended(self, command: Command) -> tuple[Status, str] | None:
         if command.done:
-            return "completed", "path's end reached"
+            return "completed", command.note or "done"
         if self.tracker.misses >= self.rules.lost_shots:
             seen = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
             return "lost", f"{seen}: {self.tracker.misses} shots in a row gave no pose that can be believed"

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from smolbot.config import Document, Fault, FileModel
-from smolbot.control import Cycle, Setup, gain_fault
-from smolbot.errors import ConfigError, InputError, SmolbotError
+from smolbot.control import Setup, gain_fault
+from smolbot.errors import InputError
 from smolbot.glyphs import GLYPHS, glyph
-from smolbot.library import find_file
+from smolbot.missionbase import MissionBase, MissionBaseFile, Positive, load_parts, open_document, raise_all
 from smolbot.motion.robot import Robot
 from smolbot.paths import Curve, read_csv
 from smolbot.plugins import load, names
-from smolbot.rigfile import RigConfig, load_rig
-from smolbot.robotfile import RobotConfig, load_robot
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
 
-Positive = Annotated[float, Field(gt=0)]
 Point = tuple[float, float]
 
 
@@ -62,23 +60,6 @@ class ControllerSection(FileModel):
     gains: dict[str, float] = Field(default_factory=dict)
 
 
-class CycleSection(FileModel):
-    """The localization part of a cycle."""
-
-    excite_cycles: Annotated[int, Field(ge=1, le=100)] = 5
-    ring_down_ms: Positive = 20.0
-    half_periods: Annotated[int, Field(ge=1, le=400)] = 2
-    excite_current_a: Positive | None = None
-
-
-class LocalizationSection(FileModel):
-    """How poses are found."""
-
-    estimator: Literal["whitened", "paper"] = "whitened"
-    quiet_s: Annotated[float, Field(ge=0)] = 10.0
-    learn_ring_down: bool = False
-
-
 class VerdictSection(FileModel):
     """What a completed mission must also keep to, where the truth is known."""
 
@@ -86,47 +67,24 @@ class VerdictSection(FileModel):
     mean_localization_mm: Positive | None = None
 
 
-class StopSection(FileModel):
-    """When to give up."""
+class MissionFile(MissionBaseFile):
+    """Everything the file of a mission says that steers a robot."""
 
-    max_duration_s: Positive = 600.0
-    lost_shots: Annotated[int, Field(ge=1)] = 20
-
-
-class MissionFile(FileModel):
-    """Everything a mission file says."""
-
-    name: str
-    description: str = ""
-    rig: str
-    robot: str
     path: PathSection
     start: StartSection = StartSection()
     controller: ControllerSection
-    cycle: CycleSection = CycleSection()
-    localization: LocalizationSection = LocalizationSection()
     verdict: VerdictSection = VerdictSection()
-    stop: StopSection = StopSection()
 
 
-class Mission:
-    """A mission whose files hold together: path, rig, robot and law fit each other."""
+class Mission(MissionBase):
+    """A mission that steers, whose files hold together: path, rig, robot and law fit each other."""
 
     def __init__(
         self, document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig, path: Curve
     ) -> None:
-        self.document = document
+        super().__init__(document, sections, rig, robot)
         self.sections = sections
-        self.rig = rig
-        self.robot = robot
         self.path = path
-        self.name = sections.name
-
-    @property
-    def cycle(self) -> Cycle:
-        section = self.sections.cycle
-        current = section.excite_current_a or self.rig.limits.max_excitation_current
-        return Cycle(section.excite_cycles, section.ring_down_ms * 1e-3, section.half_periods, current)
 
     @property
     def tolerance(self) -> float:
@@ -186,29 +144,18 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
         With a line for every fault of the files, before anything moves.
     """
     settings = settings or {}
-    document = Document.read(find_file(name, "missions"))
-    document = document.override({k: v for k, v in settings.items() if not k.startswith("rig.")})
+    document = open_document(name, settings)
     sections, faults = document.validate(MissionFile)
     messages = [document.error(faults)] if faults else []
-    folder = document.path.parent
-    rig_name = rig or _text(document, "rig")
-    rig_config = robot_config = None
-    try:
-        if rig_name:
-            rig_settings = {k.removeprefix("rig."): v for k, v in settings.items() if k.startswith("rig.")}
-            beside = str(folder / rig_name) if (rig is None and (folder / rig_name).is_file()) else rig_name
-            rig_config = load_rig(beside, rig_settings)
-    except SmolbotError as error:
-        messages.append(_as_config(document, ("rig",), error))
-    try:
-        robot_name = _text(document, "robot")
-        if robot_name:
-            robot_config = load_robot(robot_name, beside=folder)
-    except SmolbotError as error:
-        messages.append(_as_config(document, ("robot",), error))
-    messages += [document.error(found) for found in [_law_faults(document)] if found]
-    if messages or sections is None or rig_config is None or robot_config is None:
-        raise ConfigError("\n".join(dict.fromkeys("\n".join(str(m) for m in messages).splitlines())))
+    rig_config, robot_config, found = load_parts(document, rig, settings)
+    messages += found + [document.error(faults) for faults in [_law_faults(document)] if faults]
+    raise_all(messages)
+    assert sections is not None
+    assert rig_config is not None
+    assert robot_config is not None
+    if robot_config.kind == "device":
+        message = f"'{robot_config.name}' is of kind 'device', which nothing moves; a path needs a robot that swims."
+        raise document.error([Fault(("robot",), message)])
     path = _curve(document, sections.path, rig_config)
     mission = Mission(document, sections, rig_config, robot_config, path)
     from smolbot.fitness import fitness_faults
@@ -217,16 +164,6 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     if unfit:
         raise document.error(unfit)
     return mission
-
-
-def _text(document: Document, key: str) -> str | None:
-    value = document.data.get(key)
-    return value if isinstance(value, str) else None
-
-
-def _as_config(document: Document, key: tuple[str, ...], error: SmolbotError) -> ConfigError:
-    """Faults of another file keep their own place; a file that is missing is a fault of the key that names it."""
-    return error if isinstance(error, ConfigError) else document.error([Fault(key, str(error))])
 
 
 def _law_faults(document: Document) -> list[Fault]:

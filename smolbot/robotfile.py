@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from smolbot.config import Document, FileModel
+from smolbot.config import Document, Fault, FileModel
 from smolbot.library import find_file
 from smolbot.sensing import Device
 
@@ -49,10 +49,18 @@ class RobotFile(FileModel):
     """Everything a robot file says."""
 
     name: str
-    kind: Literal["gradient"]
+    kind: Literal["gradient", "device"]
     description: str = ""
-    body: BodySection
+    body: BodySection | None = None
     device: DeviceSection
+
+    @model_validator(mode="after")
+    def _body_of_a_swimmer(self) -> RobotFile:
+        if self.kind == "gradient" and self.body is None:
+            raise ValueError("a robot of kind 'gradient' needs a [body] section.")
+        if self.kind == "device" and self.body is not None:
+            raise ValueError("kind 'device' is a bare device in a tool or tissue: leave [body] away.")
+        return self
 
 
 class RobotConfig:
@@ -78,26 +86,39 @@ class RobotConfig:
         )
 
     @property
+    def body(self) -> BodySection:
+        """The housing of a robot that moves by itself.
+
+        Raises
+        ------
+        ConfigError
+            If it has none.
+        """
+        if self.sections.body is None:
+            raise self.document.error([Fault(("body",), f"kind '{self.kind}' has no housing, and one is needed here.")])
+        return self.sections.body
+
+    @property
     def mass(self) -> float:
         """In kg."""
-        return self.sections.body.mass_mg * 1e-6
+        return self.body.mass_mg * 1e-6
 
     @property
     def size(self) -> tuple[float, float, float]:
         """Sides along the body axes, in m."""
-        x, y, z = self.sections.body.size_mm
+        x, y, z = self.body.size_mm
         return x * 1e-3, y * 1e-3, z * 1e-3
 
     @property
     def center(self) -> tuple[float, float, float]:
-        """Centre of the housing seen from the cantilever's rotation centre, body frame, in m."""
-        x, y, z = self.sections.body.center_mm
+        """Centre of the housing seen from the cantilever's rotation centre, body frame, in m; 0 without one."""
+        x, y, z = (0.0, 0.0, 0.0) if self.sections.body is None else self.body.center_mm
         return x * 1e-3, y * 1e-3, z * 1e-3
 
     @property
     def drag_radius(self) -> float:
         """Radius of the sphere with the same Stokes drag, in m."""
-        return self.sections.body.drag_radius_mm * 1e-3
+        return self.body.drag_radius_mm * 1e-3
 
 
 def load_robot(name: str, beside: Path | None = None) -> RobotConfig:

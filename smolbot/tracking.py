@@ -147,7 +147,13 @@ class Tracker:
         -------
         Pose or None
             The tracked pose at the pose's time (or the shot's end), None before the first pose.
+            A shot that does not listen moves the robot, but is no miss.
         """
+        if shot.listen is None:
+            if self._state is not None and self._last is not None:
+                self._predict(shot, shot.end)
+                self._publish(self._last, self._last.trusted)
+            return self._last
         if self._state is None:
             if pose is not None and pose.trusted:
                 self._begin(pose)

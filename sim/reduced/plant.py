@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.coilfields import CoilSet
 from sim.coils import TankCoils, volume
+from sim.floating import put_down
 from sim.history import History
 from sim.hydrodynamics import Hull
 from sim.magnet import true_device
@@ -15,7 +16,6 @@ from sim.mismatch import Streams, Truth, draw
 from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, move, note
 from sim.sensors import TrueSensors
 from sim.settings import TankSettings
-from sim.tank import put_down
 from smolbot.arrays import FloatArray
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig

@@ -130,7 +130,7 @@ def test_the_way_does_not_depend_on_how_a_rest_is_divided(line):
 def test_field_of_the_plane_is_that_of_the_drawn_coils_near_it(line):
     tank = Tank(line.rig, line.robot, settings_of(line), np.array(line.start), 7)
     coils: TankCoils = tank.coils
-    height = tank.hull.float_height
+    height = tank.carrier.hull.float_height
     grid, table = _plane(coils, line.rig, height)
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-18e-3, 18e-3, (50, 2)), height + rng.uniform(-0.2e-3, 0.2e-3, 50)])

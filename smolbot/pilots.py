@@ -1,0 +1,38 @@
+"""Who decides between two shots: a pilot turns what the tracker believes into the next command."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from smolbot.control import Command, Controller
+from smolbot.paths import Curve
+from smolbot.shots import Shot
+from smolbot.tracking import Tracker
+
+
+class Pilot(Protocol):
+    """Asked once a cycle. A command that is done ends the mission; its note says why."""
+
+    def command(self, shot: Shot, tracker: Tracker) -> Command:
+        """What to do next, after `shot` was played and the tracker has heard of it."""
+
+
+class Follower:
+    """Lets a controller follow a path from the moment that two poses have agreed."""
+
+    def __init__(self, path: Curve, controller: Controller) -> None:
+        self.path = path
+        self.controller = controller
+        self._begun = False
+
+    def command(self, shot: Shot, tracker: Tracker) -> Command:
+        """The controller's command for the pose that is expected at the end of the shot."""
+        if tracker.pose is None:
+            return Command(None, note="searching for the signal")
+        if not tracker.confirmed:
+            return Command(None, note="waiting for a second pose to agree")
+        pose = tracker.pose_at(shot.end)
+        if not self._begun:
+            self.controller.reset(self.path, pose)
+            self._begun = True
+        return self.controller.command(pose)
