@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
@@ -39,9 +39,27 @@ class Carrier(Protocol):
         """Let go of everything; harmless when repeated."""
 
 
+@runtime_checkable
+class Turned(Carrier, Protocol):
+    """Moved by a rotating magnet as well: it takes mechanical windows in long strides, since nothing listens to them."""
+
+    longest_step: float
+    """Of a stride, in s."""
+
+    def lasting(self, window: Window) -> float:
+        """How long a mechanical window truly lasts, in s; asked once for each."""
+
+    def turn(self, step: float, poses: FloatArray) -> None:
+        """As many steps of `step` s as `poses` (n, 7) has rows, which receive rotation centre (m) and orientation."""
+
+    def end(self, window: Window) -> None:
+        """A mechanical window is over, or was cut short."""
+
+
 def make_carrier(
-    rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, *, gui: bool
-) -> Carrier:
+    rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
+    *, gui: bool, ideal: bool,
+) -> Carrier:  # fmt: skip
     """The carrier that a kind of robot asks for.
 
     Raises
@@ -53,4 +71,8 @@ def make_carrier(
         from sim.floating import Floating
 
         return Floating(rig, robot, settings, truth, start, gui=gui)
+    if robot.kind == "helical":
+        from sim.gel.embedded import Embedded
+
+        return Embedded(rig, robot, settings, truth, start, seed, ideal=ideal)
     raise InputError(f"{rig.name}: this tank cannot carry a robot of kind '{robot.kind}' ({robot.name}).")

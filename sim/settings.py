@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from sim.gel.settings import GelSettings
 from smolbot.config import FileModel
 
 Positive = Annotated[float, Field(gt=0)]
@@ -63,4 +64,5 @@ class TankSettings(FileModel):
     wall_friction: NotNegative = 0.1
     earth: EarthSection = EarthSection()
     surface: SurfaceSection = SurfaceSection()
+    gel: GelSettings = GelSettings()
     mismatch: MismatchSection = MismatchSection()

@@ -288,7 +288,8 @@ def screw(
             poses[i, r] = center
             point[r] = center + rotation[r, 0] * ax + rotation[r, 1] * ay + rotation[r, 2] * az
         poses[i, 3], poses[i, 4], poses[i, 5], poses[i, 6] = w, x, y, z
-        left = math.remainder(steer_to - state[STEER], 2.0 * math.pi)
+        left = steer_to - state[STEER]
+        left -= 2.0 * math.pi * math.floor(left / (2.0 * math.pi) + 0.5)
         state[STEER] += math.copysign(min(abs(left), steering_rate * step), left)
         magnet_field(point, cube, state[STEER], state[TURN] + 0.5 * turn_rate * step, b, g, work)
         state[TURN] += turn_rate * step
