@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from smolbot.control import HelixSetup, Setup
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
@@ -96,7 +97,7 @@ def fly(
         rig = opener(mission, seed)
     else:
         world = load_world(mission.rig.world, mission.rig.document)
-        rig = world.open(mission.rig, mission.robot, mission.start, seed, gui=gui)
+        rig = world.open(mission.rig, mission.robot, mission.put_down, seed, gui=gui)
     try:
         return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners)
     finally:
@@ -147,9 +148,12 @@ def _fly_on(
 
 def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) -> Loop:
     """The loop of a mission on an open rig, every part made from the mission's files."""
-    setup = mission.setup()
+    setup: Setup | HelixSetup = mission.helix_setup() if mission.robot.kind == "helical" else mission.setup()
     controller = load("controllers", mission.law)(setup, mission.gains)
-    tracker = Tracker(setup.robot, setup.device, setup.table)
+    if isinstance(setup, HelixSetup):
+        tracker = Tracker(setup.helix, setup.device, None)
+    else:
+        tracker = Tracker(setup.robot, setup.device, setup.table)
     inertia = magnet_inertia(setup.device.moment, setup.device.l0)
     scheduler = Scheduler(setup.cycle, rig.limits, setup.device, rig.excitation_field, rig.now, inertia)
     listening = mission.sections.localization

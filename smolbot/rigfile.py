@@ -118,11 +118,13 @@ class MediumSection(FileModel):
 class MagnetSection(FileModel):
     """A cube magnet on a motor whose axis is steered about the vertical, near the sample or away from it.
 
-    At a turn of zero its pole looks straight down.
+    At a turn of zero its pole looks straight down. `field_mt` is its mean size over a turn at `distance_mm` straight below.
     """
 
     side_mm: Positive
     remanence_t: Positive
+    field_mt: Positive
+    distance_mm: Positive
     center_mm: Vector
     max_rotation_hz: Positive
     max_steering_deg_per_s: Positive

@@ -1,4 +1,4 @@
-"""Makes each shot: interleaves actuation with localization, finds a lost signal, holds still on demand."""
+"""Makes each shot: interleaves actuation with localization, or keeps them apart where a magnet must come and go, finds a lost signal, holds still on demand."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from smolbot.excitation import drive
 from smolbot.limits import Limits
 from smolbot.poses import Pose
 from smolbot.sensing import Device
-from smolbot.shots import Excite, Listen, Mode, RingDown, Shot, Window
+from smolbot.shots import Actuate, Excite, Listen, Mode, RingDown, Shot, Window
 
 PROBE_HALF_PERIODS = 8
 """Length of the recordings from which the coils' ring-down is learned."""
@@ -113,7 +113,9 @@ class Scheduler:
         """The next shot, for a command and what the tracker believes."""
         mode = self._mode(tracker)
         windows: list[Window] = []
-        if mode == "track" and command.window is not None:
+        if mode == "track" and command.mechanical:
+            return Shot(command.mechanical, mode, self._clock())
+        if mode == "track" and isinstance(command.window, Actuate):
             windows.append(command.window)
         self.searched = self.searched + 1 if mode in ("search", "lost") else 0
         windows.append(self._excite(mode, tracker.pose))

@@ -141,7 +141,7 @@ class Helix:
 
     def turning(self, tilt: float, frequency: float, turns: int = 4) -> float:
         """Turn of the axis per turn of the robot, in rad, straight below the magnet with the field's axis `tilt` rad aside."""
-        state = np.array([self.magnet[0], self.magnet[1], self.high, 0.0, 0.0, np.nan])
+        state = np.array([self.magnet[0], self.magnet[1], 0.5 * (self.low + self.high), 0.0, 0.0, np.nan])
         for _ in range(turns):
             state[: kernels.Z] = self.magnet[:2]
             before = state[kernels.HEADING]
