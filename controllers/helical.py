@@ -21,6 +21,9 @@ from smolbot.shots import Mechanical, MoveMagnet
 RUNWAY = 15e-3
 """Straight continuation of a path at both ends, in m: the way in, and something to look ahead at."""
 
+FEWEST = 2
+"""Turns that a plan has at least, or pauses would never end."""
+
 QUARTER = 0.25
 """Turns come in quarters: less than half a millimetre."""
 
@@ -46,12 +49,12 @@ class Helical:
 
     kinds: ClassVar[tuple[str, ...]] = ("helical",)
     gains: ClassVar[Mapping[str, Gain]] = {
-        "cross_track_mm": Gain(0.35, 0.05, 2.0, True, meaning="distance from the path, two sigma, that ends a plan"),
-        "max_turns": Gain(4.0, 1.0, 20.0, meaning="most turns between two pauses"),
+        "cross_track_mm": Gain(0.4, 0.05, 2.0, True, meaning="distance from the path, two sigma, that ends a plan"),
+        "max_turns": Gain(6.0, 1.0, 20.0, meaning="most turns between two pauses"),
         "listens": Gain(3.0, 1.0, 50.0, meaning="shots listened to in every pause"),
-        "tilt_deg": Gain(50.0, 5.0, 80.0, meaning="most that the magnet's axis leads the robot's by"),
-        "lookahead_turns": Gain(1.5, 0.5, 5.0, meaning="turns over which a choice of axis is judged"),
-        "heading_mm": Gain(1.5, 0.0, 10.0, meaning="distance that a heading off by one radian counts as"),
+        "tilt_deg": Gain(60.0, 5.0, 80.0, meaning="most that the magnet's axis leads the robot's by"),
+        "lookahead_turns": Gain(3.5, 0.5, 8.0, meaning="turns over which a choice of axis is judged"),
+        "heading_mm": Gain(0.4, 0.0, 10.0, meaning="distance that a heading off by one radian counts as"),
         "wander_deg": Gain(2.0, 0.2, 20.0, True, meaning="heading that a turn adds by chance"),
         "blocked_share": Gain(0.6, 0.1, 0.9, meaning="of the expected advance, below which a leg counts as a step-out"),
         "tries": Gain(4.0, 0.0, 10.0, meaning="step-outs in a row that are recovered from"),
@@ -169,11 +172,14 @@ class Helical:
                 self._points, self._arc, near, self._weight,
             )  # fmt: skip
             turns = self._last_turns(at, course, near)
+            if legs and turns < 1.0:  # less time to steer in
+                off = kernels.wrapped(course - at[kernels.COURSE])
+                course = at[kernels.COURSE] + min(max(off, -reach * turns), reach * turns)
             leg = Leg(float(course), 1.0, turns, self._frequency)
             at = kernels.screw_on(body, factors, at, leg.course, 1.0, turns, leg.frequency)
             near, side, _ = kernels.nearest(self._points, self._arc, at[0], at[1], near, 8e-3)
             spread = self.screwing.spread(start, [*legs, leg], covariance)
-            if legs and abs(side) + 2.0 * math.sqrt(spread[1, 1]) > self._bound:
+            if len(legs) >= FEWEST and 2.0 * math.sqrt(spread[1, 1]) > self._bound:
                 break
             legs.append(leg)
             if turns < 1.0 or near > self._length - 0.5 * QUARTER * self.setup.helix.advance:

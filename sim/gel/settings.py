@@ -41,7 +41,7 @@ class GelSettings(FileModel):
     """Everything the ``[tank.gel]`` section says; every key has a default."""
 
     thread_hold: Positive = 4.0
-    bearing: Positive = 10.0
+    bearing: Positive = 7.0
     nose_bearing: Positive = 9.0
     way_back: NotNegative = 0.3
     plate_stiffness_n_per_m: Positive = 1000.0

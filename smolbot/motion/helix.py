@@ -17,7 +17,7 @@ from smolbot.shots import MoveMagnet, Rotate, Window
 MEAN_OF_ELLIPSE = 1.5420
 """Mean over a turn of ``sqrt(4 cos² + sin²)``: the field of a dipole beside its axis, in units of its weakest."""
 
-BEARING = 10.0
+BEARING = 7.0
 """Yield stresses that a gel bears on the projected area of a cylinder pushed across its axis."""
 
 
