@@ -11,7 +11,7 @@ from smolbot.arrays import FloatArray
 from smolbot.motion import helixkernels as kernels
 from smolbot.motion.helix import Helix
 
-SPREAD = np.array([0.08, 0.25, math.radians(3.0), 5e-5])
+SPREAD = np.array([0.08, 0.2, math.radians(3.0), 3e-5])
 """How far off the beliefs may be, one standard deviation: advance, steering (shares), offset of the axis (rad), drift (m)."""
 
 FORGETTING = np.array([0.01, 0.03, math.radians(0.5), 1e-5])
@@ -45,7 +45,7 @@ class Screwing:
     def __init__(self, helix: Helix, wander: float) -> None:
         self.helix = helix
         self.wander = wander
-        self.factors = kernels.NOMINAL.copy()
+        self.factors = helix.factors.copy()
         self.covariance = np.diag(SPREAD**2)
 
     def predict(self, state: FloatArray, legs: list[Leg], factors: FloatArray | None = None) -> FloatArray:
@@ -106,7 +106,7 @@ class Screwing:
         prior = self.covariance + np.diag(FORGETTING**2)
         gain = prior @ jacobian.T @ np.linalg.inv(jacobian @ prior @ jacobian.T + noise)
         self.factors = self.factors + gain @ off
-        self.factors[:2] = np.clip(self.factors[:2], 0.5, 2.0)
+        self.factors[:2] = np.clip(self.factors[:2], 0.5 * self.helix.factors[:2], 2.0 * self.helix.factors[:2])
         left = np.eye(4) - gain @ jacobian
         self.covariance = left @ prior @ left.T + gain @ noise @ gain.T
 

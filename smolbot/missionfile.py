@@ -137,6 +137,8 @@ class Mission(MissionBase):
                 steering_rate=self.rig.limits.max_steering_rate,
                 floor=1e-3 * box.floor_z_mm,
                 plate=1e-3 * box.surface_z_mm,
+                steering=helix.steering,
+                drift=1e-3 * helix.drift_mm,
             ),
             limits=self.rig.limits,
             device=device,

@@ -27,11 +27,17 @@ class BodySection(FileModel):
 
 
 class HelixSection(FileModel):
-    """The thread on a helical robot's housing, right-handed, as it is believed to drive."""
+    """The thread on a helical robot's housing, right-handed, and what was measured of its way through this gel.
+
+    `slip` is a share of the pitch, `steering` the turn of the axis in a bend over what theory says, `drift_mm` goes to the
+    left with each turn.
+    """
 
     pitch_mm: Positive
     core_diameter_mm: Positive
     slip: Annotated[float, Field(ge=0, lt=1)]
+    steering: Positive = 1.0
+    drift_mm: float = 0.0
 
 
 class DeviceSection(FileModel):

@@ -49,6 +49,10 @@ class Helix:
     distance : float, in m
     steering_rate : float, in rad/s
         Of the magnet's axis about the vertical.
+    steering : float
+        Measured turn of the axis over what theory says.
+    drift : float, in m
+        To the left, per turn, as measured.
     """
 
     advance: float
@@ -68,6 +72,8 @@ class Helix:
     field: float
     distance: float
     steering_rate: float
+    steering: float = 1.0
+    drift: float = 0.0
 
     @classmethod
     def in_gel(
@@ -90,6 +96,8 @@ class Helix:
         steering_rate: float,
         floor: float,
         plate: float,
+        steering: float = 1.0,
+        drift: float = 0.0,
     ) -> Helix:
         """A helix of the size of a cylinder in a gel that yields at `yield_stress` Pa and then flows with `viscosity` Pa·s.
 
@@ -114,6 +122,8 @@ class Helix:
             field=field,
             distance=distance,
             steering_rate=steering_rate,
+            steering=steering,
+            drift=drift,
         )
 
     def load(self, frequency: float) -> float:
@@ -139,6 +149,11 @@ class Helix:
              self.theta_max, self.half_length, self.low, self.high]
         )  # fmt: skip
 
+    @cached_property
+    def factors(self) -> FloatArray:
+        """What the kernels multiply and add by, as measured beforehand."""
+        return np.array([1.0, self.steering, 0.0, self.drift])
+
     def turning(self, tilt: float, frequency: float, turns: int = 4) -> float:
         """Turn of the axis per turn of the robot, in rad, straight below the magnet with the field's axis `tilt` rad aside."""
         state = np.array([self.magnet[0], self.magnet[1], 0.5 * (self.low + self.high), 0.0, 0.0, np.nan])
@@ -146,7 +161,7 @@ class Helix:
             state[: kernels.Z] = self.magnet[:2]
             before = state[kernels.HEADING]
             state[kernels.COURSE] = np.nan
-            state = kernels.screw_on(self.body, kernels.NOMINAL, state, before + tilt, 1.0, 1.0, frequency)
+            state = kernels.screw_on(self.body, self.factors, state, before + tilt, 1.0, 1.0, frequency)
         return float(state[kernels.HEADING] - before)
 
     def tightest(self, frequency: float, tilt: float) -> float:
@@ -182,7 +197,7 @@ class Helix:
                 before = state[kernels.HEADING]
                 course, sense = course_of(window, before)
                 state = kernels.screw_on(
-                    self.body, kernels.NOMINAL, state, course, sense, window.turns, window.frequency
+                    self.body, self.factors, state, course, sense, window.turns, window.frequency
                 )
                 turns += window.turns
                 turned += abs(state[kernels.HEADING] - before)

@@ -23,7 +23,6 @@ BODY = 18
 X, Y, Z, HEADING, PITCH, COURSE = range(6)
 # Factors that are learned: on the advance, on the steering; the offset of the axis (rad); drift to the left per turn (m)
 LENGTHENED, TURNED, OFFSET, LEFT = range(4)
-NOMINAL = np.array([1.0, 1.0, 0.0, 0.0])
 SUBSTEPS = 6  # of a turn
 PHASES = 16  # of a turn, to average over
 
