@@ -63,6 +63,9 @@ class Helical:
         "clear_mm": Gain(5.0, 0.0, 50.0, meaning="progress past a step-out after which the full rate is tried again"),
     }
 
+    most_tilt_deg: float
+    """Most that the magnet's axis leads the robot's by, in degrees."""
+
     def __init__(self, setup: HelixSetup, gains: Mapping[str, float]) -> None:
         self.setup = setup
         g = complete_gains(self.gains, gains, "helical")
@@ -71,6 +74,7 @@ class Helical:
         self._look, self._weight = g["lookahead_turns"], 1e-3 * g["heading_mm"]
         self._blocked_share, self._tries = g["blocked_share"], round(g["tries"])
         self._slower, self._back, self._clear = g["slower"], g["back_turns"], 1e-3 * g["clear_mm"]
+        self.most_tilt_deg = g["tilt_deg"]
         self.screwing = Screwing(setup.helix, math.radians(g["wander_deg"]))
         self._full = setup.limits.max_rotation_frequency
         self._points, self._arc, self._length = np.zeros((2, 2)), np.zeros(2), 0.0
