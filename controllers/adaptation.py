@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from smolbot.arrays import FloatArray
 
@@ -61,17 +62,10 @@ class Adaptation:
         duration : float, in s
             Between the two poses.
         """
-        self._p += np.diag(WANDER**2)
-        h = np.array([[predicted[0], duration, 0.0], [predicted[1], 0.0, duration]])
         noise = POSE_NOISE**2 + (MODEL_NOISE**2) * float(predicted @ predicted)
-        miss = seen - h @ self._x
-        inverse = np.linalg.inv(h @ self._p @ h.T + noise * np.eye(2))
-        if float(miss @ inverse @ miss) > GATE:
+        if not _correct(self._x, self._p, seen, predicted, duration, noise):
             return False
-        gain = self._p @ h.T @ inverse
-        self._x = self._x + gain @ miss
         self._x[0] = min(max(self._x[0], LEAST), MOST)
-        self._p = (np.eye(3) - gain @ h) @ self._p
         self._turn(turned, wanted)
         return True
 
@@ -81,3 +75,32 @@ class Adaptation:
         gain = self._turn_variance * wanted / (wanted**2 * self._turn_variance + noise)
         self.agility = min(max(self.agility * (1.0 + gain * (turned - wanted)), LEAST), MOST)
         self._turn_variance *= 1.0 - gain * wanted
+
+
+@njit(cache=True, error_model="numpy")
+def _correct(
+    x: FloatArray, p: FloatArray, seen: FloatArray, predicted: FloatArray, duration: float, noise: float
+) -> bool:
+    """One Kalman step, in place: seen = mobility * predicted + drift * duration; False for an outlier."""
+    for a in range(3):
+        p[a, a] += WANDER[a] ** 2
+    h = np.zeros((2, 3))
+    gain = np.zeros((3, 2))  # first P h^T
+    for i in range(2):
+        h[i, 0], h[i, 1 + i] = predicted[i], duration
+        for a in range(3):
+            gain[a, i] = p[a, 0] * h[i, 0] + p[a, 1 + i] * duration
+    sxx = h[0, 0] * gain[0, 0] + duration * gain[1, 0] + noise
+    sxy = h[0, 0] * gain[0, 1] + duration * gain[1, 1]
+    syy = h[1, 0] * gain[0, 1] + duration * gain[2, 1] + noise
+    whole = sxx * syy - sxy * sxy
+    mx, my = seen[0] - h[0, 0] * x[0] - duration * x[1], seen[1] - h[1, 0] * x[0] - duration * x[2]
+    if (syy * mx * mx - 2.0 * sxy * mx * my + sxx * my * my) / whole > GATE:
+        return False
+    old = p.copy()
+    for a in range(3):
+        kx, ky = (syy * gain[a, 0] - sxy * gain[a, 1]) / whole, (sxx * gain[a, 1] - sxy * gain[a, 0]) / whole
+        x[a] += kx * mx + ky * my
+        for b in range(3):
+            p[a, b] = old[a, b] - kx * gain[b, 0] - ky * gain[b, 1]
+    return True

@@ -22,6 +22,8 @@ from numba import njit
 
 BESIDE, FORCE, ACROSS, FIELD = 0, 1, 2, 3  # rows: field beside u, force along and across d, field along u
 GOLDEN = 0.3819660112501051
+WORTH_A_LOOK, STEEP_AT_EDGES = 0.15, 0.5  # shares of the best by which an angle may be worse and still be refined
+REFINEMENTS = 14  # of an angle: each narrows it to 0.62 of what it was
 TIGHT = 1e-9  # share of a bound by which a current may miss it before it is put on it
 
 
@@ -103,20 +105,32 @@ def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multip
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def _rise(rows, wanted, order, size, low, high, multipliers, step, share):
+    """Slope of `_coolest`'s dual along `step`, after a share of it; it only falls along the way."""
+    out = 0.0
+    for k in range(size):
+        out += step[k] * wanted[order[k]]
+    for c in range(low.shape[0]):
+        pull = along = 0.0
+        for k in range(size):
+            pull += (multipliers[k] + share * step[k]) * rows[order[k], c]
+            along += step[k] * rows[order[k], c]
+        out -= along * min(max(pull, low[c]), high[c])
+    return out
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, step, currents):
     """Minimise |I|² with rows[order] I = wanted[order] and low <= I <= high; False if no solution was found.
 
-    At the optimum I = clip(rows^T y); y follows by Newton steps on the concave dual, halved where they overshoot.
+    At the optimum I = clip(rows^T y); y follows by Newton steps on the concave dual, each as long as the dual rises.
     """
     n = low.shape[0]
     for k in range(size):
-        multipliers[k] = step[k] = 0.0
-    best = -1e300
+        multipliers[k] = 0.0
     for _ in range(40):
-        value = 0.0
         for k in range(size):
             work[k] = wanted[order[k]]
-            value += multipliers[k] * wanted[order[k]]
             for j in range(size):
                 matrix[k, j] = 0.0
         for c in range(n):
@@ -125,30 +139,38 @@ def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, st
                 pull += multipliers[k] * rows[order[k], c]
             current = min(max(pull, low[c]), high[c])
             currents[c] = current
-            value += 0.5 * current * current - pull * current
             free = 1.0 if low[c] <= pull <= high[c] else 1e-7
             for k in range(size):
                 work[k] -= rows[order[k], c] * current
                 for j in range(size):
                     matrix[k, j] += free * rows[order[k], c] * rows[order[j], c]
-        if value < best - 1e-12 * abs(best):
-            for k in range(size):
-                step[k] *= 0.5
-                multipliers[k] -= step[k]
-            continue
-        best = value
         miss = 0.0
         for k in range(size):
             miss = max(miss, abs(work[k]))
         if miss < 1e-9:
             return True
+        start = 0.0
         for k in range(size):
             matrix[k, k] += 1e-10
-        if not _solve(matrix, work, size):
+            step[k] = work[k]
+        if not _solve(matrix, step, size):
             return False
         for k in range(size):
-            step[k] = work[k]
-            multipliers[k] += step[k]
+            start += work[k] * step[k]
+        share, before, after = 1.0, 0.0, math.inf
+        for _try in range(60):
+            rise = _rise(rows, wanted, order, size, low, high, multipliers, step, share)
+            if abs(rise) < 0.1 * start:
+                break
+            if rise > 0.0:
+                before = share
+            else:
+                after = share
+            share = 4.0 * share if after == math.inf else 0.5 * (before + after)
+            if share > 1e9:
+                return False  # it rises without end: nothing fits
+        for k in range(size):
+            multipliers[k] += share * step[k]
     return False
 
 
@@ -353,29 +375,31 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
     for i in range(count):
         left = values[i - 1] if i > 0 else (-1e300 if head_first else values[count - 1])
         right = values[i + 1] if i + 1 < count else (-1e300 if head_first else values[0])
-        floor = best - 0.15 * abs(best)
-        if values[i] < floor or values[i] < left or values[i] < right:
+        # at an edge of what fits the best may be a good deal better than the nearest angle tried
+        share = STEEP_AT_EDGES if min(left, right) < -1e299 else WORTH_A_LOOK
+        if values[i] < best - share * abs(best) or values[i] < left or values[i] < right:
             continue
         center = middle - half + i * width
-        a, z = center - width, center + width
+        a, z, top = center - width, center + width, values[i]
         if head_first:
             a, z = max(a, middle - half), min(z, middle + half)
-        points = (a + GOLDEN * (z - a), z - GOLDEN * (z - a))
-        heights = (math.nan, math.nan)
-        for _ in range(12):
-            fresh = 0 if math.isnan(heights[0]) else 1
-            for side in range(fresh, 2 if math.isnan(heights[1]) else 1):
-                found = _at_angle(points[side], way, size, rules, b, g, low, high, store, order, basis, trial)
-                heights = (found[pick], heights[1]) if side == 0 else (heights[0], found[pick])
-                if found[pick] > best:
-                    best, best_force = found[pick], found[0]
-                    currents[:] = trial
-            if heights[0] >= heights[1]:
-                z = points[1]
-                points, heights = (a + GOLDEN * (z - a), points[0]), (math.nan, heights[0])
+        for _ in range(REFINEMENTS):
+            # probe the wider side of the best angle known, which always fits: beyond an edge nothing does
+            angle = center - GOLDEN * (center - a) if center - a > z - center else center + GOLDEN * (z - center)
+            found = _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, trial)
+            if found[pick] > best:
+                best, best_force = found[pick], found[0]
+                currents[:] = trial
+            if found[pick] > top:
+                if angle < center:
+                    z = center
+                else:
+                    a = center
+                center, top = angle, found[pick]
+            elif angle < center:
+                a = angle
             else:
-                a = points[0]
-                points, heights = (points[1], z - GOLDEN * (z - a)), (heights[1], math.nan)
+                z = angle
     return best_force * steep, currents
 
 
@@ -390,7 +414,7 @@ def strongest_alone(b, g, high):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def forces_by_field(b, g, low, high, ways, angles, rules):
+def forces_by_field(b, g, low, high, ways, angles, rules, head_first):
     """Strongest grad|B| along a way for every direction of the field, at many places.
 
     Parameters
@@ -404,6 +428,8 @@ def forces_by_field(b, g, low, high, ways, angles, rules):
         Directions of the field.
     rules : tuple
         Least field in T, largest tangent of its slope, and of the angle by which the force may miss the way.
+    head_first : bool
+        Whether fields that point against the way count for nothing.
 
     Returns
     -------
@@ -424,6 +450,8 @@ def forces_by_field(b, g, low, high, ways, angles, rules):
         own_b, own_g = b[i] / strong, g[i] / steep
         own_rules = (rules[0] / strong, rules[1], rules[2])
         for k in range(angles.shape[0]):
+            if head_first and ways[i, 0] * math.cos(angles[k]) + ways[i, 1] * math.sin(angles[k]) < -1e-9:
+                continue
             force, _ = _at_angle(
                 angles[k], ways[i], -1.0, own_rules, own_b, own_g, low, high, store, order, basis, trial
             )

@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from controllers.allocation import forces_by_field
 from controllers.force_allocator import SLACK, SLOPES
@@ -66,10 +68,8 @@ class Compass:
             field, gradient = self.setup.table.field_and_gradient(points[inside])
             b, g = (np.ascontiguousarray(np.swapaxes(a, 0, 1)) for a in (field, gradient))
             rules = (self.least_field, SLOPES[0], SLACK)
-            pull[inside] = forces_by_field(b, g, self.low, self.high, np.ascontiguousarray(ways[inside]), angles, rules)
-        if self.head_first:
-            ahead = np.arctan2(ways[:, 1], ways[:, 0])[:, None] - angles[None, :]
-            pull[np.cos(ahead) < -1e-9] = 0.0
+            along = np.ascontiguousarray(ways[inside])
+            pull[inside] = forces_by_field(b, g, self.low, self.high, along, angles, rules, self.head_first)
         robot = self.setup.robot
         going = spacing / np.maximum(robot.moment * pull / robot.drag, SLOWEST)
         apart = np.abs((angles[:, None] - angles[None, :] + np.pi) % (2.0 * np.pi) - np.pi)
@@ -77,14 +77,38 @@ class Compass:
         cost = going[0].copy()
         if start is not None:
             cost += self.turn_time * np.abs((angles - start + np.pi) % (2.0 * np.pi) - np.pi)
-        came = np.zeros((len(points), DIRECTIONS), dtype=np.int64)
-        for i in range(1, len(points)):
-            # it turns while it goes; both add up a little, or a turn would be free wherever it goes slowly
-            total = cost[None, :] + np.maximum(turning, going[i][:, None]) + 0.2 * turning
-            came[i] = np.argmin(total, axis=1)
-            cost = total[np.arange(DIRECTIONS), came[i]]
-        best = np.zeros(len(points), dtype=np.int64)
-        best[-1] = int(np.argmin(cost))
-        for i in range(len(points) - 1, 0, -1):
-            best[i - 1] = came[i, best[i]]
+        best = _soonest(cost, going, turning)
         return np.asarray(np.unwrap(angles[best]), dtype=np.float64)
+
+
+@njit(cache=True, error_model="numpy")
+def _soonest(cost: FloatArray, going: FloatArray, turning: FloatArray) -> npt.NDArray[np.int64]:
+    """Headings, as indices (n,), of the least time over the whole curve, by dynamic programming.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (m,), in s
+        Of each heading at the first point; changed in place.
+    going : ndarray, shape (n, m), in s
+        To each point under each heading.
+    turning : ndarray, shape (m, m), in s
+        From one heading to another; symmetric.
+    """
+    n, m = going.shape
+    came, total = np.zeros((n, m), np.int64), np.empty(m)
+    for i in range(1, n):
+        for new in range(m):
+            least = np.inf
+            for old in range(m):
+                # it turns while it goes; both add up a little, or a turn would be free wherever it goes slowly
+                turn = turning[new, old]
+                time = cost[old] + max(turn, going[i, new]) + 0.2 * turn
+                if time < least:
+                    least, came[i, new] = time, old
+            total[new] = least
+        cost[:] = total
+    best = np.zeros(n, np.int64)
+    best[n - 1] = np.argmin(cost)
+    for i in range(n - 1, 0, -1):
+        best[i - 1] = came[i, best[i]]
+    return best

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from smolbot.arrays import FloatArray
+from smolbot.motion.kernels import nearest
 from smolbot.paths import Curve
 
 BACK, AHEAD = 2e-3, 4e-3
@@ -65,31 +68,26 @@ class Course:
 
     def locate(self, position: FloatArray, handover: float) -> None:
         """Find the robot at `position`, shape (2,) or (3,), in m, and pass on to the next leg where one is done."""
-        place = np.asarray(position[:2])
+        x, y = float(position[0]), float(position[1])
         if self.leg < 0:
-            if np.linalg.norm(place - self.points[0]) > handover:
+            if self._away(x, y, 0) > handover:
                 return
             self.leg = 0
         while not self.done:
             first, last = self.stops[self.leg], self.stops[self.leg + 1]
-            self.arc_length = self._nearest(place, first, last)
+            near = nearest(self.points, self.arc, first, last, self.arc_length, x, y, BACK, AHEAD)
+            self.arc_length = near[0]
             self.progress = max(self.progress, self.arc_length)
-            end = self.arc[last]
-            if np.linalg.norm(place - self.points[last]) > handover and self.arc_length < end - 1e-9:
+            end = float(self.arc[last])
+            if self._away(x, y, last) > handover and self.arc_length < end - 1e-9:
                 return
             self.leg += 1
-            self.arc_length = self.progress = float(end)
+            self.arc_length = self.progress = end
 
     def at(self, s: float) -> FloatArray:
         """Point (2,) of the path at arc length `s`, in m."""
         return np.array([np.interp(s, self.arc, self.points[:, 0]), np.interp(s, self.arc, self.points[:, 1])])
 
-    def _nearest(self, place: FloatArray, first: int, last: int) -> float:
-        low = max(int(np.searchsorted(self.arc, self.arc_length - BACK)) - 1, first)
-        high = min(int(np.searchsorted(self.arc, self.arc_length + AHEAD)) + 1, last)
-        start, tangent = self.points[low:high], self.tangents[low:high]
-        lengths = np.diff(self.arc[low : high + 1])
-        along = np.clip(np.sum((place - start) * tangent, axis=1), 0.0, lengths)
-        away = np.linalg.norm(place - start - along[:, None] * tangent, axis=1)
-        best = int(np.argmin(away))
-        return float(self.arc[low + best] + along[best])
+    def _away(self, x: float, y: float, vertex: int) -> float:
+        """Distance, in m, from a vertex."""
+        return math.hypot(x - self.points[vertex, 0], y - self.points[vertex, 1])

@@ -111,7 +111,9 @@ class Helical:
             note = f"gave up near {at}: the robot stepped out {self._tried} times in a row"
             return Command(None, note=note, progress=self._progress, phase=self._phase, stuck=True, event="gave up")
         if self._near >= self._length - self.setup.tolerance:
-            return Command(None, note="path's end reached", progress=self._length, phase="follow", done=True, event=event)
+            return Command(
+                None, note="path's end reached", progress=self._length, phase="follow", done=True, event=event
+            )
         legs = self._recovery(state) if event == "step-out" else []
         legs += self._plan(self.screwing.predict(state, legs), pose.covariance)
         self._flown = _Flown(state, legs, self.screwing.predict(state, legs))

@@ -15,6 +15,7 @@ from controllers.compass import Compass
 from controllers.course import Course
 from controllers.force_allocator import ForceAllocator, UnreachableForceError
 from controllers.starts import plan_starts
+from lookup_tables import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
 from smolbot.errors import InputError
@@ -111,7 +112,9 @@ class Predictive:
         self._rest = setup.cycle.duration(setup.device.frequency)
         self._high = np.full(setup.table.n_coils, setup.limits.max_current)
         self._low = np.zeros(setup.table.n_coils) if setup.limits.unipolar else -self._high
-        self._starts = plan_starts(self._low, self._high)
+        starts = plan_starts(self._low, self._high)
+        starts = np.concatenate([np.zeros((1, len(self._high))), starts])  # the first row is for the last plan
+        self._starts = {n: np.repeat(starts[:, None, :], n, axis=1) for n in (1, 2)}
         self._compass = Compass(setup, self._low, self._high, self._head_first, least, values["turn_s"])
         self._allocator = ForceAllocator(
             setup.table,
@@ -161,11 +164,13 @@ class Predictive:
             return Command(None, note="path's end reached", progress=course.progress, done=True)
         phase: Phase = "approach" if course.leg < 0 else "follow"
         duration, currents, gone, turning = self._plan(pose, heading, course)
-        saturated = bool(np.any((currents > 0.999 * self._high) | (currents < 0.999 * self._low - 1e-9)))
+        sent = currents.tolist()
+        limits = zip(sent, self._low.tolist(), self._high.tolist(), strict=True)
+        saturated = any(i > 0.999 * high or i < 0.999 * low - 1e-9 for i, low, high in limits)
         note = "turning" if turning else ""
         if not turning and gone < 0.03 * self._speed * duration:
             note = "hardly any force along the path here" + (", head first" if self._head_first else "")
-        window = Actuate(tuple(float(c) for c in currents), duration)
+        window = Actuate(tuple(sent), duration)
         return Command(window, saturated, note, progress=course.progress, phase=phase)
 
     def reach(self, path: Curve) -> Reach:
@@ -196,11 +201,16 @@ class Predictive:
     def _plan(self, pose: Pose, heading: float, course: Course) -> tuple[float, FloatArray, float, bool]:
         """Duration, currents, progress that is expected in m, and whether it is a turn."""
         place = pose.position[:2]
-        origin = place + self.setup.robot.magnet_ahead * np.array([math.cos(heading), math.sin(heading)])
-        at = np.array([origin[0], origin[1], pose.position[2]])
-        if not self.setup.table.contains(at[None, :])[0]:
-            origin, at = place, np.asarray(pose.position)
-        field, gradient = self.setup.table.field_and_gradient(at[None, :])
+        c, v = math.cos(heading), math.sin(heading)
+        at = np.array(pose.position)
+        at[0] += self.setup.robot.magnet_ahead * c
+        at[1] += self.setup.robot.magnet_ahead * v
+        try:
+            field, gradient = self.setup.table.field_and_gradient(at[None, :])
+        except OutsideTableError:
+            at[:] = pose.position
+            field, gradient = self.setup.table.field_and_gradient(at[None, :])
+        origin = at[:2]
         b = np.ascontiguousarray(field[:, 0, :2])
         g = np.ascontiguousarray(gradient[:, 0, :2, :2])
         points, arc, first, last, guess, headings = self._route(pose, heading, course)
@@ -211,14 +221,15 @@ class Predictive:
         doubt = 1.0 / (1.0 + (sigma / self._confidence) ** 2)
         weights = self._weights.copy()
         weights[NEAR] *= doubt
-        weights[[FORWARD, HEADING]] *= self._hurry
+        weights[FORWARD] *= self._hurry
+        weights[HEADING] *= self._hurry
         body = body_of(self.setup.robot)
         body[DRAG] /= self._adaptation.mobility
         body[ROTATIONAL_DRAG] /= self._adaptation.agility
-        state = np.array([*(place - origin), heading])
+        state = np.array([place[0] - origin[0], place[1] - origin[1], heading])
         route = (points - origin, arc, headings, SPACING)
         leg = (first, last, guess, self._speed * self._window * doubt, self._ahead, 0.5 * self._handover)
-        starts = np.repeat(self._with_last()[:, None, :], windows, axis=1)
+        starts = self._with_last(windows)
         drift = self._adaptation.drift
         best = None
         near_end = arc[last] - guess < 2.0 * self._speed * self._window
@@ -233,19 +244,21 @@ class Predictive:
             starts = currents[None]  # the other duration asks for much the same
         assert best is not None
         _, duration, currents, ends = best
-        end = ends[0]
+        x, y, after = ends[0].tolist()
         center = self.setup.robot.center_ahead
-        swung = -center * np.array([math.cos(end[2]) - math.cos(heading), math.sin(end[2]) - math.sin(heading)])
-        moved = (end[:2] - state[:2] - drift * duration - swung) / self._adaptation.mobility
-        self._planned = _Plan(pose, heading, moved, swung, end[2] - heading, currents[0])
-        here = points[min(int(np.searchsorted(arc, guess, side="right")), last)] - place
-        gone = float((end[:2] - state[:2]) @ here / max(float(np.linalg.norm(here)), 1e-9))
+        swung = -center * np.array([math.cos(after) - c, math.sin(after) - v])
+        step = np.array([x - state[0], y - state[1]])
+        moved = (step - drift * duration - swung) / self._adaptation.mobility
+        self._planned = _Plan(pose, heading, moved, swung, after - heading, currents[0])
+        goal = points[min(int(np.searchsorted(arc, guess, side="right")), last)]
+        here = goal[0] - place[0], goal[1] - place[1]
+        gone = float(step[0] * here[0] + step[1] * here[1]) / max(math.hypot(*here), 1e-9)
         if self._hurry >= MOST_HURRY:
             rescue = self._pull(pose, course)
             if rescue is not None:
                 self._planned, self._hurry = None, 0.75 * MOST_HURRY
                 return self._window, rescue, self._speed * self._window, turning
-        idle = gone < 0.1 * self._speed * self._window and abs(end[2] - heading) < 0.05
+        idle = gone < 0.1 * self._speed * self._window and abs(after - heading) < 0.05
         self._hurry = min(1.5 * self._hurry, MOST_HURRY) if idle else max(self._hurry / 1.5, 1.0)
         return duration, currents[0], gone, turning
 
@@ -269,7 +282,7 @@ class Predictive:
             return course.points, course.arc, first, last, course.arc_length, self._headings[course.leg]
         place = pose.position[:2]
         way = course.points[0] - place
-        length = float(np.linalg.norm(way))
+        length = math.hypot(way[0], way[1])
         share = np.linspace(0.0, 1.0, 4)
         points = np.column_stack([place + share[:, None] * way, np.full(4, pose.position[2])])
         ways = np.repeat(way[None, :] / length, 4, axis=0)
@@ -281,10 +294,13 @@ class Predictive:
             np.array([place, course.points[0]]), np.array([0.0, length]), 0, 1, 0.0, np.concatenate([headings, onward])
         )  # fmt: skip
 
-    def _with_last(self) -> FloatArray:
+    def _with_last(self, windows: int) -> FloatArray:
+        """The last plan, then the usual starts, each held for so many windows, shape (m, windows, n_coils)."""
+        starts = self._starts[windows]
         if self._planned is None:
-            return self._starts
-        return np.concatenate([self._planned.currents[None, :], self._starts])
+            return starts[1:]
+        starts[0] = self._planned.currents
+        return starts
 
     def _learn(self, pose: Pose, heading: float) -> None:
         """Compare the last plan with where the robot is now."""

@@ -12,6 +12,7 @@ import os
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,7 +79,7 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
     axes = [o + spacing * np.arange(n) for o, n in zip(origin, counts, strict=True)]
     path = _cache_path(standing.parameters() | {"name": ""}, origin, counts, spacing)
     with suppress(OSError, ValueError, KeyError, EOFError):
-        return ShapeTable(kind, origin, spacing, np.load(path))
+        return ShapeTable(kind, origin, spacing, _kept(path))
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     coefficients = _coefficients(_round_values(standing, mesh) if kind == ROUND else _flat_values(standing, mesh))
     _keep(path, coefficients)
@@ -188,6 +189,14 @@ def _coefficients(values: FloatArray) -> FloatArray:
     for axis in range(values.ndim - 1):
         out = spline_filter1d(out, order=3, axis=axis, mode="mirror")
     return np.ascontiguousarray(out)
+
+
+@lru_cache(maxsize=8)
+def _kept(path: Path) -> FloatArray:
+    """Coefficients from the cache on disk, read once in a process that flies many tanks; not to be changed."""
+    coefficients: FloatArray = np.load(path)
+    coefficients.setflags(write=False)
+    return coefficients
 
 
 def _cache_path(parameters: dict[str, object], origin: FloatArray, counts: object, spacing: float) -> Path:

@@ -26,6 +26,7 @@ def open_executor(jobs: int = 0, scheduler: str | None = None) -> Iterator[Execu
         If no scheduler answers there, or dask is not installed.
     """
     if scheduler is None:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one core each; small matrices gain nothing from more
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(jobs or os.cpu_count() or 1, mp_context=context) as pool:
             yield pool

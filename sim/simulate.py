@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import os
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
@@ -57,10 +59,15 @@ class Plant(StrEnum):
 
 @dataclass(frozen=True)
 class Flight:
-    """One simulated run: its summary and where the robot truly went, (n, 2) in mm."""
+    """One simulated run: its summary and where the robot truly went, (n, 2) in mm.
+
+    `process` flew it, and had it done at `ended`, in s since the epoch.
+    """
 
     summary: dict[str, Any]
     trail: Any
+    process: int = 0
+    ended: float = 0.0
 
     def value(self, column: str) -> Any:
         found: Any = self.summary
@@ -98,15 +105,18 @@ def simulate(
         loaded.rig.table()  # built once, before the workers need it
     folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
     folder.begin(loaded, wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
+    begin = time.perf_counter()
     with open_executor(jobs, scheduler) as executor:
         flown = fly_seeds(executor, mission, rig, settings, wanted, plant)
         flights = list(_watched(flown, loaded.name, len(wanted)))
+        wall = time.perf_counter() - begin
     flights.sort(key=lambda f: f.summary["seed"])
     write_results(folder.path / "results.csv", flights)
     from sim.study_picture import draw_flights
 
     draw_flights(loaded, flights, folder.path / "flights.png")
     figures = combine(loaded.name, flights)
+    figures["flights_per_minute"] = {"in_all": 60.0 * len(flights) / wall, "warm": warm_rate(flights)}
     figures["folder"] = str(folder.path)
     folder.end(figures)
     _show(figures, flights, json)
@@ -162,7 +172,7 @@ def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, 
 
         opener = open_reduced
     run = fly(_loaded[key], seed, settings=settings, opener=opener)
-    return Flight(run.summary, run.true_trail)
+    return Flight(run.summary, run.true_trail, os.getpid(), time.time())
 
 
 def combine(mission: str, flights: list[Flight]) -> dict[str, Any]:
@@ -186,6 +196,23 @@ def combine(mission: str, flights: list[Flight]) -> dict[str, Any]:
         if values and column != "seed":
             out[column] = {"mean": float(np.mean(values)), "min": float(np.min(values)), "max": float(np.max(values))}
     return out
+
+
+def warm_rate(flights: list[Flight]) -> float | None:
+    """Flights a minute over all processes, from each one's first flight on: that one loads what the others find.
+
+    None where no process flew twice.
+
+    Examples
+    --------
+    >>> warm_rate([Flight({}, None, process, ended) for process, ended in ((1, 9.0), (2, 9.5), (1, 10.0), (1, 11.0))])
+    60.0
+    """
+    ends: dict[int, list[float]] = {}
+    for flight in flights:
+        ends.setdefault(flight.process, []).append(flight.ended)
+    rates = [60.0 * (len(e) - 1) / (max(e) - min(e)) for e in ends.values() if len(e) > 1]
+    return sum(rates) if rates else None
 
 
 def write_results(path: Path, flights: list[Flight]) -> None:
@@ -230,6 +257,7 @@ def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
             for column in COLUMNS
             if isinstance(v := figures.get(column), dict)
         ],
+        ("flights a minute", _rates(figures["flights_per_minute"])),
         *[
             (f"seed {f.summary['seed']}", "; ".join(f.summary["verdict_reasons"]))
             for f in flights
@@ -240,3 +268,8 @@ def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
     table(f"{figures['mission']}, {figures['flown']} flights{label_of(figures)}: mean (least to most)", rows, err=json)
     if json:
         echo_json(figures)
+
+
+def _rates(rates: dict[str, float | None]) -> str:
+    warm = rates["warm"]
+    return f"{rates['in_all']:.0f}" + (f"; {warm:.0f} once every process has flown one" if warm is not None else "")

@@ -49,9 +49,7 @@ class Tank:
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
         self.device = true_device(robot, settings, self.truth)
-        self.carrier: Carrier = make_carrier(
-            rig, robot, settings, self.truth, start, seed, gui=gui, ideal=ideal
-        )
+        self.carrier: Carrier = make_carrier(rig, robot, settings, self.truth, start, seed, gui=gui, ideal=ideal)
         self.history = History()
         self.time = 0.0
         self.running = False

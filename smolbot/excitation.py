@@ -6,6 +6,7 @@ against the drive, and the free amplitude that is left falls well below the stop
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,22 +45,23 @@ def drive(fields: FloatArray, pose: Pose, device: Device, inertia: float, cycles
     max_current : float, in A
         Peak, per coil.
     """
-    useful = fields @ (pose.rotation @ device.drive_direction_in_body)
-    largest = float(np.max(np.abs(useful)))
+    x, y, z = (pose.rotation @ device.drive_direction_in_body).tolist()
+    useful = [bx * x + by * y + bz * z for bx, by, bz in fields.tolist()]
+    largest = max(abs(field) for field in useful)
     if largest < 1e-12:
         return Drive(max_current * np.eye(len(fields))[0], 0.0)
-    mix = useful / largest
-    per_ampere = float(useful @ mix)
+    mix = [field / largest for field in useful]
+    per_ampere = sum(field * part for field, part in zip(useful, mix, strict=True))
     full = amplitude_after(max_current * per_ampere, device, inertia, cycles)
     share = min(max(device.theta_max / full, WEAKEST), 1.0)
-    return Drive(max_current * share * mix, min(full, device.theta_max))
+    return Drive(max_current * share * np.array(mix), min(full, device.theta_max))
 
 
 def amplitude_after(field: float, device: Device, inertia: float, cycles: int) -> float:
     """Amplitude, in rad, that a resonant field of `field` T along y x m builds up in a burst, stops aside."""
-    omega = 2.0 * np.pi * device.frequency
+    omega = 2.0 * math.pi * device.frequency
     growth = device.moment * field / (2.0 * inertia * omega)
     time = cycles / device.frequency
     if device.damping_model == "linear" or device.damping * time < 1e-6:
-        return float(growth * time)
-    return float(growth / device.damping * -np.expm1(-device.damping * time))
+        return growth * time
+    return growth / device.damping * -math.expm1(-device.damping * time)

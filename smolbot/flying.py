@@ -125,8 +125,7 @@ def _fly_on(
 
     extra = listeners(mission) if listeners else ()
     loop = make_loop(rig, mission, (write, *extra))
-    gc.collect()
-    gc.freeze()
+    gc.freeze()  # what is there by now is not looked through again while the robot waits
     try:
         flown = loop.fly()
     finally:

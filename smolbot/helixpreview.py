@@ -84,7 +84,8 @@ def preview_helix(mission: Mission) -> HelixPreview:
         )
     if bend < radius:
         reasons.insert(
-            0, f"the path bends with a radius of {bend * 1e3:.1f} mm; this robot turns with {radius * 1e3:.1f} mm at least."
+            0,
+            f"the path bends with a radius of {bend * 1e3:.1f} mm; this robot turns with {radius * 1e3:.1f} mm at least.",
         )
     turns = [sum(w.turns for w in shot.windows if isinstance(w, Rotate)) for shot in shots]
     listening = _listening(setup)
@@ -130,7 +131,9 @@ def _fly(
     """Mechanical shots, time in s, places of the pauses, and why the path's end is not reached."""
     x, y, heading = mission.put_down
     position = np.array([x, y, setup.helix.high])
-    orientation = quaternion_from_axes(np.array([math.cos(heading), math.sin(heading), 0.0]), np.array([0, 0, 1.0]), "zx")
+    orientation = quaternion_from_axes(
+        np.array([math.cos(heading), math.sin(heading), 0.0]), np.array([0, 0, 1.0]), "zx"
+    )
     rest = setup.cycle.duration(setup.device.frequency) + mission.rig.turnaround
     listened = mission.sections.localization
     clock = (listened.quiet_s if listened.estimator == "whitened" else 0.0) + 2.0 * rest

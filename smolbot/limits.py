@@ -129,9 +129,7 @@ class Limits:
         if not near:
             found.append("Rotate needs the actuation magnet near; it is away.")
         if not 0 < window.frequency <= self.max_rotation_frequency + 1e-9:
-            found.append(
-                f"Rotate must stay within {self.max_rotation_frequency:g} Hz; got {window.frequency:g} Hz."
-            )
+            found.append(f"Rotate must stay within {self.max_rotation_frequency:g} Hz; got {window.frequency:g} Hz.")
         length = math.sqrt(sum(a * a for a in window.axis))
         if not length > 0 or abs(window.axis[2]) > 1e-6 * length:
             found.append(f"The stage's axis lies in the horizontal plane; got {window.axis}.")

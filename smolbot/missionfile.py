@@ -214,7 +214,9 @@ def _check_kind(document: Document, sections: MissionFile, rig: RigConfig, robot
     kinds = getattr(load("controllers", sections.controller.law), "kinds", ("gradient",))
     faults = []
     if robot.kind not in kinds:
-        message = f"'{sections.controller.law}' drives robots of kind {', '.join(kinds)}; '{robot.name}' is {robot.kind}."
+        message = (
+            f"'{sections.controller.law}' drives robots of kind {', '.join(kinds)}; '{robot.name}' is {robot.kind}."
+        )
         faults.append(Fault(("controller", "law"), message))
     if robot.kind == "helical" and rig.sections.magnet is None:
         faults.append(Fault(("rig",), f"'{rig.name}' has no [magnet], which a helical robot needs."))

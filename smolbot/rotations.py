@@ -94,6 +94,20 @@ def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     return rotation_vector(quaternion_product(estimate, inverse))
 
 
+def half_turned(quaternion: FloatArray) -> FloatArray:
+    """The same orientation (4,) turned by half about body z: to sensors a moment along z sounds alike in both."""
+    w, x, y, z = quaternion
+    return np.array([-z, y, -x, w])
+
+
+def nearer_twin(quaternion: FloatArray, other: FloatArray | None) -> FloatArray:
+    """Of an orientation (4,) and the one turned by half about body z, that nearer to `other`; with none, the first."""
+    if other is None:
+        return quaternion
+    twin = half_turned(quaternion)
+    return twin if abs(twin @ other) > abs(quaternion @ other) else quaternion
+
+
 def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> FloatArray:
     """Orientation whose body axes point along two world directions.
 

@@ -6,17 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import MAX_SIGMA, MIN_AMPLITUDE, MIN_R_SQUARED, Localizer
 from smolbot.poses import Pose
-from smolbot.rotations import quaternion_product
+from smolbot.rotations import nearer_twin
 from smolbot.sensing import Device, Recording, SensorArray
-
-_HALF_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +96,7 @@ class Sightings:
         fitted = recording.fitted
         if not math.isfinite(fitted.covariance[0, 0]):
             raise InputError("This recording holds no pose: too little of a swing was heard.")
-        orientation = fitted.orientation
-        if prior is not None:
-            twin = quaternion_product(orientation, _HALF_TURN)
-            if abs(twin @ prior.orientation) > abs(orientation @ prior.orientation):
-                orientation = twin
+        orientation = nearer_twin(fitted.orientation, None if prior is None else prior.orientation)
         pose = Pose(
             recording.time,
             fitted.position,

@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
+from smolbot.kalman import carried_on, corrected
 from smolbot.motion.gradient import advance
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.poses import Pose
 from smolbot.rotations import (
     matrix_from_quaternion,
+    nearer_twin,
     quaternion_from_rotation_vector,
     quaternion_product,
     rotation_error,
@@ -32,6 +35,12 @@ MOTION_ERROR = 0.3
 
 MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
 """What sensors slightly out of place leave in every pose, per axis (m, rad, share of the amplitude)."""
+
+COIL_ERROR = 0.03
+"""Share of a coil's field by which it may differ from its table: 2 % of gain, some tenths of a mm of place."""
+
+COARSE = 6e-3
+"""Step, in s, with which a turn is followed whose size alone is asked for."""
 
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
@@ -58,7 +67,6 @@ DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
 _P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
 _SIZE = 10
 _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
-_EYE = np.eye(_SIZE)
 
 
 @dataclass(frozen=True)
@@ -185,6 +193,8 @@ class Tracker:
                 self.misses += 1
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
+        if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
+            pose = replace(pose, orientation=nearer_twin(pose.orientation, self._state.orientation))
         believed = pose is not None and pose.trusted and self._correct(pose, swing)
         if believed:
             self.misses = 0
@@ -212,8 +222,11 @@ class Tracker:
         self._candidate = pose
         if other is None or self.misses < 3:
             return
+        orientation = pose.orientation
+        if self._device.along_cantilever:
+            orientation = nearer_twin(orientation, other.orientation)
         near = np.linalg.norm(pose.position - other.position) < 2e-3
-        if near and np.dot(pose.orientation, other.orientation) ** 2 > 0.95:
+        if near and np.dot(orientation, other.orientation) ** 2 > 0.95:
             self._begin(pose)
 
     def _predict(self, shot: Shot, time: float) -> None:
@@ -231,23 +244,22 @@ class Tracker:
         for window in shot.windows:
             if not isinstance(window, Actuate) or self._table is None or not any(window.currents):
                 continue
-            if not self._table.contains(position[None, :])[0]:
+            try:
+                field, gradient = self._table.field_and_gradient(position[None, :])
+            except OutsideTableError:
                 continue
             ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
             heading = math.atan2(ahead[1], ahead[0])
-            field, gradient = self._table.field_and_gradient(position[None, :])
             step, after = advance(
                 self._robot, field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
             )
             turn = after - heading
             position[:2] += step
             orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
-            noise[:2] += (MOTION_ERROR * np.linalg.norm(step)) ** 2
+            noise[:2] += MOTION_ERROR**2 * (step[0] * step[0] + step[1] * step[1])
             noise[5] += (MOTION_ERROR * turn) ** 2
-        covariance = state.covariance.copy()
-        covariance[_P] += wait * state.covariance[_V]
-        covariance[:, _P] += wait * covariance[:, _V]
-        covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
+            noise[5] += self._stray_turn(field[:, 0], gradient[:, 0], window, heading, float(state.covariance[5, 5]))
+        covariance = carried_on(state.covariance, wait, noise)
         self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _screw(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
@@ -270,32 +282,47 @@ class Tracker:
         covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
         self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
 
+    def _stray_turn(
+        self, field: FloatArray, gradient: FloatArray, window: Actuate, heading: float, variance: float
+    ) -> float:
+        """Variance of the turn, in rad², that errors of the coils' fields and of the heading (`variance`) add.
+
+        A robot that nearly points against the field turns either way: what decides is smaller than any belief.
+        """
+        currents = np.array(window.currents)
+        each = currents[:, None] * field
+        size = math.sqrt(float(np.sum(each.sum(axis=0) ** 2)))
+        aside = math.atan2(COIL_ERROR * math.sqrt(float(np.sum(each * each))), size)
+        doubt = math.sqrt(max(variance, 0.0))
+        nudge = max(aside, doubt)
+        low, high = (
+            advance(self._robot, field, gradient, currents, heading + a, window.duration, COARSE)[1] - a
+            for a in (-nudge, nudge)
+        )
+        slope = (high - low) / (2.0 * nudge)  # of the turn for the heading; the field's direction counts the other way
+        return (slope * aside) ** 2 + max((1.0 + slope) ** 2 - 1.0, 0.0) * variance
+
     def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
         assert state is not None
         turned = rotation_error(pose.orientation, state.orientation)
+        innovation = np.empty(6 if swing is None else 7)
+        innovation[_P], innovation[_E] = pose.position - state.position, turned
         if swing is None:
-            innovation = np.concatenate([pose.position - state.position, turned])
             heard = self._surprise * pose.covariance + _MODEL_FLOOR[:6, :6]
         else:
             top = self._device.theta_max
-            innovation = np.concatenate(
-                [pose.position - state.position, turned, [swing.amplitude / top - state.amplitude]]
-            )
-            scale = np.array([1.0] * 6 + [1.0 / top])
-            heard = self._surprise * swing.covariance * np.outer(scale, scale) + _MODEL_FLOOR
+            innovation[_A] = swing.amplitude / top - state.amplitude
+            heard = self._surprise * swing.covariance
+            heard[_A] /= top
+            heard[:, _A] /= top
+            heard += _MODEL_FLOOR
         m = len(innovation)
-        inverse = np.linalg.inv(state.covariance[:m, :m] + heard)
-        distance = float(innovation @ inverse @ innovation)
-        if distance > GATE + 2.0 * (m - 6):
+        distance, change, covariance = corrected(state.covariance, heard, innovation)
+        if not distance <= GATE + 2.0 * (m - 6):
             return False
         surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
         self._surprise = min(max(surprise, 1.0), 25.0)
-        gain = state.covariance[:, :m] @ inverse
-        change = gain @ innovation
-        left = _EYE.copy()
-        left[:, :m] -= gain
-        covariance = left @ state.covariance @ left.T + gain @ heard @ gain.T
         orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
         self._state = _State(
             state.time,

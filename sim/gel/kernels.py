@@ -103,9 +103,7 @@ def magnet_field(
     own[2, 1] = own[0, 2] * own[1, 0] - own[1, 2] * own[0, 0]
     for r in range(3):
         for k in range(3):
-            frame[r, k] = (
-                cube[5 + 3 * r] * own[0, k] + cube[6 + 3 * r] * own[1, k] + cube[7 + 3 * r] * own[2, k]
-            )
+            frame[r, k] = cube[5 + 3 * r] * own[0, k] + cube[6 + 3 * r] * own[1, k] + cube[7 + 3 * r] * own[2, k]
     dx, dy, dz = point[0] - cube[2], point[1] - cube[3], point[2] - cube[4]
     x = frame[0, 0] * dx + frame[1, 0] * dy + frame[2, 0] * dz
     y = frame[0, 1] * dx + frame[1, 1] * dy + frame[2, 1] * dz
@@ -147,9 +145,7 @@ def settle(theta: float, bx: float, bz: float, device: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def flow(
-    forward: FloatArray, load: FloatArray, gel: FloatArray, factor: float, nose: float, out: FloatArray
-) -> None:
+def flow(forward: FloatArray, load: FloatArray, gel: FloatArray, factor: float, nose: float, out: FloatArray) -> None:
     """How the helix moves under a force and a torque: not at all below yield, else as plastic flow and drag say.
 
     Slip along the thread, drift across the axis, spin and tilt share one yield surface, an ellipsoid over their own
@@ -277,9 +273,21 @@ def screw(
     rotation, forward, point, work = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((4, 3, 3))
     for i in range(len(poses)):
         w, x, y, z = state[Q], state[Q + 1], state[Q + 2], state[Q + 3]
-        rotation[0, 0], rotation[0, 1], rotation[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
-        rotation[1, 0], rotation[1, 1], rotation[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
-        rotation[2, 0], rotation[2, 1], rotation[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+        rotation[0, 0], rotation[0, 1], rotation[0, 2] = (
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - z * w),
+            2 * (x * z + y * w),
+        )
+        rotation[1, 0], rotation[1, 1], rotation[1, 2] = (
+            2 * (x * y + z * w),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - x * w),
+        )
+        rotation[2, 0], rotation[2, 1], rotation[2, 2] = (
+            2 * (x * z - y * w),
+            2 * (y * z + x * w),
+            1 - 2 * (x * x + y * y),
+        )
         theta = state[DEFLECTION]
         ax, ay, az = device[3] * math.sin(theta), 0.0, device[3] * math.cos(theta)
         for r in range(3):

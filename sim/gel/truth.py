@@ -141,5 +141,7 @@ def pack_cube(rig: RigConfig, truth: GelTruth) -> FloatArray:
 
 def pack_inclusions(settings: TankSettings) -> FloatArray:
     """The `inclusions` array (k, 4) of the kernels."""
-    rows = [(1e-3 * i.center_mm[0], 1e-3 * i.center_mm[1], 1e-3 * i.radius_mm, i.factor) for i in settings.gel.inclusions]
+    rows = [
+        (1e-3 * i.center_mm[0], 1e-3 * i.center_mm[1], 1e-3 * i.radius_mm, i.factor) for i in settings.gel.inclusions
+    ]
     return np.array(rows).reshape(-1, 4)

@@ -87,30 +87,39 @@ class FitErrors:
         """
         key = half_periods, round(since, 9)
         if key not in self._models:
-            self._models[key] = _Model(self._localizer, self._rig, self._heard.noise, half_periods, since)
-        model, heard = self._models[key], self._heard
+            self._models[key] = _Model(self._localizer, self._rig, self._heard, half_periods, since)
+        model = self._models[key]
         phase = int(N_PHASES * self._rng.random())
         white = self._rng.standard_normal(model.n_out)
         noise = white if model.noise_factor is None else model.noise_factor @ white
         rotation = matrix_from_quaternion(orientation)
         size = max(amplitude, 1e-6) / basis.REFERENCE_ANGLE
-        values, slopes = model.series(model.positions, model.axes, model.moment, model.l0, position, rotation)
-        truth, _ = model.series(heard.positions, heard.axes, heard.moment, heard.l0, position, rotation)
+        believed, true = model.believed, model.true
+        kernels.series(*believed.magnet, *model.nodes, position, rotation, believed.values, believed.slopes)
+        kernels.series(*true.magnet, *model.nodes, position, rotation, true.values, true.slopes)
         change, spread, sse, total = linear_fit(
-            values, slopes, truth, *model.waves[phase], size, noise, *model.belief, basis.REFERENCE_ANGLE
-        )
-        joint = model.variance(sse) * spread
+            believed.values, believed.slopes, true.values, *model.waves[phase], size, noise, *model.belief,
+            basis.REFERENCE_ANGLE,
+        )  # fmt: skip
         turned = quaternion_product(quaternion_from_rotation_vector(change[3:6]), orientation)
         amplitude = (size + float(change[7])) * basis.REFERENCE_ANGLE
-        return Fitted(position + change[:3], turned, amplitude, joint, 1.0 - sse / total)
+        spread *= model.variance(sse)
+        return Fitted(position + change[:3], turned, amplitude, spread, 1.0 - sse / total)
+
+
+class _Series:
+    """Sensors and a magnet, and room for the channels' power series in the deflection, with derivatives (n, K, 6)."""
+
+    def __init__(self, positions: FloatArray, axes: FloatArray, moment: FloatArray, l0: float) -> None:
+        self.magnet = np.ascontiguousarray(positions), np.ascontiguousarray(axes), moment, l0
+        powers = len(basis.nodes())
+        self.values, self.slopes = np.zeros((len(positions), powers)), np.zeros((len(positions), powers, 6))
 
 
 class _Model:
     """A localizer's linear model for recordings of one kind, with its answer at each of the phases laid out."""
 
-    def __init__(
-        self, localizer: Localizer, rig: RigConfig, noise: NoiseModel, half_periods: int, since: float
-    ) -> None:
+    def __init__(self, localizer: Localizer, rig: RigConfig, heard: Heard, half_periods: int, since: float) -> None:
         rate, sensors, device = rig.sample_rate, localizer.sensors, localizer.device
         n_samples = round(half_periods * rate / (2.0 * device.frequency))
         everyone = np.ones(len(sensors), dtype=np.bool_).tobytes()
@@ -120,7 +129,7 @@ class _Model:
             trend = localizer.free_trend(Recording(np.zeros((len(sensors), n_samples)), rate, since))
             # the cached function would keep every seed's room
             build = whitened_model.__wrapped__
-            model = build(sensors, device, noise, everyone, n_samples, rate, since, trend, localizer.transients)
+            model = build(sensors, device, heard.noise, everyone, n_samples, rate, since, trend, localizer.transients)
         else:
             model = paper_model(sensors, device, everyone, n_samples, rate, since)
             parts = noise_parts(sensors, noise_levels(rig), model.chain, rate, model.mixing)
@@ -128,27 +137,11 @@ class _Model:
             self.noise_factor = np.linalg.cholesky(total + 1e-12 * np.trace(total) / len(total) * np.eye(len(total)))
         self._white = model.white
         self.n_out = len(model.matrix)
-        self.positions, self.axes = model.positions, model.axes
-        self.moment, self.l0 = device.moment * device.moment_in_body, device.l0
+        self.believed = _Series(model.positions, model.axes, device.moment * device.moment_in_body, device.l0)
+        self.true = _Series(heard.positions, heard.axes, heard.moment, heard.l0)
+        self.nodes = basis.nodes() * basis.REFERENCE_ANGLE, basis.power_matrix()
         self.belief: tuple[float, float] = (float(model.belief[0]), float(model.belief[1]))
-        self._angles = basis.nodes() * basis.REFERENCE_ANGLE
-        self._powers = basis.power_matrix()
         self.waves = [_waves(model, math.pi * k / N_PHASES) for k in range(N_PHASES)]
-
-    def series(
-        self,
-        positions: FloatArray,
-        axes: FloatArray,
-        moment: FloatArray,
-        l0: float,
-        position: FloatArray,
-        rotation: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Power series (n, K) of the channels in the deflection, and derivatives (n, K, 6)."""
-        n, k = len(positions), len(self._angles)
-        values, slopes = np.zeros((n, k)), np.zeros((n, k, 6))
-        kernels.series(positions, axes, moment, l0, self._angles, self._powers, position, rotation, values, slopes)
-        return values, slopes
 
     def variance(self, sse: float) -> float:
         """By what a fit scales its covariance: white residuals only where they are larger than chance makes them."""
@@ -160,7 +153,7 @@ class _Model:
 
 
 def _waves(model: LinearModel, phase: float) -> tuple[FloatArray, FloatArray]:
-    """Answer (n_out, n_channels * powers) of the data to each channel's powers at one phase, and its derivative."""
+    """Answer (n_channels * powers, n_out) of the data to each channel's powers at one phase, and its derivative."""
     n_out, _, n_channels = model.matrix.shape
     labels = basis.labels()
     n_powers = int(labels[:, 0].max())
@@ -170,7 +163,7 @@ def _waves(model: LinearModel, phase: float) -> tuple[FloatArray, FloatArray]:
         value, slope = (-math.sin(turn), -h * math.cos(turn)) if sine else (math.cos(turn), -h * math.sin(turn))
         now[:, :, power - 1] += value * model.matrix[:, f]
         ahead[:, :, power - 1] += slope * model.matrix[:, f]
-    return now.reshape(n_out, -1), ahead.reshape(n_out, -1)
+    return np.ascontiguousarray(now.reshape(n_out, -1).T), np.ascontiguousarray(ahead.reshape(n_out, -1).T)
 
 
 def true_room(rig: RigConfig, level: float, mains: float, phasors: ComplexArray) -> NoiseModel:

@@ -13,8 +13,11 @@ N = 8  # position (3), rotation (3), phase, amplitude
 WORST = 1e11
 """Condition beyond which a fit says nothing, as in `smolbot.localization.kernels.covariance`."""
 
+UNTOLD = 1e300
+"""A variance beyond it is infinite: nothing was told."""
 
-@njit(cache=True, error_model="numpy")
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def linear_fit(
     values: FloatArray,
     slopes: FloatArray,
@@ -35,7 +38,7 @@ def linear_fit(
         Power series of the channels in the deflection, as believed and as they are, at the true pose.
     slopes : ndarray, shape (n_channels, K, 6)
         Derivatives of `values` for position and rotation.
-    now, ahead : ndarray, shape (n_out, n_channels * (K - 1))
+    now, ahead : ndarray, shape (n_channels * (K - 1), n_out)
         The data's answer to each power but the constant, and its derivative for the phase.
     size : float
         True amplitude, as a fraction of the reference angle.
@@ -56,27 +59,35 @@ def linear_fit(
         Squares of the residual and of the data.
     """
     n_channels, n_powers = values.shape
-    width = n_channels * (n_powers - 1)
-    columns = np.empty((width, N))
-    level, wrong = np.empty(width), np.empty(width)
+    n_out = len(noise)
+    jacobian, residual, data = np.zeros((N, n_out)), noise.copy(), noise.copy()
     row = 0
     for c in range(n_channels):
         power = 1.0
         for k in range(1, n_powers):
-            columns[row, 7] = k * power * values[c, k]
+            grown = k * power * values[c, k]
             power *= size
-            level[row] = power * values[c, k]
-            wrong[row] = power * truth[c, k] - level[row]
-            for p in range(6):
-                columns[row, p] = power * slopes[c, k, p]
-            columns[row, 6] = 0.0
+            level, heard = power * values[c, k], power * truth[c, k]
+            s0, s1, s2 = power * slopes[c, k, 0], power * slopes[c, k, 1], power * slopes[c, k, 2]
+            s3, s4, s5 = power * slopes[c, k, 3], power * slopes[c, k, 4], power * slopes[c, k, 5]
+            for i in range(n_out):  # along memory
+                w = now[row, i]
+                jacobian[0, i] += s0 * w
+                jacobian[1, i] += s1 * w
+                jacobian[2, i] += s2 * w
+                jacobian[3, i] += s3 * w
+                jacobian[4, i] += s4 * w
+                jacobian[5, i] += s5 * w
+                jacobian[6, i] += level * ahead[row, i]
+                jacobian[7, i] += grown * w
+                residual[i] += (heard - level) * w
+                data[i] += heard * w
             row += 1
-    jacobian = np.dot(now, columns)
-    jacobian[:, 6] = np.dot(ahead, level)
-    residual = np.dot(now, wrong) + noise
-    out = np.dot(now, level)
-    normal = np.dot(jacobian.T, jacobian)
-    gradient = np.dot(jacobian.T, residual)
+    normal, gradient = np.empty((N, N)), np.empty(N)
+    for a in range(N):
+        gradient[a] = _dot(jacobian[a], residual)
+        for b in range(a + 1):
+            normal[a, b] = normal[b, a] = _dot(jacobian[a], jacobian[b])
     normal[7, 7] += weight
     gradient[7] += weight * (mean - size)
     covariance = _inverse(normal)
@@ -85,12 +96,24 @@ def linear_fit(
         for b in range(7):
             unit = (reference if a == 6 else 1.0) * (reference if b == 6 else 1.0)
             joint[a, b] = unit * covariance[a + a // 6, b + b // 6]  # all but the phase
-    if not math.isfinite(covariance[0, 0]):
-        return np.zeros(N), joint, 0.0, 1.0
-    change = np.dot(covariance, gradient)
-    left = residual - np.dot(jacobian, change)
-    data = out + residual
-    return change, joint, np.dot(left, left), np.dot(data, data)
+    change = np.zeros(N)
+    if covariance[0, 0] > UNTOLD:
+        return change, joint, 0.0, 1.0
+    for a in range(N):
+        for b in range(N):
+            change[a] += covariance[a, b] * gradient[b]
+    for a in range(N):
+        for i in range(n_out):
+            residual[i] -= change[a] * jacobian[a, i]
+    return change, joint, _dot(residual, residual), _dot(data, data)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -118,11 +141,13 @@ def _inverse(matrix: FloatArray) -> FloatArray:
             for c in range(b, a):
                 left -= factor[a, c] * inverse[c, b]
             inverse[a, b] = left / factor[a, a]
-    out = np.dot(inverse.T, inverse)
+    out = np.empty((N, N))
     for a in range(N):
-        if out[a, a] > WORST:
-            return np.full((N, N), np.inf)
-    for a in range(N):
-        for b in range(N):
-            out[a, b] *= scale[a] * scale[b]
+        for b in range(a + 1):
+            total = 0.0
+            for c in range(a, N):
+                total += inverse[c, a] * inverse[c, b]
+            if a == b and total > WORST:
+                return np.full((N, N), np.inf)
+            out[a, b] = out[b, a] = total * scale[a] * scale[b]
     return out

@@ -52,7 +52,8 @@ class ReducedPlant:
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         hull = Hull.build(rig, robot, settings, self.truth)
         self.device = true_device(robot, settings, self.truth)
-        coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
+        nobody = np.zeros((0, 3))  # hears the coils here: nothing is recorded
+        coils = TankCoils.build(rig, settings, self.truth, nobody, nobody)
         self._hull, self._float_height = hull.values, hull.float_height
         self._n, self._n_excitation = coils.n_actuation, coils.n_excitation
         self._constants = coils.circuits[: self._n, 3].copy()

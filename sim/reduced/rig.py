@@ -21,6 +21,7 @@ from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import Mission
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
+from smolbot.rotations import half_turned
 from smolbot.sensing import Device, Recording
 from smolbot.shots import Listen, Rest, Shot
 from smolbot.sightings import Sighting, Sightings
@@ -132,7 +133,9 @@ class ReducedRig:
     def _seen(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
         """What is made of a listening window that began at `start` s; the last of `states` is that of its middle."""
         empty, rate, drive = self._no_samples, self._rate, shot.excite
-        if drive is None or self._errors is None:
+        if (
+            drive is None or self._errors is None or shot.mode == "quiet"
+        ):  # without signals nothing is learned of a room
             return Recording(empty, rate, math.inf, drive=drive, clock=start)
         index = max(i for i, w in enumerate(shot.windows[: len(states)]) if w is drive)
         since = sum(w.duration for w in shot.windows[index + 1 : len(states) - 2])
@@ -142,8 +145,7 @@ class ReducedRig:
         amplitude = min(spread * math.hypot(*states[index + 1, SWING]), self._device.theta_max)
         orientation = truth[3:]
         if self._rng.random() < 0.5:  # turned by half about the moment it sounds alike: only a prior can tell
-            w, x, y, z = orientation
-            orientation = np.array([-z, y, -x, w])
+            orientation = half_turned(orientation)
         fitted = self._errors.draw(truth[:3], orientation, amplitude, listen.half_periods, since)
         return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
 

@@ -27,6 +27,7 @@ STUDIES = {
     "speed": "time of a pose, against the same fit in numpy and scipy",
     "superfast": "one excitation cut into segments while the device steps (Figs. 2H, S6)",
     "scalpel": "a magnetic tool passing by, against static magnets",
+    "allocation": "coil currents for a wanted force: direction, size and heat against brute force, and time",
     "layout": "sensor places: bound, correlation of z with amplitude, an optimised layout",
 }
 """Every study, a module of this package, and what it finds out."""

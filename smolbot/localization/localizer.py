@@ -20,7 +20,7 @@ from smolbot.localization.segments import SharedAmplitude, anchor, cut
 from smolbot.localization.transients import AUDIBLE
 from smolbot.localization.whitening import prepare_whitened
 from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_matrix
+from smolbot.rotations import nearer_twin, quaternion_from_matrix
 from smolbot.sensing import Device, Recording, SensorArray
 
 Estimator = Literal["whitened", "paper"]
@@ -276,7 +276,7 @@ class Localizer:
             odds = min(odds, (min(f.sse for f in rivals) - best.sse) / variance)
         orientation = quaternion_from_matrix(best.rotation)
         if along:
-            orientation = _nearer(orientation, prior)
+            orientation = nearer_twin(orientation, None if prior is None else prior.orientation)
         variance = _inflated(problem, best) if problem.model.white else best.sse / max(problem.data.size - 8, 1)
         total = problem.total_sum_of_squares
         r_squared = 1.0 - best.sse / total if total > 0 else 0.0
@@ -350,12 +350,3 @@ def _is_twin(a: Fit, b: Fit) -> bool:
     half_turn = np.array([-1.0, -1.0, 1.0])
     near = float(np.linalg.norm(a.position - b.position)) < 2e-3
     return near and float(np.trace((a.rotation * half_turn).T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
-
-
-def _nearer(orientation: FloatArray, prior: Pose | None) -> FloatArray:
-    """Of the two orientations that sound the same when the moment lies along the cantilever, the nearer one."""
-    if prior is None:
-        return orientation
-    w, x, y, z = orientation
-    other = np.array([-z, y, -x, w])  # turned by 180 degrees about body z
-    return orientation if abs(orientation @ prior.orientation) >= abs(other @ prior.orientation) else other

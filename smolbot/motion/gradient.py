@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.motion.kernels import roll
+from smolbot.motion.kernels import moved
 from smolbot.motion.robot import Robot
 
 STEP = 2e-3
@@ -28,7 +30,13 @@ def body_of(robot: Robot) -> FloatArray:
 
 
 def advance(
-    robot: Robot, field: FloatArray, gradient: FloatArray, currents: FloatArray, heading: float, duration: float
+    robot: Robot,
+    field: FloatArray,
+    gradient: FloatArray,
+    currents: FloatArray,
+    heading: float,
+    duration: float,
+    step: float = STEP,
 ) -> tuple[FloatArray, float]:
     """Motion under constant coil currents for one window.
 
@@ -47,6 +55,8 @@ def advance(
     heading : float, in rad
         Of the cantilever in the horizontal plane, from x toward y.
     duration : float, in s
+    step : float, in s
+        Longest one of the integration.
 
     Returns
     -------
@@ -55,17 +65,6 @@ def advance(
     heading : float, in rad
         At the end of the window.
     """
-    total_field = currents @ field
-    total_gradient = (currents @ gradient.reshape(len(currents), 9)).reshape(3, 3)
-    steps = max(int(np.ceil(duration / STEP)), 1)
-    x, y, after, _, _, _ = roll(
-        body_of(robot),
-        total_field[:2],
-        np.ascontiguousarray(total_gradient[:2, :2]),
-        0.0,
-        0.0,
-        float(heading),
-        float(duration),
-        steps,
-    )
+    steps = max(math.ceil(duration / step), 1)
+    x, y, after = moved(body_of(robot), field, gradient, currents, float(heading), float(duration), steps)
     return np.array([x, y]), after

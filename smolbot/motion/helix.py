@@ -196,9 +196,7 @@ class Helix:
             elif isinstance(window, Rotate):
                 before = state[kernels.HEADING]
                 course, sense = course_of(window, before)
-                state = kernels.screw_on(
-                    self.body, self.factors, state, course, sense, window.turns, window.frequency
-                )
+                state = kernels.screw_on(self.body, self.factors, state, course, sense, window.turns, window.frequency)
                 turns += window.turns
                 turned += abs(state[kernels.HEADING] - before)
         left = np.array([-math.sin(heading), math.cos(heading), 0.0])

@@ -17,7 +17,19 @@ from numba import njit
 # (3, m), moment times the weakest field of a turn (N·m) at a distance (m), steering rate (rad/s), torque about the axis
 # and across it (N·m) and force across it (N) at which the gel yields, viscous rate (rad/s), stiffness (N·m/rad) and stop
 # (rad) of the cantilever, half the length (m), lowest and highest place of the axis between the plates (m)
-ADVANCE, AHEAD, LEVER, MAGNET, TORQUE, DISTANCE, STEERING, SPIN, TILT, ACROSS, VISCOUS = 0, 1, 2, 3, 6, 7, 8, 9, 10, 11, 12
+ADVANCE, AHEAD, LEVER, MAGNET, TORQUE, DISTANCE, STEERING, SPIN, TILT, ACROSS, VISCOUS = (
+    0,
+    1,
+    2,
+    3,
+    6,
+    7,
+    8,
+    9,
+    10,
+    11,
+    12,
+)
 STIFFNESS, STOP, REACH, LOW, HIGH = 13, 14, 15, 16, 17
 BODY = 18
 X, Y, Z, HEADING, PITCH, COURSE = range(6)
@@ -105,9 +117,7 @@ def screw_on(body, factors, state, course, sense, turns, frequency):
         left = wrapped(course - out[COURSE])
         out[COURSE] += math.copysign(min(abs(left), slew), left)
         rx, ry, rz = out[X] - body[MAGNET], out[Y] - body[MAGNET + 1], out[Z] - body[MAGNET + 2]
-        mean_torque(
-            body, out[HEADING] - factors[OFFSET], out[PITCH], out[COURSE], sense, load, rx, ry, rz, torque
-        )
+        mean_torque(body, out[HEADING] - factors[OFFSET], out[PITCH], out[COURSE], sense, load, rx, ry, rz, torque)
         squared = rx * rx + ry * ry + rz * rz
         pull = -3.0 * 1.542 * body[TORQUE] * body[DISTANCE] ** 3 / squared**2.5  # N per m of distance
         yielding = turning / body[TILT] ** 2

@@ -21,6 +21,7 @@ BODY = 7
 NEAR, FORWARD, HEADING, TAIL, HEAT, FIRM, WEAK, HUBER = range(8)
 WEIGHTS = 8
 RESIDUALS = 8  # for each window
+BACK, AHEAD = 1e-3, 2e-3  # how far, in m, from where it was, a robot is looked for
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -67,57 +68,177 @@ def roll(body, field, gradient, x, y, heading, duration, steps):
     tail : float, in m
         How far the robot was pushed tail first.
     """
-    moment, stiffness = body[MOMENT], body[STIFFNESS]
+    none = np.empty((0, 0))
+    return _rolled(body, field, gradient, x, y, heading, duration, steps, none, none, 0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def moved(body, b, g, currents, heading, duration, steps):
+    """Displacement (x, y) and heading after one window of coil currents; see `smolbot.motion.gradient.advance`.
+
+    `b` (n_coils, 3) and `g` (n_coils, 3, 3) are the coils' field and gradient per ampere at the rotation centre.
+    """
+    field, gradient = np.zeros(2), np.zeros((2, 2))
+    for c in range(currents.shape[0]):
+        for i in range(2):
+            field[i] += currents[c] * b[c, i]
+            gradient[i, 0] += currents[c] * g[c, i, 0]
+            gradient[i, 1] += currents[c] * g[c, i, 1]
+    none = np.empty((0, 0))
+    x, y, after, _, _, _ = _rolled(body, field, gradient, 0.0, 0.0, heading, duration, steps, none, none, 0)
+    return x, y, after
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _bend(sine, cosine, torque, stiffness, stop, bent):
+    """Deflection toward a field whose angle from the housing has the sine (not below 0) and cosine; see `deflection`.
+
+    Found by Newton's method from a guess `bent`, between nothing and the stop: in the free stretch of 0 to `stop` the
+    spring wins over the field at one place only.
+    """
+    if torque * (sine * math.cos(stop) - cosine * math.sin(stop)) >= stiffness * stop:
+        return stop
+    d = min(max(bent, 0.0), stop)
+    for _ in range(8):
+        c, s = math.cos(d), math.sin(d)
+        along, across = cosine * c + sine * s, sine * c - cosine * s
+        step = (stiffness * d - torque * across) / (stiffness + torque * abs(along) + 1e-30)
+        d = min(max(d - step, 0.0), stop)
+        if abs(step) < 1e-4:
+            break
+    return d
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count):
+    """`roll`, with the derivatives of all that it returns for the first `count` of some variables.
+
+    Angles are kept as unit vectors, (c, s) for the housing, so that a step takes an exponential and square roots but
+    hardly any function of an angle.
+
+    Parameters
+    ----------
+    inputs : ndarray, shape (6, n)
+        Derivatives of the field (x, y), and of the gradient (xx, xy, yx, yy).
+    slopes : ndarray, shape (7, n)
+        Derivatives of x, y and heading at the start in the first three rows; they are replaced by those of x, y,
+        heading, middle_x, middle_y and tail. The last row is room to work in.
+    """
+    moment, stiffness, stop = body[MOMENT], body[STIFFNESS], body[STOP]
     center, magnet = body[CENTER], body[MAGNET]
+    arm, slip, turn_slip = magnet - center, 1.0 / body[DRAG], 1.0 / body[ROTATIONAL_DRAG]
+    gxx, gxy, gyx, gyy = gradient[0, 0], gradient[0, 1], gradient[1, 0], gradient[1, 1]
     c, s = math.cos(heading), math.sin(heading)
+    first_c, first_s = c, s
     px, py = x + center * c, y + center * s  # the centre of drag
+    for j in range(count):
+        slopes[0, j] -= center * s * slopes[2, j]
+        slopes[1, j] += center * c * slopes[2, j]
+        slopes[3, j] = slopes[4, j] = slopes[5, j] = 0.0
+        slopes[6, j] = slopes[2, j]
     dt = duration / steps
     rigid = not math.isfinite(stiffness)
-    tail, points = 0.0, heading
+    ux, uy = c, s  # where the moment points
+    tail = guess = 0.0
     middle_x, middle_y = x, y
     for k in range(steps):
         # the magnet, ahead of the rotation centre; where it pointed in the last step is near enough
-        at_x = px - center * c + magnet * math.cos(points)
-        at_y = py - center * s + magnet * math.sin(points)
-        bx = field[0] + gradient[0, 0] * at_x + gradient[0, 1] * at_y
-        by = field[1] + gradient[1, 0] * at_x + gradient[1, 1] * at_y
+        at_x, at_y = px - center * c + magnet * ux, py - center * s + magnet * uy
+        bx = field[0] + gxx * at_x + gxy * at_y
+        by = field[1] + gyx * at_x + gyy * at_y
         size = math.sqrt(bx * bx + by * by)
         if size < 1e-15:
             break
-        off = wrapped(math.atan2(by, bx) - heading)
-        bent = 0.0 if rigid else deflection(off, moment * size, stiffness, body[STOP])
+        wx, wy = bx / size, by / size
+        torque = moment * size
+        sine, cosine = c * wy - s * wx, c * wx + s * wy  # of the angle from the housing to the field
+        side = 1.0 if sine >= 0.0 else -1.0
+        sine = abs(sine)
+        bent = 0.0 if rigid else _bend(sine, cosine, torque, stiffness, stop, guess)
+        guess = bent
+        free = not rigid and 0.0 < bent < stop
+        cb, sb = math.cos(bent), math.sin(bent)
+        sine, cosine = sine * cb - cosine * sb, cosine * cb + sine * sb  # of the angle from the moment to the field
         # for a constant field tan(angle / 2) decays exponentially, which is stable at any step
-        angle = off - bent
-        half = min(max(0.5 * angle, -1.5707), 1.5707)
-        after = 2.0 * math.atan(math.tan(half) * math.exp(-moment * size / body[ROTATIONAL_DRAG] * dt))
-        points = heading + bent + 0.5 * (angle - after)
-        ux, uy = math.cos(points), math.sin(points)
-        fx = moment * (gradient[0, 0] * ux + gradient[1, 0] * uy)
-        fy = moment * (gradient[0, 1] * ux + gradient[1, 1] * uy)
-        lever = (magnet - center) * (c * fy - s * fx)
-        heading += angle - after + dt * lever / body[ROTATIONAL_DRAG]
-        c, s = math.cos(heading), math.sin(heading)
-        px += dt * fx / body[DRAG]
-        py += dt * fy / body[DRAG]
-        tail += max(-(fx * ux + fy * uy), 0.0) * dt / body[DRAG]
+        before = sine / (1.0 + cosine) if cosine > 0.0 else (1.0 - cosine) / max(sine, 1e-4)
+        decay = math.exp(-torque * turn_slip * dt)
+        after = before * decay
+        hc, hs = 1.0 + before * after, before - after  # half of the turn
+        size_of_half = 1.0 / math.sqrt(hc * hc + hs * hs)
+        hc, hs = hc * size_of_half, side * hs * size_of_half
+        vx, vy = c * cb - s * side * sb, s * cb + c * side * sb
+        old_x, old_y = ux, uy
+        ux, uy = vx * hc - vy * hs, vy * hc + vx * hs
+        fx, fy = moment * (gxx * ux + gyx * uy), moment * (gxy * ux + gyy * uy)
+        push = -(fx * ux + fy * uy)
+        lean = 0.5 * dt * turn_slip * arm * (c * fy - s * fx)  # half of what the pull at the magnet turns
+        for j in range(count):
+            dx, dy, dh, dm = slopes[0, j], slopes[1, j], slopes[2, j], slopes[6, j]
+            ax = dx + center * s * dh - magnet * old_y * dm
+            ay = dy - center * c * dh + magnet * old_x * dm
+            dbx = inputs[0, j] + inputs[2, j] * at_x + inputs[3, j] * at_y + gxx * ax + gxy * ay
+            dby = inputs[1, j] + inputs[4, j] * at_x + inputs[5, j] * at_y + gyx * ax + gyy * ay
+            grown = moment * (wx * dbx + wy * dby)
+            off = (wx * dby - wy * dbx) / size - dh
+            bend = 0.0
+            if free:
+                bend = (side * sine * grown + torque * cosine * off) / max(stiffness + torque * cosine, 0.1 * stiffness)
+            angle = off - bend
+            left = ((1.0 + before * before) * decay * angle - 2.0 * side * after * dt * turn_slip * grown) / (
+                1.0 + after * after
+            )
+            turned = angle - left
+            dm = dh + bend + 0.5 * turned
+            dux, duy = -uy * dm, ux * dm
+            dfx = moment * (inputs[2, j] * ux + inputs[4, j] * uy + gxx * dux + gyx * duy)
+            dfy = moment * (inputs[3, j] * ux + inputs[5, j] * uy + gxy * dux + gyy * duy)
+            if push > 0.0:
+                slopes[5, j] -= dt * slip * (dfx * ux + fx * dux + dfy * uy + fy * duy)
+            slopes[2, j] = dh + turned + dt * turn_slip * arm * (c * dfy - s * dfx - (s * fy + c * fx) * dh)
+            slopes[0, j] = dx + dt * slip * dfx
+            slopes[1, j] = dy + dt * slip * dfy
+            slopes[6, j] = dm
+        # the whole turn, then the lean, as a rotation that keeps lengths
+        tc, ts = hc * hc - hs * hs, 2.0 * hc * hs
+        c, s = c * tc - s * ts, s * tc + c * ts
+        whole = 1.0 / (1.0 + lean * lean)
+        tc, ts = (1.0 - lean * lean) * whole, 2.0 * lean * whole
+        c, s = c * tc - s * ts, s * tc + c * ts
+        px += dt * slip * fx
+        py += dt * slip * fy
+        tail += max(push, 0.0) * dt * slip
         if 2 * (k + 1) <= steps:
             middle_x, middle_y = px - center * c, py - center * s
+            for j in range(count):
+                slopes[3, j] = slopes[0, j] + center * s * slopes[2, j]
+                slopes[4, j] = slopes[1, j] - center * c * slopes[2, j]
+    for j in range(count):
+        slopes[0, j] += center * s * slopes[2, j]
+        slopes[1, j] -= center * c * slopes[2, j]
+    heading += math.atan2(first_c * s - first_s * c, first_c * c + first_s * s)
     return px - center * c, py - center * s, heading, middle_x, middle_y, tail
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def nearest(points, arc, first, last, guess, x, y):
+def nearest(points, arc, first, last, guess, x, y, back=BACK, ahead=AHEAD):
     """Arc length of the nearest place on the leg first..last, and the offset from it, along and across.
 
-    Only the strand within some segments of arc length `guess` is looked at. The offset along is not zero before the
-    start and beyond the end of the leg only.
+    Only the strand from `back` m before to `ahead` m beyond the arc length `guess` is looked at. The offset along is
+    not zero before the start and beyond the end of the leg only.
     """
+    s, along, across, _ = _nearest(points, arc, first, last, guess, x, y, back, ahead)
+    return s, along, across
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _nearest(points, arc, first, last, guess, x, y, back, ahead):
+    """`nearest`, and the segment that it is on."""
     low, high = first, last
-    while low < last - 1 and arc[low + 1] < guess - 1e-3:
+    while low < last - 1 and arc[low + 1] < guess - back:
         low += 1
-    while high > low + 1 and arc[high - 1] > guess + 2e-3:
+    while high > low + 1 and arc[high - 1] > guess + ahead:
         high -= 1
-    best = 1e300
+    best, found = 1e300, low
     s = across = along = 0.0
     for i in range(low, high):
         length = arc[i + 1] - arc[i]
@@ -128,55 +249,111 @@ def nearest(points, arc, first, last, guess, x, y):
         beside, beyond = tx * dy - ty * dx, t - held
         away = beside * beside + beyond * beyond
         if away < best:
-            best, s, across, along = away, arc[i] + held, beside, beyond
-    return s, along, across
+            best, found, s, across, along = away, i, arc[i] + held, beside, beyond
+    return s, along, across, found
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends):
-    """Fill the residuals of a plan of one or more windows, and the states at their ends; return the cost."""
+def _place_on_leg(points, i, offsets, dx, dy):
+    """How the offset across and along, and the arc length, of `nearest` change as the place moves by (dx, dy)."""
+    x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+    length = math.sqrt(x * x + y * y)
+    tx, ty = x / length, y / length
+    further = tx * dx + ty * dy
+    beyond = offsets != 0.0  # of the segment's end: then the nearest place stays where it is
+    return tx * dy - ty * dx, further if beyond else 0.0, 0.0 if beyond else further
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, work):
+    """Fill the residuals of a plan of one or more windows, and the states at their ends; return the cost.
+
+    `work`: Jacobian (total, windows * n_coils) of the residuals, or (0, 0) where it is not wanted; and room for
+    the derivatives of the coils' field (6, ...) and of the state (7, ...), as `_rolled` takes them.
+    """
     points, arc, compass, spacing = route
     first, last, guess, stride, ahead, near = leg
-    n = b.shape[0]
+    jacobian, inputs, slopes, field, gradient = work
+    n, windows = b.shape[0], currents.shape[0]
+    told = jacobian.shape[0] > 0
     x, y, heading = state[0], state[1], state[2]
-    field, gradient = np.empty(2), np.empty((2, 2))
     goal, cost, row = guess, 0.0, 0
-    for w in range(currents.shape[0]):
+    if told:
+        jacobian[:] = 0.0
+        slopes[:] = 0.0
+    for w in range(windows):
         for i in range(2):
             field[i] = gradient[i, 0] = gradient[i, 1] = 0.0
             for c in range(n):
                 field[i] += currents[w, c] * b[c, i]
                 gradient[i, 0] += currents[w, c] * g[c, i, 0]
                 gradient[i, 1] += currents[w, c] * g[c, i, 1]
-        at_x, at_y = x + body[MAGNET] * math.cos(heading), y + body[MAGNET] * math.sin(heading)
-        bx = field[0] + gradient[0, 0] * at_x + gradient[0, 1] * at_y
-        by = field[1] + gradient[1, 0] * at_x + gradient[1, 1] * at_y
+        count = 0
+        if told:
+            count = (w + 1) * n  # later windows change nothing of this one
+            for j in range(count):
+                own = 1.0 if j >= w * n else 0.0
+                c = j % n
+                for i in range(2):
+                    inputs[i, j] = own * b[c, i]
+                    inputs[2 + 2 * i, j], inputs[3 + 2 * i, j] = own * g[c, i, 0], own * g[c, i, 1]
+        ch, sh = body[MAGNET] * math.cos(heading), body[MAGNET] * math.sin(heading)
+        bx = field[0] + gradient[0, 0] * (x + ch) + gradient[0, 1] * (y + sh)
+        by = field[1] + gradient[1, 0] * (x + ch) + gradient[1, 1] * (y + sh)
         # where the coils nearly cancel, a robot goes where their errors send it
-        out[row + 7] = weights[FIRM] * max(1.0 - math.sqrt(bx * bx + by * by) / weights[WEAK], 0.0)
-        x, y, heading, mx, my, tail = roll(body, field, gradient, x, y, heading, duration, steps)
+        strength = math.sqrt(bx * bx + by * by)
+        out[row + 7] = weights[FIRM] * max(1.0 - strength / weights[WEAK], 0.0)
+        if out[row + 7] > 0.0 and strength > 0.0:
+            for j in range(count):
+                dx, dy = slopes[0, j] - sh * slopes[2, j], slopes[1, j] + ch * slopes[2, j]
+                dbx = inputs[0, j] + inputs[2, j] * (x + ch) + inputs[3, j] * (y + sh)
+                dby = inputs[1, j] + inputs[4, j] * (x + ch) + inputs[5, j] * (y + sh)
+                dbx += gradient[0, 0] * dx + gradient[0, 1] * dy
+                dby += gradient[1, 0] * dx + gradient[1, 1] * dy
+                jacobian[row + 7, j] = -weights[FIRM] / weights[WEAK] * (bx * dbx + by * dby) / strength
+        x, y, heading, mx, my, tail = _rolled(
+            body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count
+        )
         x, y = x + drift[0] * duration, y + drift[1] * duration
-        s, along, across = nearest(points, arc, first, last, guess, mx, my)
-        out[row], out[row + 1] = 0.5e3 * weights[NEAR] * across, 0.5e3 * weights[NEAR] * along
-        s, along, across = nearest(points, arc, first, last, guess, x, y)
-        out[row + 2], out[row + 3] = 1e3 * weights[NEAR] * across, 1e3 * weights[NEAR] * along
+        s, along, across, i = _nearest(points, arc, first, last, guess, mx, my, BACK, AHEAD)
+        half = 0.5e3 * weights[NEAR]
+        out[row], out[row + 1] = half * across, half * along
+        for j in range(count):
+            beside, beyond, _ = _place_on_leg(points, i, along, slopes[3, j], slopes[4, j])
+            jacobian[row, j], jacobian[row + 1, j] = half * beside, half * beyond
+        s, along, across, i = _nearest(points, arc, first, last, guess, x, y, BACK, AHEAD)
+        full = 1e3 * weights[NEAR]
+        out[row + 2], out[row + 3] = full * across, full * along
         goal = min(goal + stride, arc[last])
         out[row + 4] = 1e3 * weights[FORWARD] * (goal - s - along)
-        on = s + ahead
-        if s < arc[last] - near:
-            on = min(on, arc[last])  # no turning into the next leg before this one is done
-        at = min(max((on - arc[first]) / spacing, 0.0), compass.shape[0] - 1.001)
-        i = int(at)
-        angle = compass[i] + (at - i) * wrapped(compass[i + 1] - compass[i])
-        off = abs(wrapped(heading - angle))
-        knee = weights[HUBER]
-        out[row + 5] = weights[HEADING] * (off if off < knee else math.sqrt(knee * (2.0 * off - knee)))
+        on, moves = s + ahead, 1.0
+        if s < arc[last] - near and on > arc[last]:
+            on, moves = arc[last], 0.0  # no turning into the next leg before this one is done
+        at = (on - arc[first]) / spacing
+        if not 0.0 <= at <= compass.shape[0] - 1.001:
+            at, moves = min(max(at, 0.0), compass.shape[0] - 1.001), 0.0
+        k = int(at)
+        bend = wrapped(compass[k + 1] - compass[k])
+        off = wrapped(heading - compass[k] - (at - k) * bend)
+        knee, size = weights[HUBER], abs(off)
+        out[row + 5] = weights[HEADING] * (size if size < knee else math.sqrt(knee * (2.0 * size - knee)))
+        steep = weights[HEADING] * (1.0 if size < knee else knee / math.sqrt(knee * (2.0 * size - knee)))
+        steep = -steep if off < 0.0 else steep
         out[row + 6] = 1e3 * weights[TAIL] * tail
+        for j in range(count):
+            beside, beyond, further = _place_on_leg(points, i, along, slopes[0, j], slopes[1, j])
+            jacobian[row + 2, j], jacobian[row + 3, j] = full * beside, full * beyond
+            jacobian[row + 4, j] = -1e3 * weights[FORWARD] * (further + beyond)
+            jacobian[row + 5, j] = steep * (slopes[2, j] - moves * further * bend / spacing)
+            jacobian[row + 6, j] = 1e3 * weights[TAIL] * slopes[5, j]
         row += RESIDUALS
         ends[w, 0], ends[w, 1], ends[w, 2] = x, y, heading
         x, y = x + drift[0] * rest, y + drift[1] * rest
-    for w in range(currents.shape[0]):
+    for w in range(windows):
         for c in range(n):
             out[row] = weights[HEAT] * currents[w, c] / high[c]
+            if told:
+                jacobian[row, w * n + c] = weights[HEAT] / high[c]
             row += 1
     for i in range(row):
         cost += out[i] * out[i]
@@ -241,8 +418,10 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
     m, windows, n = starts.shape
     size = windows * n
     total = windows * RESIDUALS + size
-    out, trial = np.empty(total), np.empty(total)
-    jacobian, hessian, slope, step = np.empty((total, size)), np.empty((size, size)), np.empty(size), np.empty(size)
+    out, step, slope = np.empty(total), np.empty(size), np.empty(size)
+    jacobian, hessian, none = np.empty((total, size)), np.empty((size, size)), np.empty((0, 0))
+    inputs, slopes, field, gradient = np.empty((6, size)), np.empty((7, size)), np.empty(2), np.empty((2, 2))
+    rough, full = (none, inputs, slopes, field, gradient), (jacobian, inputs, slopes, field, gradient)
     ends, z = np.empty((windows, 3)), np.empty((windows, n))
     lows, highs = np.empty(size), np.empty(size)
     for i in range(size):
@@ -250,7 +429,7 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
     costs = np.empty(m)
     for k in range(m):
         costs[k] = _residuals(
-            starts[k], b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends
+            starts[k], b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough
         )
     best, chosen = 1e300, starts[0].copy()
     for _ in range(min(count, m)):
@@ -258,29 +437,13 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
         if costs[k] >= 1e299:
             break
         z[:] = starts[k]
+        cost, damping = costs[k], 1e-3
         costs[k] = 1e300
         flat = z.reshape(size)
-        cost = _residuals(z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends)
-        damping = 1e-3
         for _round in range(rounds):
-            for i in range(size):
-                before = flat[i]
-                nudge = 0.02 * highs[i] if before < 0.5 * (lows[i] + highs[i]) else -0.02 * highs[i]
-                flat[i] = before + nudge
-                _residuals(z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, trial, ends)
-                flat[i] = before
-                for r in range(total):
-                    jacobian[r, i] = (trial[r] - out[r]) / nudge
-            for i in range(size):
-                slope[i] = 0.0
-                for r in range(total):
-                    slope[i] += jacobian[r, i] * out[r]
-                for j in range(i + 1):
-                    value = 0.0
-                    for r in range(total):
-                        value += jacobian[r, i] * jacobian[r, j]
-                    hessian[i, j] = hessian[j, i] = value
-            better = False
+            _residuals(z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, full)
+            _normal_equations(jacobian, out, hessian, slope)
+            better, new = False, cost
             for _try in range(3):
                 for i in range(size):
                     hessian[i, i] += damping
@@ -288,7 +451,7 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
                 for i in range(size):
                     flat[i] += step[i]
                 new = _residuals(
-                    z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, trial, ends
+                    z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough
                 )
                 if new < cost:
                     better = True
@@ -300,11 +463,26 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
                 break
             gained, cost = cost - new, new
             damping = max(0.2 * damping, 1e-6)
-            out[:] = trial
             if gained < 1e-3 * cost:
                 break
         if cost < best:
             best = cost
             chosen[:] = z
-    _residuals(chosen, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends)
+    _residuals(chosen, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough)
     return best, chosen, ends
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _normal_equations(jacobian, out, hessian, slope):
+    """Fill J^T J and J^T r."""
+    total, size = jacobian.shape
+    slope[:] = 0.0
+    hessian[:] = 0.0
+    for r in range(total):
+        for i in range(size):
+            left = jacobian[r, i]
+            if left == 0.0:
+                continue
+            slope[i] += left * out[r]
+            for j in range(size):
+                hessian[i, j] += left * jacobian[r, j]

@@ -12,10 +12,8 @@ from smolbot.loop import Run
 from smolbot.missionfile import Mission
 from smolbot.poses import Pose
 from smolbot.records.trace import Moment, Trace
-from smolbot.rotations import quaternion_product, rotation_error
+from smolbot.rotations import nearer_twin, rotation_error
 from smolbot.shots import Actuate, Rotate
-
-_HALF_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
@@ -42,9 +40,7 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
         "turnaround_ms": mission.rig.turnaround * 1e3,
         "compute_ms": _compute(run),
         "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
-        "poses_untrusted": sum(
-            c.pose is None or not c.pose.trusted for c in cycles if c.shot.listen is not None
-        ),
+        "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles if c.shot.listen is not None),
         "events": [{"time_s": e.time, "what": e.what, **e.detail} for e in run.events],
         "coil_energy_j": coil_energy(mission, run),
         "path_length_mm": mission.path.length * 1e3,
@@ -131,11 +127,8 @@ def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
 
 def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
     """Angle between two orientations, in rad; to the nearer twin where a half turn about the moment changes nothing."""
-    error = float(np.linalg.norm(rotation_error(pose.orientation, truth.orientation)))
-    if not along_cantilever:
-        return error
-    twin = quaternion_product(pose.orientation, _HALF_TURN)
-    return min(error, float(np.linalg.norm(rotation_error(twin, truth.orientation))))
+    estimate = nearer_twin(pose.orientation, truth.orientation) if along_cantilever else pose.orientation
+    return float(np.linalg.norm(rotation_error(estimate, truth.orientation)))
 
 
 def _screwed(run: Run) -> dict[str, Any]:

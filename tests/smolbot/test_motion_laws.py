@@ -139,6 +139,30 @@ def problem(heading):
     return b, g, np.zeros(4), high, BODY, state, np.zeros(2), 0.05, 0.09, 12, route, leg, weights
 
 
+def room(total, size):
+    """What `_residuals` works in, with a Jacobian of `total` rows."""
+    jacobian = np.empty((total, size if total else 0))
+    return jacobian, np.empty((6, size)), np.empty((7, size)), np.empty(2), np.empty((2, 2))
+
+
+@pytest.mark.parametrize("windows", [1, 2])
+@pytest.mark.parametrize("heading", [0.0, 0.4, -1.0, 2.0])
+def test_jacobian_of_a_plan_matches_finite_differences(heading, windows):
+    b, g, _, *rest_of = problem(heading)
+    currents = np.random.default_rng(3).uniform(0.5, 7.5, (windows, 4))
+    size, total = currents.size, 8 * windows + currents.size
+    out, ends, full, rough = np.empty(total), np.empty((windows, 3)), room(total, size), room(0, size)
+    kernels._residuals(currents, b, g, *rest_of, out, ends, full)
+    for i in range(size):
+        sides = []
+        for nudge in (1e-5, -1e-5):
+            other = currents.copy()
+            other.flat[i] += nudge
+            kernels._residuals(other, b, g, *rest_of, out, ends, rough)
+            sides.append(out.copy())
+        assert full[0][:, i] == pytest.approx((sides[0] - sides[1]) / 2e-5, abs=1e-4)
+
+
 @pytest.mark.parametrize("heading", [0.0, 0.4, -1.0, 2.0])
 def test_a_plan_is_nearly_as_good_as_any_that_scipy_finds(heading):
     b, g, _, high, body, state, drift, rest, duration, steps, route, leg, weights = given = problem(heading)
@@ -148,7 +172,7 @@ def test_a_plan_is_nearly_as_good_as_any_that_scipy_finds(heading):
     out, ends = np.empty(12), np.empty((1, 3))
 
     def cost(i):
-        rest_of = (high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends)
+        rest_of = (high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, room(0, 4))
         return kernels._residuals(np.clip(i, 0, 8)[None, :], b, g, *rest_of)
 
     rng = np.random.default_rng(0)

@@ -10,7 +10,7 @@ import pytest
 from smolbot.missionfile import load_mission
 from smolbot.motion.gradient import advance
 from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes
+from smolbot.rotations import half_turned, quaternion_from_axes
 from smolbot.shots import Actuate, Listen, RingDown, Shot
 from smolbot.tracking import Tracker
 
@@ -185,3 +185,30 @@ def test_the_track_stays_a_pose_whatever_it_hears():
         if track.pose is not None:
             assert np.linalg.norm(track.pose.orientation) == pytest.approx(1.0)
             assert np.all(np.linalg.eigvalsh(track.pose.covariance) > 0)
+
+
+def test_a_robot_that_turned_unseen_is_believed_again_although_it_is_found_as_its_twin():
+    track = settled()
+    for i in range(5, 12):  # found from nothing, either twin comes out
+        seen = pose(0.1 * i + 0.02, (1.0, 0.5), heading=2.0)
+        seen = replace(seen, orientation=half_turned(seen.orientation)) if i % 2 else seen
+        track.update(quiet(0.1 * i), seen)
+    assert track.misses == 0
+    assert track.pose.position[:2] == pytest.approx([1e-3, 5e-4], abs=2e-4)
+
+
+def test_a_robot_that_points_against_the_field_may_turn_either_way():
+    window = Actuate((8.0, 0.0, 0.0, 0.0), 0.09)  # field along +x
+    spread = {}
+    for degrees in (10.0, 179.0):
+        track = tracker()
+        for i in range(5):
+            track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (0, 0), heading=np.radians(degrees)))
+        track.update(Shot((window, *LISTEN), start=0.5), None)
+        spread[degrees] = np.degrees(np.sqrt(track.pose.covariance[5, 5]))
+        seen = pose(0.65, (0, 0), heading=np.radians(-140.0))  # it went the other way than believed
+        if degrees == 179.0:
+            track.update(quiet(0.6), seen)
+            assert track.misses == 0
+    assert spread[179.0] > 20.0
+    assert spread[10.0] < 8.0

@@ -1,0 +1,295 @@
+"""Allocated forces over the workspace: direction, size and heat against brute force and scipy, and time."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim.studies.columns import chosen, joined
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
+from smolbot.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from controllers.force_allocator import ForceAllocator
+
+DIRECTIONS = 360
+TRIES = 200_000
+"""Sets of currents that are drawn at each place; the best of each direction are then improved at random."""
+
+KEPT, CHILDREN, STEPS = 12, 24, (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.003, 0.003, 0.001, 0.001)
+"""Of each direction: the best that are kept, how often each is changed in a round, by what share of the limit."""
+
+SHARES, STARTS, WARM = (0.3, 0.7), 8, 60
+"""Wanted forces as shares of the strongest, starts of SLSQP for each, and allocations that are timed at each place."""
+
+CASES = {"head first": (True, (0.0, 2.0, 4.0, 6.0, 8.0)), "either end": (False, (0.0, 5.0, 10.0, 15.0, 20.0))}
+"""Which end may be pulled at, and at what distances from the middle, in mm."""
+
+ANGLES_DEG = (0.0, 17.0, 45.0, 73.0, 90.0, 131.0, 208.0, 317.0)
+"""Where around the middle: on the coils' axes of symmetry, where few currents pull, and off them."""
+
+
+class Pull:
+    """Force on an aligned moment at one place, written down plainly."""
+
+    def __init__(self, own: ForceAllocator, here: FloatArray, low: FloatArray, high: FloatArray) -> None:
+        field, gradient = own.table.field_and_gradient(here[None, :])
+        self.own, self.low, self.high = own, low, high
+        self._b, self._g = field[:, 0], gradient[:, 0].reshape(len(low), 9)
+
+    def __call__(self, currents: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Field (n, 3) in T and force (n, 3) in N of sets of currents (n, n_coils)."""
+        field = currents @ self._b
+        slope = (currents @ self._g).reshape(-1, 3, 3)
+        size = np.linalg.norm(field, axis=1)[:, None] + 1e-300
+        return field, self.own.moment * np.einsum("ni,nij->nj", field / size, slope)
+
+    def allowed(self, field: FloatArray, force: FloatArray) -> FloatArray:
+        """Which of them keep to the allocator's rules."""
+        from controllers.force_allocator import SLOPES
+
+        level = np.linalg.norm(field[:, :2], axis=1)
+        kept = (level >= self.own.least_field) & (np.abs(field[:, 2]) <= SLOPES[0] * level)
+        if self.own.head_first:
+            kept &= np.sum(field[:, :2] * force[:, :2], axis=1) >= 0.0
+        return kept
+
+
+def strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """The strongest force in each of some directions that brute force finds.
+
+    Parameters
+    ----------
+    toward, misses : ndarray, shape (k,), in rad
+        Directions, and by what angle a force may miss each.
+
+    Returns
+    -------
+    ndarray, shape (k,), in N
+        0 where none was found.
+    """
+    low, high = pull.low, pull.high
+    n = len(low)
+    kind = rng.integers(0, 3, (TRIES, n))
+    drawn = np.where(kind == 0, low, np.where(kind == 1, high, rng.uniform(low, high, (TRIES, n))))
+    drawn = _stretched(drawn[np.any(drawn != 0.0, axis=1)], high)
+    field, force = pull(drawn)
+    kept = pull.allowed(field, force)
+    drawn, force = drawn[kept], force[kept, :2]
+    size, angle = np.linalg.norm(force, axis=1), np.arctan2(force[:, 1], force[:, 0])
+    parents = np.zeros((len(toward), KEPT, n))
+    for k, way in enumerate(toward):
+        near = np.flatnonzero(np.abs(_wrapped(angle - way)) < misses[k] + np.radians(0.5))
+        best = near[np.argsort(size[near])[-KEPT:]]
+        parents[k, : len(best)] = drawn[best]
+    for share in STEPS:
+        change = share * high * rng.standard_normal((len(toward), KEPT, CHILDREN, n))
+        change *= rng.random(change.shape) < 0.6
+        one, other = rng.integers(0, KEPT, (2, KEPT, CHILDREN // 2))  # half of them along what sets the best apart
+        change[:, :, ::2] = rng.normal(0.0, 0.7, (KEPT, CHILDREN // 2, 1)) * (parents[:, one] - parents[:, other])
+        children = np.clip(parents[:, :, None] + change, low, high).reshape(len(toward), -1, n)
+        family = np.concatenate([parents, _stretched(children, high)], axis=1)
+        worth, _ = _worth(pull, family, toward, misses)
+        best = np.argsort(worth, axis=1)[:, -KEPT:]
+        parents = np.take_along_axis(family, best[:, :, None], axis=1)
+    _, found = _worth(pull, parents, toward, misses)
+    return np.max(found, axis=1)
+
+
+def _worth(pull: Pull, family: FloatArray, toward: FloatArray, misses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Force of each set, less where it misses by more than it may; and the force of those that do not."""
+    field, force = pull(family.reshape(-1, family.shape[2]))
+    size = np.linalg.norm(force[:, :2], axis=1) * pull.allowed(field, force)
+    off = np.abs(_wrapped(np.arctan2(force[:, 1], force[:, 0]).reshape(family.shape[:2]) - toward[:, None]))
+    size = size.reshape(family.shape[:2])
+    beyond = np.maximum(off - misses[:, None], 0.0)
+    return size / (1.0 + 300.0 * beyond), np.where(beyond <= 1e-9, size, 0.0)
+
+
+def _stretched(currents: FloatArray, high: FloatArray) -> FloatArray:
+    """The same mixes with one coil at its limit: the force grows in proportion."""
+    top = np.max(np.abs(currents) / high, axis=-1, keepdims=True)
+    return currents / np.maximum(top, 1e-9)
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.random.Generator) -> float:
+    """Least sum of squared currents, in A², that SLSQP finds from many starts for a force of `wanted` N along `way`."""
+    from scipy.optimize import minimize
+
+    from controllers.force_allocator import SLOPES
+
+    def rules(currents: FloatArray) -> FloatArray:
+        field, force = (rows[0] for rows in pull(currents[None, :]))
+        along = (force[:2] @ way) / wanted
+        across = (way[0] * force[1] - way[1] * force[0]) / wanted
+        level = np.linalg.norm(field[:2]) + 1e-12
+        head = field[:2] @ way / level if pull.own.head_first else 1.0
+        slack = np.tan(miss) * along
+        steep = SLOPES[0] - abs(field[2]) / level
+        return np.array([along - 1.0, slack - across, slack + across, level / pull.own.least_field - 1.0, steep, head])
+
+    best = np.inf
+    for _ in range(STARTS):
+        start = rng.uniform(pull.low, pull.high)
+        out = minimize(
+            lambda i: 1e-2 * i @ i, start, method="SLSQP", bounds=list(zip(pull.low, pull.high, strict=True)),
+            constraints=[{"type": "ineq", "fun": rules}],
+        )  # fmt: skip
+        if np.all(rules(out.x) > -1e-4):
+            best = min(best, float(out.x @ out.x))
+    return best
+
+
+def work(chunk: Chunk) -> Columns:
+    """All directions at one place."""
+    from controllers.force_allocator import SLACK, ForceAllocator, UnreachableForceError
+    from sim.studies.benches import rig_named
+    from smolbot.robotfile import load_robot
+
+    rig, rng = rig_named(chunk["rig"]), rng_of(chunk)
+    moment, limits = load_robot("gradient").device.moment, rig.limits
+    own = ForceAllocator(
+        rig.table(), limits.max_current, moment, unipolar=limits.unipolar, head_first=chunk["head_first"]
+    )
+    high = np.full(own.table.n_coils, limits.max_current)
+    around = np.radians(chunk["around_deg"])
+    here = 1e-3 * np.array([chunk["radius_mm"] * np.cos(around), chunk["radius_mm"] * np.sin(around), 0.0])
+    here[2] = rig.surface_z
+    pull = Pull(own, here, np.zeros(len(high)) if limits.unipolar else -high, high)
+    toward = np.radians(np.arange(DIRECTIONS) * (360.0 / DIRECTIONS))
+    ways = np.stack([np.cos(toward), np.sin(toward), np.zeros(DIRECTIONS)], axis=1)
+    force, miss = np.zeros(DIRECTIONS), np.zeros(DIRECTIONS)
+    for k, way in enumerate(ways):
+        try:
+            found = own.allocate(here, way)
+        except UnreachableForceError:
+            continue
+        force[k], miss[k] = np.linalg.norm(found.force[:2]), found.direction_error
+    best = strongest(pull, toward, np.maximum(miss, np.arctan(SLACK)), rng)
+    heat = np.full((DIRECTIONS, len(SHARES)), np.nan)
+    for k in range(0, DIRECTIONS, 45):
+        for j, share in enumerate(SHARES):
+            if force[k] > 0.0:
+                wanted = share * force[k]
+                used = own.allocate(here, ways[k], wanted)
+                least = least_heat(pull, ways[k, :2], wanted, max(used.direction_error, np.arctan(SLACK)), rng)
+                heat[k, j] = used.currents @ used.currents / least if np.isfinite(least) else np.nan
+    picked, seconds = rng.integers(0, DIRECTIONS, WARM), np.zeros(DIRECTIONS)
+    for k in picked:
+        if force[k] > 0.0:
+            begin = time.thread_time_ns()
+            own.allocate(here, ways[k])
+            seconds[k] = 1e-9 * (time.thread_time_ns() - begin)
+    place = {"case": chunk["case"], "radius_mm": chunk["radius_mm"], "around_deg": chunk["around_deg"]}
+    columns: Columns = {key: np.full(DIRECTIONS, value) for key, value in place.items()}
+    columns |= {"toward_deg": np.degrees(toward), "force_un": 1e6 * force, "miss_deg": np.degrees(miss)}
+    columns |= {"brute_force_un": 1e6 * best, "allocation_ms": 1e3 * seconds}
+    return columns | {f"heat_ratio_{int(100 * share)}": heat[:, j] for j, share in enumerate(SHARES)}
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """One for each place; `poses` limits how many around the middle at each distance."""
+    around = ANGLES_DEG[: options.poses]
+    pieces = [
+        (f"{name.replace(' ', '-')}-{radius:g}-{angle:g}",
+         {"case": name, "head_first": head_first, "radius_mm": radius, "around_deg": angle})
+        for name, (head_first, radii) in CASES.items()
+        for radius in radii
+        for angle in (around if radius else around[:1])
+    ]  # fmt: skip
+    return cut(options, work, pieces)
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Percentiles over places and directions."""
+    columns = joined(parts)
+    figures: dict[str, Any] = {"cases": []}
+    rows: list[tuple[str, str]] = []
+    for name in CASES:
+        part = chosen(columns, case=name)
+        known = part["brute_force_un"] > 0.0
+        got = part["force_un"] > 0.0
+        share = part["force_un"][known & got] / part["brute_force_un"][known & got]
+        heat = np.concatenate([part[f"heat_ratio_{int(100 * s)}"] for s in SHARES])
+        heat = heat[np.isfinite(heat)]
+        timed = part["allocation_ms"][part["allocation_ms"] > 0.0]
+        case: dict[str, Any] = {
+            "case": name,
+            "directions": int(known.sum()),
+            "missed": int((known & ~got).sum()),
+            "direction_p99_deg": float(np.percentile(part["miss_deg"][got], 99)),
+            "direction_max_deg": float(part["miss_deg"][got].max()),
+            "share_min": float(share.min()),
+            "share_p1": float(np.percentile(share, 1)),
+            "share_median": float(np.median(share)),
+            "weakest_un": float(part["force_un"][got].min()),
+            "heat_max": float(heat.max()),
+            "heat_median": float(np.median(heat)),
+            "allocation_ms": float(np.median(timed)),
+            "allocation_least_ms": float(timed.min()),
+        }
+        figures["cases"].append(case)
+        rows += [
+            (f"{name}: direction", f"{case['direction_p99_deg']:.2f}° off at p99, {case['direction_max_deg']:.2f}° at "
+             f"most, of {case['directions']} that can be reached; {case['missed']} found by brute force alone"),
+            (f"{name}: force over brute force", f"{case['share_min']:.3f} at least, {case['share_p1']:.3f} at p1, "
+             f"{case['share_median']:.3f} in the middle; {case['weakest_un']:.0f} µN at least"),
+            (f"{name}: heat over SLSQP's best", f"{case['heat_median']:.4f} in the middle, {case['heat_max']:.3f} at "
+             f"most, of {len(heat)}"),
+            (f"{name}: one allocation", f"{case['allocation_ms']:.3f} ms (least {case['allocation_least_ms']:.3f}), "
+             "processor time"),
+        ]  # fmt: skip
+    return Outcome(rows, figures, columns)
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Force by direction at some places, allocated and by brute force."""
+    from sim.studies.picture import BOUND, WHITENED, slide
+
+    columns = outcome.columns
+    head, either = outcome.figures["cases"]
+    least = min(head["share_min"], either["share_min"])
+    headline = f"At least {least:.3f} of the force that brute force finds, {head['direction_p99_deg']:.1f}° off"
+    subline = (
+        "strongest force on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may miss "
+        "by the same angle"
+    )
+    around = float(columns["around_deg"][-1])
+    shown = [("head first", 0.0), ("head first", 4.0), ("head first", 8.0)]
+    shown += [("either end", 5.0), ("either end", 10.0), ("either end", 20.0)]
+    with slide(path, headline, subline, 2, 3, hspace=0.3, wspace=0.1, top=0.8, bottom=0.05) as axes:
+        for panel, (case, radius) in zip(axes, shown, strict=True):
+            part = chosen(columns, case=case, radius_mm=radius, around_deg=around if radius else ANGLES_DEG[0])
+            angle = np.radians(np.append(part["toward_deg"], part["toward_deg"][:1]))
+            for key, color, width in (("brute_force_un", BOUND, 6.0), ("force_un", WHITENED, 1.6)):
+                force = np.append(part[key], part[key][:1])
+                panel.plot(force * np.cos(angle), force * np.sin(angle), color=color, lw=width)
+            top = 1.1 * float(np.max(part["brute_force_un"]))
+            for ring in (100.0, 200.0, 400.0, 800.0):
+                if 0.25 * top < ring < top:
+                    panel.plot(ring * np.cos(angle), ring * np.sin(angle), color="#dddddd", lw=0.8, zorder=0)
+                    panel.text(0.0, ring, f"{ring:.0f}", color="#777777", fontsize=10, ha="center", va="bottom")
+            panel.plot(0, 0, "+", color="#777777")
+            panel.set(aspect="equal", xlim=(-1.6 * top, 1.6 * top), ylim=(-top, top))
+            panel.axis("off")
+            where = f", {around:.0f}° from x" if radius else ""
+            panel.set_title(f"{radius:g} mm from the middle{where}, {case}", loc="center", fontsize=12)
+
+
+STUDY = Study(
+    name="allocation",
+    title="Allocated force",
+    devices=dict,
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    notes={"rules": "field of 20 µT or more, at most 0.3 out of the plane per unit in it; heat at 0.3 and 0.7 of the "
+           "strongest force in eight directions of each place"},
+)  # fmt: skip
