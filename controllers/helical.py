@@ -40,9 +40,10 @@ class _Flown:
 class Helical:
     """Plans, in every pause, the next turns of the magnet and its axis in each, so that the helix keeps to the path.
 
-    The plan rolls the helix forward as it was learned to go, and ends where the place of the next pause would no longer be
-    sure enough. A leg that comes out far too short is a step-out: the magnet turned on without the robot. Then the robot
-    backs off, to seat it again, and goes on more slowly, for drag takes its share of the torque in proportion to the rate.
+    The plan rolls the helix forward as it was learned to go, and ends where the place of the next pause would no
+    longer be sure enough. A leg that comes out far too short is a step-out: the magnet turned on without the robot.
+    Then the robot backs off, to seat it again, and goes on more slowly, for drag takes its share of the torque in
+    proportion to the rate.
 
     States, said in the notes: ``cruise``, ``recover`` (with the number of the try), ``slow`` until well past the place.
     """
@@ -130,13 +131,13 @@ class Helical:
         return f"{state}: {turns:g} turns at {legs[-1].frequency:.3g} Hz, {expected:.1f} mm"
 
     def _locate(self, state: FloatArray) -> None:
-        self._near, side, _ = kernels.nearest(self._points, self._arc, state[0], state[1], self._near, 8e-3)
+        self._near, _, _ = kernels.nearest(self._points, self._arc, state[0], state[1], self._near, 8e-3)
         self._progress = max(self._progress, min(max(self._near, 0.0), self._length))
         if self._near > 0.0:
             self._phase = "follow"
 
     def _judge(self, state: FloatArray, pose: Pose) -> str:
-        """Whether the robot went along with the magnet; if so, learn from it. Returns what happened, if anything did."""
+        """Whether the robot went along with the magnet; if so, learn from it. Returns what happened, if anything."""
         flown = self._flown
         assert flown is not None
         planned = flown.expected[:2] - flown.state[:2]
@@ -166,10 +167,11 @@ class Helical:
         return [Leg(float(state[kernels.HEADING]), -1.0, self._back, self._frequency)]
 
     def _plan(self, state: FloatArray, covariance: FloatArray) -> list[Leg]:
-        """Turns ahead, each with its own axis, while the place that they lead to is sure enough and the path goes on."""
+        """Turns ahead, each with its own axis, while the place they lead to is sure enough and the path goes on."""
         body, factors = self.setup.helix.body, self.screwing.factors
         reach = 0.98 * self.setup.limits.max_steering_rate / self._frequency
-        start, legs, near = state.copy(), [], self._near
+        legs: list[Leg] = []
+        start, near = state.copy(), self._near
         start[kernels.COURSE] = np.nan
         at = start
         while len(legs) < self._most:
@@ -183,7 +185,7 @@ class Helical:
                 course = at[kernels.COURSE] + min(max(off, -reach * turns), reach * turns)
             leg = Leg(float(course), 1.0, turns, self._frequency)
             at = kernels.screw_on(body, factors, at, leg.course, 1.0, turns, leg.frequency)
-            near, side, _ = kernels.nearest(self._points, self._arc, at[0], at[1], near, 8e-3)
+            near, _, _ = kernels.nearest(self._points, self._arc, at[0], at[1], near, 8e-3)
             spread = self.screwing.spread(start, [*legs, leg], covariance)
             if len(legs) >= FEWEST and 2.0 * math.sqrt(spread[1, 1]) > self._bound:
                 break

@@ -12,7 +12,7 @@ from smolbot.motion import helixkernels as kernels
 from smolbot.motion.helix import Helix
 
 SPREAD = np.array([0.08, 0.2, math.radians(3.0), 3e-5])
-"""How far off the beliefs may be, one standard deviation: advance, steering (shares), offset of the axis (rad), drift (m)."""
+"""How far off beliefs may be, one sigma: advance and steering (shares), offset of the axis (rad), drift (m)."""
 
 FORGETTING = np.array([0.01, 0.03, math.radians(0.5), 1e-5])
 """How far they change from one leg to the next: with the place under the magnet, and what the model leaves out."""
@@ -22,7 +22,7 @@ _STEPS = np.array([0.01, 0.02, math.radians(0.5), 1e-5])
 
 @dataclass(frozen=True)
 class Leg:
-    """One piece of a maneuver: `turns` turns about a course (rad), ahead (`sense` 1) or back (-1), at `frequency` Hz."""
+    """A piece of a maneuver: `turns` turns about a course (rad), ahead (`sense` 1) or back (-1), at `frequency` Hz."""
 
     course: float
     sense: float

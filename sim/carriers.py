@@ -41,7 +41,7 @@ class Carrier(Protocol):
 
 @runtime_checkable
 class Turned(Carrier, Protocol):
-    """Moved by a rotating magnet as well: it takes mechanical windows in long strides, since nothing listens to them."""
+    """Moved by a rotating magnet as well: takes mechanical windows in long strides, since nothing listens to them."""
 
     longest_step: float
     """Of a stride, in s."""

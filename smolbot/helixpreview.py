@@ -18,7 +18,7 @@ from smolbot.rotations import quaternion_from_axes
 from smolbot.shots import Excite, Listen, RingDown, Rotate, Shot, magnet_near_after
 
 BEND_OVER = 4e-3
-"""Length, in m, over which the bend of a path is measured: a robot of 7 mm does not feel a corner that it rounds off."""
+"""Length, in m, over which a path's bend is measured: a robot of 7 mm does not feel a corner that it rounds off."""
 
 OFF_PATH = 1.5e-3
 """Distance from the path, in m, beyond which a mission on paper counts as one that cannot be followed."""
@@ -85,7 +85,8 @@ def preview_helix(mission: Mission) -> HelixPreview:
     if bend < radius:
         reasons.insert(
             0,
-            f"the path bends with a radius of {bend * 1e3:.1f} mm; this robot turns with {radius * 1e3:.1f} mm at least.",
+            f"the path bends with a radius of {bend * 1e3:.1f} mm; "
+            f"this robot turns with {radius * 1e3:.1f} mm at least.",
         )
     turns = [sum(w.turns for w in shot.windows if isinstance(w, Rotate)) for shot in shots]
     listening = _listening(setup)

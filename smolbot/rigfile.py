@@ -118,7 +118,7 @@ class MediumSection(FileModel):
 class MagnetSection(FileModel):
     """A cube magnet on a motor whose axis is steered about the vertical, near the sample or away from it.
 
-    At a turn of zero its pole looks straight down. `field_mt` is its mean size over a turn at `distance_mm` straight below.
+    At a turn of zero its pole looks straight down. `field_mt` is its mean size over a turn, `distance_mm` below.
     """
 
     side_mm: Positive

@@ -29,8 +29,8 @@ class BodySection(FileModel):
 class HelixSection(FileModel):
     """The thread on a helical robot's housing, right-handed, and what was measured of its way through this gel.
 
-    `slip` is a share of the pitch, `steering` the turn of the axis in a bend over what theory says, `drift_mm` goes to the
-    left with each turn.
+    `slip` is a share of the pitch, `steering` the turn of the axis in a bend over what theory says, `drift_mm` goes to
+    the left with each turn.
     """
 
     pitch_mm: Positive

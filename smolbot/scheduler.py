@@ -1,4 +1,7 @@
-"""Makes each shot: interleaves actuation with localization, or keeps them apart where a magnet must come and go, finds a lost signal, holds still on demand."""
+"""Makes each shot: interleaves actuation with localization, finds a lost signal, holds still on demand.
+
+Where a magnet has to come and go, actuation is a shot of its own.
+"""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
 
 SCREWED = np.array([0.35, 0.1, 0.1])
-"""Share of a believed advance that is its standard deviation, along, across and above the axis: slip, step-out, drift."""
+"""Standard deviation of a believed advance, as shares of it, along, across and above the axis: step-out, drift."""
 
 RESEATED = 1e-3
 """How far a helix may screw on or back while the magnet comes and goes (m): half a pitch."""
@@ -128,7 +128,7 @@ class Tracker:
 
     @property
     def prior(self) -> Pose | None:
-        """The tracked pose where it is sure enough to start a fit from, else None: a helix that was turned has lost its roll."""
+        """The tracked pose where it is sure enough to start a fit from, else None: a turned helix has lost its roll."""
         if self._state is None or not self._embedded:
             return self._last
         vague = float(np.max(np.diag(self._state.covariance)[_E]))
@@ -289,6 +289,7 @@ class Tracker:
 
         A robot that nearly points against the field turns either way: what decides is smaller than any belief.
         """
+        assert isinstance(self._robot, Robot)
         currents = np.array(window.currents)
         each = currents[:, None] * field
         size = math.sqrt(float(np.sum(each.sum(axis=0) ** 2)))

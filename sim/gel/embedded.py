@@ -111,7 +111,7 @@ class Embedded:
             poses[:, 3:] = self._state[3:7]
 
     def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
-        """One step: with the magnet near it holds still and pulls; otherwise the coils' forces have to exceed the yield."""
+        """One step: a magnet that is near holds still and pulls; otherwise the coils would have to exceed the yield."""
         if self._near:
             self.turn(step, np.empty((1, 7)))
             return

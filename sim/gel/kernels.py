@@ -23,10 +23,11 @@ def _log_sum(u: float, rest: float, radius: float) -> float:
 def cuboid_field(x: float, y: float, z: float, half: float, remanence: float, b: FloatArray, g: FloatArray) -> None:
     """Field and gradient of a cube magnetised along +z, at a point outside it, in the cube's frame.
 
-    Two charged faces at z = ±half, integrated in closed form; with X = x ± a, Y = y ± a, Z = z - (±a), rho = |(X, Y, Z)|
-    and signs s = ±1 for each:
+    Two charged faces at z = ±a (half the side), integrated in closed form; with X = x ± a, Y = y ± a, Z = z - (±a),
+    rho = |(X, Y, Z)| and signs s = ±1 for each:
 
-        Bx = -Br / (4 pi) sum s ln(Y + rho),   By = -Br / (4 pi) sum s ln(X + rho),   Bz = Br / (4 pi) sum s atan2(XY, Z rho)
+        Bx = -Br / (4 pi) sum s ln(Y + rho),   By = -Br / (4 pi) sum s ln(X + rho),
+        Bz =  Br / (4 pi) sum s atan(XY / (Z rho))
 
     The gradient is the derivative of these, symmetric and without trace.
 
@@ -68,13 +69,13 @@ def cuboid_field(x: float, y: float, z: float, half: float, remanence: float, b:
 
 
 # Entries of `gel`: what it takes to move the helix, each alone: force along the thread (N), force across the axis (N),
-# torque about the axis, torque across it (N·m); rate of turn at which the viscous part is as large (rad/s); force at the
-# nose that cuts a new way (N), share of it on the way back; pitch / 2 pi (m/rad), radius, half the length (m); lowest and
-# highest place of the axis between the plates (m), stiffness (N/m) and friction of the plates
+# torque about the axis, torque across it (N·m); rate of turn at which the viscous part is as large (rad/s); force at
+# the nose that cuts a new way (N), share of it on the way back; pitch / 2 pi (m/rad), radius, half the length (m);
+# lowest and highest place of the axis between the plates (m), stiffness (N/m) and friction of the plates
 THREAD, ACROSS, SPIN, TILT, RATE, CUT, BACK, LEAD, RADIUS, REACH, LOW, HIGH, PLATE, FRICTION = range(14)
 GEL_LENGTH = 14
-# Entries of `cube`: half the side (m), remanence (T), centre (3, m), columns of the stage's true rotation (9, row by row),
-# how far the pole stands from straight down at a turn of zero (rad)
+# Entries of `cube`: half the side (m), remanence (T), centre (3, m), columns of the stage's true rotation (9, row by
+# row), how far the pole stands from straight down at a turn of zero (rad)
 CUBE_LENGTH = 15
 # Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection (rad), turn of the magnet
 # and heading of its axis (rad), velocity (3, m/s) and spin (3, rad/s) in the last step, world frame
@@ -131,7 +132,7 @@ def stiffness_at(x: float, y: float, inclusions: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def settle(theta: float, bx: float, bz: float, device: FloatArray) -> float:
-    """Deflection at which cantilever, stops and the field (bx, bz in the plane of oscillation, T) are at rest, in rad."""
+    """Deflection, in rad, at which cantilever, stops and field (bx, bz in the plane of oscillation, T) are at rest."""
     moment, rest_x, rest_z, theta_max = device[0], device[1], device[2], device[4]
     spring = device[9] * device[5]
     for _ in range(4):
@@ -197,7 +198,7 @@ def flow(forward: FloatArray, load: FloatArray, gel: FloatArray, factor: float, 
 def magnetic_load(
     rotation: FloatArray, theta: float, b: FloatArray, g: FloatArray, device: FloatArray, load: FloatArray
 ) -> float:
-    """Force and torque about the middle of the housing (6,), world frame, that a field exerts; returns the deflection."""
+    """Force and torque about the housing's middle (6,), world frame, that a field exerts; returns the deflection."""
     bx = rotation[0, 0] * b[0] + rotation[1, 0] * b[1] + rotation[2, 0] * b[2]
     bz = rotation[0, 2] * b[0] + rotation[1, 2] * b[1] + rotation[2, 2] * b[2]
     theta = settle(theta, bx, bz, device)
@@ -222,7 +223,7 @@ def magnetic_load(
 
 @njit(cache=True, error_model="numpy")
 def plates(state: FloatArray, forward: FloatArray, gel: FloatArray, load: FloatArray) -> None:
-    """Add to `load` (6,) what floor and plate do to nose and tail: they push back, and rub against the way they slip."""
+    """Add to `load` (6,) what floor and plate do to nose and tail: push back, and rub against the way they slip."""
     for end in (-1.0, 1.0):
         arm0, arm1, arm2 = end * gel[REACH] * forward[0], end * gel[REACH] * forward[1], end * gel[REACH] * forward[2]
         height = state[2] + arm2

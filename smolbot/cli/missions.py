@@ -12,9 +12,9 @@ from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
+    from smolbot.helixpreview import HelixPreview
     from smolbot.loop import Listener, Run
     from smolbot.missionfile import Mission
-    from smolbot.helixpreview import HelixPreview
     from smolbot.preview import Preview
 
 MissionArgument = Annotated[

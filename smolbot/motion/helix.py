@@ -1,4 +1,4 @@
-"""A helix in gel under a rotating magnet, as its controller believes it: between plates, and averaged over whole turns."""
+"""A helix in gel under a rotating magnet, as its controller believes it: between plates, averaged over turns."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Helix:
         steering: float = 1.0,
         drift: float = 0.0,
     ) -> Helix:
-        """A helix of the size of a cylinder in a gel that yields at `yield_stress` Pa and then flows with `viscosity` Pa·s.
+        """A helix as large as a cylinder, in a gel that yields at `yield_stress` Pa and flows with `viscosity` Pa·s.
 
         The cantilever's stiffness follows from its resonance: k = I (2 pi f)², I = m_magnet l0².
         """
@@ -131,7 +131,8 @@ class Helix:
         return self.spin_yield * (1.0 + 2.0 * math.pi * frequency / self.viscous_rate)
 
     def torque_margin(self, position: FloatArray, frequency: float) -> float:
-        """Least torque that the field can exert over a turn at `position` (3,) in m, over the most that the gel asks for.
+        """Least torque that the field can exert in a turn, over the most that the gel asks for, at `position` (3,) in
+        m.
 
         Where the field is weakest it turns twice as fast as the magnet. Below 1 the robot steps out.
         """
@@ -144,9 +145,9 @@ class Helix:
         """As the kernels take it."""
         weakest = self.moment * self.field / MEAN_OF_ELLIPSE
         return np.array(
-            [self.advance, self.center_ahead, self.magnet_ahead - self.center_ahead, *self.magnet, weakest, self.distance,
-             self.steering_rate, self.spin_yield, self.tilt_yield, self.across_yield, self.viscous_rate, self.stiffness,
-             self.theta_max, self.half_length, self.low, self.high]
+            [self.advance, self.center_ahead, self.magnet_ahead - self.center_ahead, *self.magnet, weakest,
+             self.distance, self.steering_rate, self.spin_yield, self.tilt_yield, self.across_yield, self.viscous_rate,
+             self.stiffness, self.theta_max, self.half_length, self.low, self.high]
         )  # fmt: skip
 
     @cached_property
@@ -155,7 +156,7 @@ class Helix:
         return np.array([1.0, self.steering, 0.0, self.drift])
 
     def turning(self, tilt: float, frequency: float, turns: int = 4) -> float:
-        """Turn of the axis per turn of the robot, in rad, straight below the magnet with the field's axis `tilt` rad aside."""
+        """Turn of the axis per turn of the robot, in rad, below the magnet with the field's axis `tilt` rad aside."""
         state = np.array([self.magnet[0], self.magnet[1], 0.5 * (self.low + self.high), 0.0, 0.0, np.nan])
         for _ in range(turns):
             state[: kernels.Z] = self.magnet[:2]

@@ -13,10 +13,11 @@ import math
 import numpy as np
 from numba import njit
 
-# Entries of `body`: advance per turn (m), housing and magnet ahead of the rotation centre (m), actuation magnet's centre
-# (3, m), moment times the weakest field of a turn (N·m) at a distance (m), steering rate (rad/s), torque about the axis
-# and across it (N·m) and force across it (N) at which the gel yields, viscous rate (rad/s), stiffness (N·m/rad) and stop
-# (rad) of the cantilever, half the length (m), lowest and highest place of the axis between the plates (m)
+# Entries of `body`: advance per turn (m), housing and magnet ahead of the rotation centre (m), actuation magnet's
+# centre (3, m), moment times the weakest field of a turn (N·m) at a distance (m), steering rate (rad/s), torque about
+# the axis and across it (N·m) and force across it (N) at which the gel yields, viscous rate (rad/s), stiffness
+# (N·m/rad) and stop (rad) of the cantilever, half the length (m), lowest and highest place of the axis between the
+# plates (m)
 ADVANCE, AHEAD, LEVER, MAGNET, TORQUE, DISTANCE, STEERING, SPIN, TILT, ACROSS, VISCOUS = (
     0,
     1,
@@ -33,7 +34,8 @@ ADVANCE, AHEAD, LEVER, MAGNET, TORQUE, DISTANCE, STEERING, SPIN, TILT, ACROSS, V
 STIFFNESS, STOP, REACH, LOW, HIGH = 13, 14, 15, 16, 17
 BODY = 18
 X, Y, Z, HEADING, PITCH, COURSE = range(6)
-# Factors that are learned: on the advance, on the steering; the offset of the axis (rad); drift to the left per turn (m)
+# Factors that are learned: on the advance, on the steering; the offset of the axis (rad); drift to the left per turn
+# (m)
 LENGTHENED, TURNED, OFFSET, LEFT = range(4)
 SUBSTEPS = 6  # of a turn
 PHASES = 16  # of a turn, to average over
@@ -49,9 +51,9 @@ def wrapped(angle):
 def mean_torque(body, heading, pitch, course, sense, load, rx, ry, rz, out):
     """Torque across the axis, averaged over one turn of the magnet.
 
-    The field is that of a dipole at (rx, ry, rz) from the actuation magnet; it turns twice as strong along the vertical as
-    across. The moment lags behind it as the load asks. Between its stops the magnet follows the field by bending the
-    cantilever, and only its stiffness turns the housing; beyond them the field does.
+    The field is that of a dipole at (rx, ry, rz) from the actuation magnet; it turns twice as strong along the
+    vertical as across. The moment lags behind it as the load asks. Between its stops the magnet follows the field by
+    bending the cantilever, and only its stiffness turns the housing; beyond them the field does.
 
     Parameters
     ----------
@@ -98,16 +100,17 @@ def mean_torque(body, heading, pitch, course, sense, load, rx, ry, rz, out):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def screw_on(body, factors, state, course, sense, turns, frequency):
-    """State after `turns` turns of the magnet at `frequency` Hz, steered toward `course`, ahead (`sense` 1) or back (-1).
+    """State after `turns` turns of the magnet at `frequency` Hz toward `course`, ahead (`sense` 1) or back (-1).
 
     While it turns in a gel that has yielded, the robot gives way across its axis to the mean torque and to the magnet's
-    pull, each in proportion to the square of (yield torque about the axis / strength across it) over the load. The plates
-    hold nose and tail: what would pass them is turned and pushed back, as the gel lets the housing turn and drift.
+    pull, each in proportion to the square of (yield torque about the axis / strength across it) over the load. The
+    plates hold nose and tail: what would pass them is turned and pushed back, as the gel lets the housing turn and
+    drift.
     """
     out = state.copy()
     if math.isnan(out[COURSE]):
         out[COURSE] = course
-    steps = max(int(math.ceil(SUBSTEPS * turns - 1e-9)), 1)
+    steps = max(math.ceil(SUBSTEPS * turns - 1e-9), 1)
     share = turns / steps
     load = body[SPIN] * (1.0 + 2.0 * math.pi * frequency / body[VISCOUS])
     turning = 2.0 * math.pi * share * body[SPIN] ** 2 / load
@@ -171,9 +174,9 @@ def nearest(points, arc, x, y, near, window):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def miss(body, factors, state, course, turns, frequency, points, arc, near, weight):
-    """Cost of holding a course for some turns: squared distances to the path, and at the end `weight`² of the heading's."""
+    """Cost of holding a course: mean squared distance to the path, and `weight`² times that of the last heading."""
     cost, at, heading = 0.0, state, 0.0
-    pieces = max(int(math.ceil(3.0 * turns - 1e-9)), 1)
+    pieces = max(math.ceil(3.0 * turns - 1e-9), 1)
     for _ in range(pieces):
         at = screw_on(body, factors, at, course, 1.0, turns / pieces, frequency)
         near, side, heading = nearest(points, arc, at[X], at[Y], near, 5e-3)
@@ -184,7 +187,7 @@ def miss(body, factors, state, course, turns, frequency, points, arc, near, weig
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def best_course(body, factors, state, most_tilt, reach, turns, frequency, points, arc, near, weight):
-    """Course within `most_tilt` of the heading, and within `reach` of the axis as it stands, that misses the path least."""
+    """Course within `most_tilt` of the heading and `reach` of the axis as it stands that misses the path least."""
     low, high = state[HEADING] - most_tilt, state[HEADING] + most_tilt
     if not math.isnan(state[COURSE]):
         now = state[HEADING] + wrapped(state[COURSE] - state[HEADING])

@@ -34,7 +34,9 @@ def draw_axes_on_path(axes: Axes, mission: Mission, trace: Trace) -> None:
     if len(truth):
         axes.plot(truth[:, 0], truth[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
         axes.plot(*truth[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
-        axes.annotate("put down", truth[0, :2], xytext=(8, -4), textcoords="offset points", color=TRUE, fontsize=10)
+        axes.annotate(
+            "put down", (truth[0, 0], truth[0, 1]), xytext=(8, -4), textcoords="offset points", color=TRUE, fontsize=10
+        )
     for moment in pauses(trace):
         for pose, color, width, order in ((moment.truth, TRUE, 0.006, 5), (moment.cycle.tracked, LOCATED, 0.004, 6)):
             if pose is not None:

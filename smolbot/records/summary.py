@@ -144,8 +144,8 @@ def _screwed(run: Run) -> dict[str, Any]:
 def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
     """Angles between the propulsion axis as estimated and as it is: of every pose, and as tracked when a pause ends.
 
-    ``axis_to_path_deg`` is the angle, seen from above, between the true axis and the path where the magnet is fetched: a
-    screw that bends, drifts and is late goes not quite where it points.
+    ``axis_to_path_deg`` is the angle, seen from above, between the true axis and the path where the magnet is fetched:
+    a screw that bends, drifts and is late goes not quite where it points.
     """
     heard = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
     ends = [m for m in trace.moments if m.cycle.command.mechanical and m.cycle.tracked and m.truth]
