@@ -131,8 +131,7 @@ class Helix:
         return self.spin_yield * (1.0 + 2.0 * math.pi * frequency / self.viscous_rate)
 
     def torque_margin(self, position: FloatArray, frequency: float) -> float:
-        """Least torque that the field can exert in a turn, over the most that the gel asks for, at `position` (3,) in
-        m.
+        """Least torque of the field in a turn over the most that the gel asks for, at `position` (3,) in m.
 
         Where the field is weakest it turns twice as fast as the magnet. Below 1 the robot steps out.
         """

@@ -18,24 +18,12 @@ from numba import njit
 # the axis and across it (N·m) and force across it (N) at which the gel yields, viscous rate (rad/s), stiffness
 # (N·m/rad) and stop (rad) of the cantilever, half the length (m), lowest and highest place of the axis between the
 # plates (m)
-ADVANCE, AHEAD, LEVER, MAGNET, TORQUE, DISTANCE, STEERING, SPIN, TILT, ACROSS, VISCOUS = (
-    0,
-    1,
-    2,
-    3,
-    6,
-    7,
-    8,
-    9,
-    10,
-    11,
-    12,
-)
+ADVANCE, AHEAD, LEVER, MAGNET, TORQUE, DISTANCE = 0, 1, 2, 3, 6, 7
+STEERING, SPIN, TILT, ACROSS, VISCOUS = 8, 9, 10, 11, 12
 STIFFNESS, STOP, REACH, LOW, HIGH = 13, 14, 15, 16, 17
 BODY = 18
 X, Y, Z, HEADING, PITCH, COURSE = range(6)
-# Factors that are learned: on the advance, on the steering; the offset of the axis (rad); drift to the left per turn
-# (m)
+# Factors that are learned: on advance and steering; offset of the axis (rad), drift to the left per turn (m)
 LENGTHENED, TURNED, OFFSET, LEFT = range(4)
 SUBSTEPS = 6  # of a turn
 PHASES = 16  # of a turn, to average over

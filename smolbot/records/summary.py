@@ -137,7 +137,7 @@ def _screwed(run: Run) -> dict[str, Any]:
     return {
         "turns": float(sum(w.turns for windows in turned for w in windows)),
         "pauses": sum(bool(windows) for windows in turned),
-        "step_outs": sum(e.what == "step-out" for e in run.events),
+        "step_outs": sum(e.what in ("step-out", "gave up") for e in run.events),
     }
 
 
