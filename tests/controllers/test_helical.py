@@ -16,7 +16,7 @@ from smolbot.poses import Pose
 from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.shots import Listen, MoveMagnet, Rotate, Shot
 
-MISSION = load_mission("s_path")
+MISSION = load_mission("s_path", settings={"cycle.half_periods": "4"})  # quicker to check
 SETUP = MISSION.helix_setup()
 KNOWN = np.diag([5e-5] * 3 + [5e-3] * 3) ** 2
 

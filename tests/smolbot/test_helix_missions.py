@@ -24,7 +24,9 @@ from smolbot.shots import Listen, MoveMagnet, Rotate, Shot
 from smolbot.tracking import Tracker
 
 LINE = str(Path(__file__).parent.parent / "missions" / "screw_line.toml")
-HELIX = load_mission("s_path").helix_setup().helix
+SHORT = {"cycle.half_periods": "4"}  # how long it listens changes nothing of the way, and is quicker to check
+S_PATH = load_mission("s_path", settings=SHORT)
+HELIX = S_PATH.helix_setup().helix
 DEVICE = load_robot("helical").device
 ACROSS = quaternion_from_axes(np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), "zx")
 
@@ -88,7 +90,7 @@ def test_the_witness_changes_nothing():
 
 
 def test_preview_says_go_and_counts_turns_and_pauses():
-    seen = preview_helix(load_mission("s_path"))
+    seen = preview_helix(S_PATH)
     assert seen.go
     assert len(seen.turns) >= 8
     assert sum(seen.turns) * HELIX.advance == pytest.approx(seen.length + 7e-3, rel=0.05)
@@ -124,7 +126,7 @@ def test_the_preview_command_exits_by_its_verdict(monkeypatch, capsys):
 )
 def test_robot_law_and_rig_have_to_fit(settings, rig, words):
     with pytest.raises(ConfigError) as error:
-        load_mission("s_path", rig, settings)
+        load_mission("s_path", rig, SHORT | settings)
     assert words in str(error.value)
 
 
