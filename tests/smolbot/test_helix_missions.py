@@ -23,7 +23,7 @@ from smolbot.rotations import quaternion_from_axes, quaternion_from_rotation_vec
 from smolbot.shots import Listen, MoveMagnet, Rotate, Shot
 from smolbot.tracking import Tracker
 
-LINE = str(Path(__file__).parent.parent / "missions" / "screw_line.toml")
+LINE = str(Path(__file__).parent.parent / "missions" / "flown" / "screw_line.toml")
 SHORT = {"cycle.half_periods": "4"}  # how long it listens changes nothing of the way, and is quicker to check
 S_PATH = load_mission("s_path", settings=SHORT)
 HELIX = S_PATH.helix_setup().helix
