@@ -370,14 +370,25 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
         if values[i] > best:
             best, best_force = values[i], found[0]
             currents[:] = trial
+    if head_first:  # at a right angle to the way the force may miss it toward the field alone
+        for hand in (-1.0, 1.0):
+            along, aside = math.cos(0.5 * slack), hand * math.sin(0.5 * slack)
+            beside = (along * way[0] - aside * way[1], aside * way[0] + along * way[1])
+            angle = middle + hand * (0.5 * math.pi - 1e-6)
+            narrow = (least, steepest, math.tan(0.5 * math.atan(slack)))
+            found = _at_angle(angle, beside, size, narrow, b, g, low, high, store, order, basis, trial)
+            if found[pick] > best:
+                best, best_force = found[pick], found[0]
+                currents[:] = trial
     if best <= -1e299:
         return -1e300, currents
     for i in range(count):
         left = values[i - 1] if i > 0 else (-1e300 if head_first else values[count - 1])
         right = values[i + 1] if i + 1 < count else (-1e300 if head_first else values[0])
         # at an edge of what fits the best may be a good deal better than the nearest angle tried
-        share = STEEP_AT_EDGES if min(left, right) < -1e299 else WORTH_A_LOOK
-        if values[i] < best - share * abs(best) or values[i] < left or values[i] < right:
+        edge = min(left, right) < -1e299
+        share = STEEP_AT_EDGES if edge else WORTH_A_LOOK
+        if values[i] < best - share * abs(best) or (not edge and (values[i] < left or values[i] < right)):
             continue
         center = middle - half + i * width
         a, z, top = center - width, center + width, values[i]

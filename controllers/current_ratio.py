@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from controllers.course import Course
+from controllers.pace import Pace
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
 from smolbot.errors import InputError
@@ -103,7 +105,9 @@ class CurrentRatio:
         self._t_min, self._t_max = values["t_min_ms"] * 1e-3, values["t_max_ms"] * 1e-3
         self._sharp = float(np.radians(values["sharp_deg"]))
         self._spacing = values["spacing_mm"] * 1e-3
+        self._rest = setup.cycle.duration(setup.device.frequency)
         self._goals = np.zeros((0, 3))
+        self._paced: tuple[Course, Pace] | None = None
         self._arc = np.zeros(0)
         self._next = 0
 
@@ -112,6 +116,9 @@ class CurrentRatio:
         self._arc = path.sampled(self._spacing)
         self._goals = path.at(self._arc)
         self._next = 0
+        self._paced = None
+        if path.speed is not None:
+            self._paced = Course(path), Pace(path.speed, self._rest + self._t_min)
 
     def command(self, pose: Pose) -> Command:
         """Currents toward the next goal that is not yet reached."""
@@ -129,6 +136,8 @@ class CurrentRatio:
         heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
         turn = abs(float(np.arctan2(heading[0] * direction[1] - heading[1] * direction[0], heading @ direction)))
         duration = stretched_actuation(turn, self._t_min, self._t_max, self._sharp)
+        if self._paced is not None and phase == "follow":
+            currents = currents * self._share(pose, currents, direction, duration)
         window = Actuate(tuple(float(c) for c in currents), duration) if currents.any() else None
         return Command(window, saturated, note, progress=behind, phase=phase)
 
@@ -144,6 +153,17 @@ class CurrentRatio:
             cosine = pull @ tangent[:2] / max(force[i], 1e-30)
             error[i] = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
         return Reach(points, force, error)
+
+    def _share(self, pose: Pose, currents: FloatArray, direction: FloatArray, duration: float) -> float:
+        """Share of the currents whose force brings the robot as far as the path's speed asks for in this window."""
+        assert self._paced is not None
+        course, pace = self._paced
+        course.locate(pose.position, self.setup.tolerance)
+        stride = pace.stride(pose.time, course.arc_length)
+        robot = self.setup.robot
+        pull = float(aligned_force(self.setup.table, currents, pose.position, robot.moment)[:2] @ direction)
+        expected = pull / robot.drag * duration
+        return 1.0 if expected <= stride else stride / expected
 
     def _distance(self, pose: Pose) -> float:
         return float(np.linalg.norm(self._goals[self._next][:2] - pose.position[:2]))

@@ -16,7 +16,7 @@ from smolbot.errors import InputError, SmolbotError
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
 
-STEPS, STEPS_OF_BOTH, STEPS_OF_FEW = 12, 16, 48
+STEPS, STEPS_OF_BOTH, STEPS_OF_FEW = 12, 24, 48
 """Directions of the field tried per quarter turn, before the best are refined: head first, by either end (whose peaks
 are narrower), and with three coils, which leave no other freedom."""
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from controllers.course import Course
 from controllers.force_allocator import Allocation, ForceAllocator, UnreachableForceError
+from controllers.pace import Pace
 from smolbot.arrays import FloatArray
 from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
 from smolbot.errors import InputError
@@ -51,11 +52,14 @@ class ForcePursuit:
             head_first=values["tail_first"] < 0.5,
             least_field=values["least_field_mt"] * 1e-3,
         )
+        self._rest = setup.cycle.duration(setup.device.frequency)
         self._course: Course | None = None
+        self._pace: Pace | None = None
 
     def reset(self, path: Curve, pose: Pose) -> None:
         """Begin a path: first go to its start."""
         self._course = Course(path)
+        self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._t_min)
 
     def command(self, pose: Pose) -> Command:
         """Currents toward the point that is pursued."""
@@ -69,6 +73,10 @@ class ForcePursuit:
         goal = course.at(min(course.arc_length + self._lookahead, course.leg_end) if course.leg >= 0 else 0.0)
         way = goal - pose.position[:2]
         distance = float(np.linalg.norm(way))
+        if self._pace is not None and course.leg >= 0:
+            distance = min(distance, self._pace.stride(pose.time, course.arc_length))
+            if distance <= 0.0:
+                return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
         heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
         turn = abs(float(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
         duration = stretched_actuation(turn, self._t_min, self._t_max, self._sharp)

@@ -14,6 +14,7 @@ from controllers.adaptation import Adaptation
 from controllers.compass import Compass
 from controllers.course import Course
 from controllers.force_allocator import ForceAllocator, UnreachableForceError
+from controllers.pace import Pace
 from controllers.starts import plan_starts
 from lookup_tables import OutsideTableError
 from smolbot.arrays import FloatArray
@@ -126,6 +127,7 @@ class Predictive:
         )
         self._headings: list[FloatArray] = []
         self._course: Course | None = None
+        self._pace: Pace | None = None
         self._adaptation = Adaptation()
         self._planned: _Plan | None = None
         self._hurry = 1.0
@@ -139,6 +141,7 @@ class Predictive:
     def reset(self, path: Curve, pose: Pose) -> None:
         """Begin a path: first go to its start. What was learned of the robot is kept."""
         self._course = course = Course(path)
+        self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._window)
         self._hurry = 1.0
         self._planned = None
         arc = [np.arange(a, b + 0.5 * SPACING, SPACING) for a, b in itertools.pairwise(course.arc[course.stops])]
@@ -163,12 +166,17 @@ class Predictive:
         if course.done:
             return Command(None, note="path's end reached", progress=course.progress, done=True)
         phase: Phase = "approach" if course.leg < 0 else "follow"
-        duration, currents, gone, turning = self._plan(pose, heading, course)
+        stride = self._speed * self._window
+        if self._pace is not None and phase == "follow":
+            stride = min(stride, self._pace.stride(pose.time, course.arc_length))
+            if stride <= 0.0:
+                return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
+        duration, currents, gone, turning = self._plan(pose, heading, course, stride)
         sent = currents.tolist()
         limits = zip(sent, self._low.tolist(), self._high.tolist(), strict=True)
         saturated = any(i > 0.999 * high or i < 0.999 * low - 1e-9 for i, low, high in limits)
         note = "turning" if turning else ""
-        if not turning and gone < 0.03 * self._speed * duration:
+        if not turning and gone < 0.03 * stride * duration / self._window:
             note = "hardly any force along the path here" + (", head first" if self._head_first else "")
         window = Actuate(tuple(sent), duration)
         return Command(window, saturated, note, progress=course.progress, phase=phase)
@@ -198,7 +206,7 @@ class Predictive:
         ahead = pose.rotation @ self.setup.device.moment_in_body
         return math.atan2(ahead[1], ahead[0])
 
-    def _plan(self, pose: Pose, heading: float, course: Course) -> tuple[float, FloatArray, float, bool]:
+    def _plan(self, pose: Pose, heading: float, course: Course, stride: float) -> tuple[float, FloatArray, float, bool]:
         """Duration, currents, progress that is expected in m, and whether it is a turn."""
         place = pose.position[:2]
         c, v = math.cos(heading), math.sin(heading)
@@ -223,12 +231,13 @@ class Predictive:
         weights[NEAR] *= doubt
         weights[FORWARD] *= self._hurry
         weights[HEADING] *= self._hurry
+        weights[FORWARD] *= self._speed * self._window / stride  # a part of a short stride weighs as that of a long one
         body = body_of(self.setup.robot)
         body[DRAG] /= self._adaptation.mobility
         body[ROTATIONAL_DRAG] /= self._adaptation.agility
         state = np.array([place[0] - origin[0], place[1] - origin[1], heading])
         route = (points - origin, arc, headings, SPACING)
-        leg = (first, last, guess, self._speed * self._window * doubt, self._ahead, 0.5 * self._handover)
+        leg = (first, last, guess, stride * doubt, self._ahead, 0.5 * self._handover)
         starts = self._with_last(windows)
         drift = self._adaptation.drift
         best = None
@@ -258,7 +267,7 @@ class Predictive:
             if rescue is not None:
                 self._planned, self._hurry = None, 0.75 * MOST_HURRY
                 return self._window, rescue, self._speed * self._window, turning
-        idle = gone < 0.1 * self._speed * self._window and abs(after - heading) < 0.05
+        idle = gone < 0.1 * stride and abs(after - heading) < 0.05
         self._hurry = min(1.5 * self._hurry, MOST_HURRY) if idle else max(self._hurry / 1.5, 1.0)
         return duration, currents[0], gone, turning
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from importlib import import_module
 from typing import Any, Protocol
 
@@ -229,6 +230,7 @@ def as_points(points: Any) -> FloatArray:
     return np.ascontiguousarray(array)
 
 
+@lru_cache(maxsize=32)
 def _nodes(count: int) -> list[tuple[float, float]]:
     """Gauss-Legendre nodes on -1 to 1 with weights that sum to 1."""
     places, weights = np.polynomial.legendre.leggauss(count)

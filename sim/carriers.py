@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
@@ -56,6 +56,27 @@ class Turned(Carrier, Protocol):
         """A mechanical window is over, or was cut short."""
 
 
+@runtime_checkable
+class Magnetised(Carrier, Protocol):
+    """Brings a magnetism of its own along, which the device feels and the sensors hear."""
+
+    field_at_magnet: FloatArray
+    """Shape (3,), in T, body frame."""
+
+    def heard(
+        self, clock: float, n: int, rate: float, delay: float, positions: FloatArray, axes: FloatArray
+    ) -> FloatArray:
+        """Its field (n_sensors, n) in T along the sensors' axes, `n` samples from `clock` s on, `delay` s late."""
+
+
+@runtime_checkable
+class Drawn(Carrier, Protocol):
+    """Was drawn from the seed, and can say how: for a run's provenance."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """What was drawn, as plain lists and numbers."""
+
+
 def make_carrier(
     rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
     *, gui: bool, ideal: bool,
@@ -75,4 +96,8 @@ def make_carrier(
         from sim.gel.embedded import Embedded
 
         return Embedded(rig, robot, settings, truth, start, seed, ideal=ideal)
+    if robot.kind == "device":
+        from sim.held import held
+
+        return held(rig, robot, settings, seed)
     raise InputError(f"{rig.name}: this tank cannot carry a robot of kind '{robot.kind}' ({robot.name}).")

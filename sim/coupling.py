@@ -44,7 +44,7 @@ def coil_to_sensor(
     ndarray, shape (n_coils, n_sensors), in T/A
     """
     out = np.zeros((len(coils), len(positions)))
-    for c, coil in enumerate(coils):
+    for c, coil in enumerate(coils) if len(positions) else ():
         start, end, turns = _wires(coil)
         frame = coil_frame(coil) @ rotations[c].T
         local = (positions - np.asarray(coil.center) - places[c]) @ frame.T

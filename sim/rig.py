@@ -6,6 +6,7 @@ import math
 from types import TracebackType
 from typing import Any, Self
 
+from sim.carriers import Drawn
 from sim.coils import NominalExcitation
 from sim.history import TankWitness
 from sim.settings import TankSettings
@@ -113,11 +114,9 @@ class TankRig:
 
     def provenance(self) -> dict[str, Any]:
         """What this tank was drawn as: seed, whether ideal, and every drawn mismatch."""
-        return {"seed": self._seed, "ideal": self._ideal, "truth": self._tank.truth.as_dict(), **self._carrier_draws()}
-
-    def _carrier_draws(self) -> dict[str, Any]:
-        drawn = getattr(self._tank.carrier, "drawn", None)
-        return {} if drawn is None else {"carrier": drawn}
+        carrier = self._tank.carrier
+        drawn = {"carrier": carrier.as_dict()} if isinstance(carrier, Drawn) else {}
+        return {"seed": self._seed, "ideal": self._ideal, "truth": self._tank.truth.as_dict(), **drawn}
 
     def __enter__(self) -> Self:
         return self

@@ -57,6 +57,11 @@ class TrueSensors:
         self.sensor_noise = SensorNoise(noise, len(nominal), nominal.bandwidth, self.rate, truth.noise, sensor_rng)
 
     @property
+    def time_constant(self) -> float:
+        """Of their low pass, in s."""
+        return self._tau
+
+    @property
     def converter_step(self) -> float:
         """Least step of the converter, in T."""
         return self._step

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from sim.gel.settings import GelSettings
 from smolbot.config import FileModel
@@ -55,6 +57,70 @@ class SurfaceSection(FileModel):
     meniscus_n_per_m2: NotNegative = 28.0
 
 
+class RouteSection(FileModel):
+    """A way in for the tip of a flexible endoscope; it comes back the same way."""
+
+    points_mm: Annotated[list[Vector], Field(min_length=3)]
+    dwell_s: NotNegative = 2.0
+
+    @field_validator("points_mm")
+    @classmethod
+    def _apart(cls, value: list[Vector]) -> list[Vector]:
+        for number, (a, b) in enumerate(pairwise(value), 1):
+            if math.dist(a, b) < 1.0:
+                raise ValueError(f"points {number} and {number + 1} must lie at least 1 mm apart.")
+        return value
+
+
+class ShaftSection(FileModel):
+    """Magnetism of the endoscope behind the tip."""
+
+    tip_ut: NotNegative = 45.0
+    surface_ut: NotNegative = 120.0
+    radius_mm: Positive = 1.5
+    length_mm: Positive = 80.0
+    piece_mm: Positive = 10.0
+
+
+class HandSection(FileModel):
+    """A hand that leads the device along routes, one after the other, all from one place."""
+
+    routes: Annotated[list[RouteSection], Field(min_length=1)]
+    rest_s: NotNegative = 12.0
+    speed_mm_s: Positive = 12.0
+    turn_deg_s: Positive = 90.0
+    torsion_deg: NotNegative = 20.0
+    tremor_mm: NotNegative = 0.15
+    tremor_deg: NotNegative = 0.5
+    tremor_hz: Positive = 9.0
+    scatter_mm: NotNegative = 1.0
+    pace_percent: NotNegative = 15.0
+    roll_scatter_deg: NotNegative = 15.0
+    shaft: ShaftSection | None = None
+
+    @field_validator("routes")
+    @classmethod
+    def _one_start(cls, value: list[RouteSection]) -> list[RouteSection]:
+        first = value[0].points_mm[0]
+        for number, route in enumerate(value[1:], 2):
+            if route.points_mm[0] != first:
+                raise ValueError(
+                    f"all routes begin at one point; the first at {list(first)}, "
+                    f"number {number} at {list(route.points_mm[0])}."
+                )
+        return value
+
+
+class PlaceSection(FileModel):
+    """A fixed place for a device, such as a marker in tissue; what a surgeon's hand makes of it is drawn."""
+
+    position_mm: Vector
+    scatter_mm: NotNegative = 2.0
+    heading_deg: float | None = None
+    pitch_scatter_deg: NotNegative = 20.0
+    roll_scatter_deg: NotNegative = 30.0
+
+
 class TankSettings(FileModel):
     """Everything the ``[tank]`` section says; every key has a default."""
 
@@ -66,3 +132,5 @@ class TankSettings(FileModel):
     surface: SurfaceSection = SurfaceSection()
     gel: GelSettings = GelSettings()
     mismatch: MismatchSection = MismatchSection()
+    hand: HandSection | None = None
+    place: PlaceSection | None = None

@@ -10,12 +10,15 @@ from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from smolbot.cli.missions import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 from smolbot.errors import InputError
+
+if TYPE_CHECKING:
+    from smolbot.anymission import AnyMission
 
 COLUMNS = {
     "seed": ("seed",),
@@ -41,6 +44,15 @@ COLUMNS = {
     "tracking_rms_mm": ("tracking_error_mm", "rms"),
     "tracking_p95_mm": ("tracking_error_mm", "p95"),
     "tracking_max_mm": ("tracking_error_mm", "max"),
+    "pose_rate_hz": ("pose_rate_hz",),
+    "gaps": ("gaps", "count"),
+    "longest_gap_s": ("gaps", "longest_s"),
+    "measurements": ("measurements",),
+    "sigma_x_mm": ("sigma_mm", "x"),
+    "sigma_y_mm": ("sigma_mm", "y"),
+    "sigma_z_mm": ("sigma_mm", "z"),
+    "sigma_mm": ("sigma_mm", "distance"),
+    "sigma_deg": ("sigma_deg", "angle"),
     "r_squared_median": ("r_squared_median",),
     "flips": ("flips",),
     "compute_p99_ms": ("compute_ms", "p99"),
@@ -61,13 +73,14 @@ class Plant(StrEnum):
 class Flight:
     """One simulated run: its summary and where the robot truly went, (n, 2) in mm.
 
-    `process` flew it, and had it done at `ended`, in s since the epoch.
+    `process` flew it, and had it done at `ended`, in s since the epoch, and at `used`, in s of its processor time.
     """
 
     summary: dict[str, Any]
     trail: Any
     process: int = 0
     ended: float = 0.0
+    used: float = 0.0
 
     def value(self, column: str) -> Any:
         found: Any = self.summary
@@ -91,7 +104,7 @@ def simulate(
 ) -> None:
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
     from sim.executors import open_executor
-    from smolbot.missionfile import load_mission
+    from smolbot.anymission import load_mission
     from smolbot.records.folder import RunFolder
 
     wanted = parse_seeds(seeds)
@@ -112,11 +125,9 @@ def simulate(
         wall = time.perf_counter() - begin
     flights.sort(key=lambda f: f.summary["seed"])
     write_results(folder.path / "results.csv", flights)
-    from sim.study_picture import draw_flights
-
-    draw_flights(loaded, flights, folder.path / "flights.png")
+    draw(loaded, flights, folder.path / "flights.png")
     figures = combine(loaded.name, flights)
-    figures["flights_per_minute"] = {"in_all": 60.0 * len(flights) / wall, "warm": warm_rate(flights)}
+    figures["flights_per_minute"] = {"in_all": 60.0 * len(flights) / wall, **warm_rates(flights)}
     figures["folder"] = str(folder.path)
     folder.end(figures)
     _show(figures, flights, json)
@@ -160,8 +171,8 @@ _loaded: dict[tuple[Any, ...], Any] = {}
 
 def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, plant: Plant = Plant.FULL) -> Flight:
     """One flight, in whatever process this is; files are read once per process."""
+    from smolbot.anymission import load_mission
     from smolbot.flying import fly
-    from smolbot.missionfile import load_mission
 
     key = (mission, rig, tuple(sorted(settings.items())))
     if key not in _loaded:
@@ -172,7 +183,21 @@ def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, 
 
         opener = open_reduced
     run = fly(_loaded[key], seed, settings=settings, opener=opener)
-    return Flight(run.summary, run.true_trail, os.getpid(), time.time())
+    return Flight(run.summary, run.true_trail, os.getpid(), time.time(), time.process_time())
+
+
+def draw(mission: AnyMission, flights: list[Flight], path: Path) -> None:
+    """Write the picture of all flights."""
+    from smolbot.observationfile import Observation
+
+    if isinstance(mission, Observation):
+        from sim.observations_picture import draw_observations
+
+        draw_observations(mission, flights, path)
+    else:
+        from sim.study_picture import draw_flights
+
+        draw_flights(mission, flights, path)
 
 
 def combine(mission: str, flights: list[Flight]) -> dict[str, Any]:
@@ -198,29 +223,36 @@ def combine(mission: str, flights: list[Flight]) -> dict[str, Any]:
     return out
 
 
-def warm_rate(flights: list[Flight]) -> float | None:
-    """Flights a minute over all processes, from each one's first flight on: that one loads what the others find.
+def warm_rates(flights: list[Flight]) -> dict[str, float | None]:
+    """Flights a minute from each process' first flight on, since that one loads what the others find.
 
-    None where no process flew twice.
+    `warm` is that of all processes together, `per_processor` what one would make that has a core to itself. None
+    where no process flew twice.
 
     Examples
     --------
-    >>> warm_rate([Flight({}, None, process, ended) for process, ended in ((1, 9.0), (2, 9.5), (1, 10.0), (1, 11.0))])
-    60.0
+    >>> flown = ((1, 9.0, 2.0), (2, 9.5, 2.1), (1, 10.0, 2.5), (1, 11.0, 3.0))
+    >>> warm_rates([Flight({}, None, process, ended, used) for process, ended, used in flown])
+    {'warm': 60.0, 'per_processor': 120.0}
     """
-    ends: dict[int, list[float]] = {}
+    own: dict[int, list[Flight]] = {}
     for flight in flights:
-        ends.setdefault(flight.process, []).append(flight.ended)
-    rates = [60.0 * (len(e) - 1) / (max(e) - min(e)) for e in ends.values() if len(e) > 1]
-    return sum(rates) if rates else None
+        own.setdefault(flight.process, []).append(flight)
+    again = [sorted(f, key=lambda f: f.ended) for f in own.values() if len(f) > 1]
+    if not again:
+        return {"warm": None, "per_processor": None}
+    warm = sum(60.0 * (len(f) - 1) / (f[-1].ended - f[0].ended) for f in again)
+    used = sum(f[-1].used - f[0].used for f in again)
+    return {"warm": warm, "per_processor": 60.0 * sum(len(f) - 1 for f in again) / used}
 
 
 def write_results(path: Path, flights: list[Flight]) -> None:
     """One line per flight."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows([[f.value(column) for column in COLUMNS] for f in flights])
+        told = [column for column in COLUMNS if any(f.value(column) is not None for f in flights)]
+        writer.writerow(told)
+        writer.writerows([[f.value(column) for column in told] for f in flights])
 
 
 def _new_folder(name: str) -> Any:
@@ -271,5 +303,7 @@ def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
 
 
 def _rates(rates: dict[str, float | None]) -> str:
-    warm = rates["warm"]
-    return f"{rates['in_all']:.0f}" + (f"; {warm:.0f} once every process has flown one" if warm is not None else "")
+    text = f"{rates['in_all']:.0f}"
+    if rates["warm"] is None:
+        return text
+    return f"{text}; {rates['warm']:.0f} once all processes run, {rates['per_processor']:.0f} per processor in use"

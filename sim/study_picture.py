@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from smolbot.anymission import AnyMission
 from smolbot.missionfile import Mission
 from smolbot.records.picture import LOCATED, PLANNED, TRUE
 from smolbot.records.summary import label_of
@@ -37,7 +38,7 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
             ("Robot time, in s", ["duration_s"], None),
         ]  # fmt: skip
         for index, (title, columns, limit) in enumerate(rows):
-            _draw_bars(figure.add_subplot(grid[index, 1]), flights, title, columns, limit)
+            draw_bars(figure.add_subplot(grid[index, 1]), flights, title, columns, limit)
         world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
         figure.text(0.06, 0.945, headline(mission, flights), fontsize=17, fontweight="bold", color="#222222")
         figure.text(0.06, 0.905, f"{world}, each flight a robot and a bench drawn anew", fontsize=11.5, color="#555555")
@@ -45,7 +46,7 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
         plt.close(figure)
 
 
-def headline(mission: Mission, flights: list[Flight]) -> str:
+def headline(mission: AnyMission, flights: list[Flight]) -> str:
     """How many passed, labelled."""
     passed = sum(f.summary["verdict"] == "passed" for f in flights)
     figures = {"ideal": any(f.summary["ideal"] for f in flights), "plant": flights[0].summary["plant"]}
@@ -67,7 +68,8 @@ def _draw_trails(axes: Axes, mission: Mission, flights: list[Flight]) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=2, frameon=False)
 
 
-def _draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str], limit: float | None) -> None:
+def draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str], limit: float | None) -> None:
+    """One bar a seed for each of some columns of the results, and the limit that they should keep to, if any."""
     names = {"localization_mean_mm": "each pose", "tracked_mean_mm": "tracked"}
     seeds = np.array([f.summary["seed"] for f in flights])
     width = 0.8 / len(columns)

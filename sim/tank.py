@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sim.cantilever import STATE_LENGTH, swing
-from sim.carriers import Carrier, Turned, make_carrier
+from sim.carriers import Carrier, Magnetised, Turned, make_carrier
 from sim.coils import TankCoils, volume
 from sim.history import History
 from sim.magnet import true_device
@@ -50,6 +50,7 @@ class Tank:
         self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
         self.device = true_device(robot, settings, self.truth)
         self.carrier: Carrier = make_carrier(rig, robot, settings, self.truth, start, seed, gui=gui, ideal=ideal)
+        self._magnetised = self.carrier if isinstance(self.carrier, Magnetised) else None
         self.history = History()
         self.time = 0.0
         self.running = False
@@ -94,10 +95,15 @@ class Tank:
     def listen(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
         """Samples (n_sensors, n) in T from `clock` s on, of the shot just played, and which sensors were saturated."""
         pose_times, poses = self.history.since(clock - self.sensors.lead)
-        end = self._used
-        return self.sensors.hear(
+        end, sensors = self._used, self.sensors
+        field = sensors.clean(
             clock, n, self.device, self.coils.coupling, self._trace_times[:end], self._trace[:end], pose_times, poses
         )
+        if self._magnetised is not None:
+            field += self._magnetised.heard(
+                clock, n, sensors.rate, sensors.time_constant, sensors.positions, sensors.axes
+            )
+        return field, sensors.measure(field, clock)
 
     def silence(self) -> None:
         """Command zero to every driven coil; its current decays."""
@@ -111,11 +117,15 @@ class Tank:
         read, move = self.carrier.state, self.carrier.advance
         used, start = self._used, self.time
         trace = self._trace
+        near = None if self._magnetised is None else self._magnetised.field_at_magnet
+        steady = earth
         played = 0
         for i in range(n):
             if not self.running:
                 break
             body = read()
+            if near is not None:
+                earth = steady + matrix_from_quaternion(np.array(body[1])) @ near
             magnetic = swing(
                 body[0], body[1], device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps
             )

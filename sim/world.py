@@ -20,12 +20,24 @@ class TankWorld:
     @staticmethod
     def check(document: Document) -> list[Fault]:
         """Faults of the ``[tank]`` section, if there is one."""
+        from sim.holding import holding_faults
         from sim.settings import TankSettings
 
         section = document.data.get("tank", {})
         if not isinstance(section, dict):
             return [Fault(("tank",), f"must be a section, [tank]; got {section!r}.")]
-        return validate(TankSettings, section, ("tank",))[1]
+        settings, faults = validate(TankSettings, section, ("tank",))
+        return faults if settings is None else holding_faults(settings, document.data.get("container"))
+
+    @staticmethod
+    def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:
+        """Why this tank cannot hold a bare device: its rig file says of no hand and no place."""
+        if "hand" in rig.sections.tank or "place" in rig.sections.tank:
+            return None
+        return (
+            f"'{rig.name}' says nothing of what holds a bare device such as '{robot.name}'; "
+            "its rig file needs [tank.hand] or [tank.place]."
+        )
 
     @staticmethod
     def open(

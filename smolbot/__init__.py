@@ -24,6 +24,7 @@ _HOME = {
     "Mission": "missionfile",
     "MoveMagnet": "shots",
     "NoiseModel": "localization.noise",
+    "Observation": "observationfile",
     "Pose": "poses",
     "Recording": "sensing",
     "Rest": "shots",
@@ -38,7 +39,7 @@ _HOME = {
     "SmolbotError": "errors",
     "Tracker": "tracking",
     "Witness": "worlds",
-    "load_mission": "missionfile",
+    "load_mission": "anymission",
     "load_rig": "rigfile",
     "run": "flying",
 }
@@ -57,6 +58,7 @@ __all__ = [
     "Mission",
     "MoveMagnet",
     "NoiseModel",
+    "Observation",
     "Pose",
     "Recording",
     "Rest",
@@ -89,6 +91,7 @@ def __dir__() -> list[str]:
 
 
 if TYPE_CHECKING:
+    from smolbot.anymission import load_mission
     from smolbot.control import Command, Controller, Gain, Setup
     from smolbot.errors import SmolbotError
     from smolbot.flying import run
@@ -97,7 +100,8 @@ if TYPE_CHECKING:
     from smolbot.localization.localizer import Localizer
     from smolbot.localization.noise import NoiseModel
     from smolbot.loop import Run
-    from smolbot.missionfile import Mission, load_mission
+    from smolbot.missionfile import Mission
+    from smolbot.observationfile import Observation
     from smolbot.paths import Curve
     from smolbot.poses import Pose
     from smolbot.rigfile import load_rig

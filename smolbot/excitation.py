@@ -27,7 +27,15 @@ class Drive:
     amplitude: float
 
 
-def drive(fields: FloatArray, pose: Pose, device: Device, inertia: float, cycles: int, max_current: float) -> Drive:
+def drive(
+    fields: FloatArray,
+    pose: Pose,
+    device: Device,
+    inertia: float,
+    cycles: int,
+    max_current: float,
+    left: float = 0.0,
+) -> Drive:
     """Currents that bring a device of known orientation to its stops by the end of a burst.
 
     Only the torque about body y drives the oscillation, so the field along y x m counts (Eq. S1); the
@@ -44,6 +52,8 @@ def drive(fields: FloatArray, pose: Pose, device: Device, inertia: float, cycles
         Length of the burst, in periods of the device.
     max_current : float, in A
         Peak, per coil.
+    left : float
+        Share of the stops by which the device may still swing, in any phase; the burst first undoes that, at worst.
     """
     x, y, z = (pose.rotation @ device.drive_direction_in_body).tolist()
     useful = [bx * x + by * y + bz * z for bx, by, bz in fields.tolist()]
@@ -53,7 +63,7 @@ def drive(fields: FloatArray, pose: Pose, device: Device, inertia: float, cycles
     mix = [field / largest for field in useful]
     per_ampere = sum(field * part for field, part in zip(useful, mix, strict=True))
     full = amplitude_after(max_current * per_ampere, device, inertia, cycles)
-    share = min(max(device.theta_max / full, WEAKEST), 1.0)
+    share = min(max((1.0 + left) * device.theta_max / full, WEAKEST), 1.0)
     return Drive(max_current * share * np.array(mix), min(full, device.theta_max))
 
 

@@ -21,6 +21,7 @@ from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.shots import Excite, Listen, RingDown, Shot
 
 if TYPE_CHECKING:
+    from smolbot.missionbase import MissionBase
     from smolbot.missionfile import Mission
 
 ROOMS = 3
@@ -35,6 +36,11 @@ def fitness_faults(mission: Mission) -> list[Fault]:
         *_limit_faults(mission),
         *(_sensor_faults(mission) or _tolerance_faults(mission)),
     ]
+
+
+def listening_faults(mission: MissionBase) -> list[Fault]:
+    """Why this rig cannot listen to this device as the mission's cycle says; empty if it can."""
+    return [*_limit_faults(mission), *_sensor_faults(mission)]
 
 
 def _container_faults(mission: Mission) -> list[Fault]:
@@ -76,7 +82,7 @@ def _table_faults(mission: Mission) -> list[Fault]:
     return faults
 
 
-def _limit_faults(mission: Mission) -> list[Fault]:
+def _limit_faults(mission: MissionBase) -> list[Fault]:
     frequency = mission.robot.device.frequency
     cycle = mission.cycle
     shot = Shot(
@@ -89,7 +95,7 @@ def _limit_faults(mission: Mission) -> list[Fault]:
     return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
 
 
-def _sensor_faults(mission: Mission) -> list[Fault]:
+def _sensor_faults(mission: MissionBase) -> list[Fault]:
     axes, frequency = mission.rig.sensors.axes, mission.robot.device.frequency
     parallel = np.abs(axes @ axes.T) > np.cos(np.radians(2.0))
     differences = int(np.sum(np.tril(parallel, -1).any(axis=1)))  # each with an earlier sensor of its direction
@@ -136,25 +142,34 @@ def expected_error(mission: Mission, places: int = 5) -> float:
 
 
 def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
-    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path.
-
-    Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned.
-    """
-    points = mission.path.at(arc)
-    up = np.array([0.0, 0.0, 1.0])
-    headings = [quaternion_from_axes(heading, up, "zy") for heading in mission.path.tangent(arc)]
-    find = _whitened if mission.sections.localization.estimator == "whitened" else _paper
-    covariances = find(mission, points, headings)
+    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path."""
+    covariances = covariances_along(mission, arc)
     errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
     return errors
 
 
-def _whitened(mission: Mission, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+def covariances_along(mission: Mission, arc: FloatArray) -> FloatArray:
+    """Covariances (n, 6, 6) of one pose, (m, rad), at arc lengths `arc` in m, the robot heading along the path."""
+    up = np.array([0.0, 0.0, 1.0])
+    headings = [quaternion_from_axes(heading, up, "zy") for heading in mission.path.tangent(arc)]
+    return expected_covariances(mission, mission.path.at(arc), headings)
+
+
+def expected_covariances(mission: MissionBase, points: FloatArray, orientations: list[FloatArray]) -> FloatArray:
+    """Covariances (n, 6, 6) of one pose each, (m, rad), at `points` (n, 3) in m and `orientations` (4,).
+
+    Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned.
+    """
+    find = _whitened if mission.base.localization.estimator == "whitened" else _paper
+    return find(mission, points, orientations)
+
+
+def _whitened(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
     """Covariances (n, 6, 6) of the whitened estimator."""
     rig = mission.rig
     window = Window(mission.cycle.half_periods, rig.sample_rate, mission.cycle.ring_down)
     rotations = np.array([matrix_from_quaternion(q) for q in headings])
-    learned = mission.sections.localization.quiet_s > 0.0
+    learned = mission.base.localization.quiet_s > 0.0
     rooms = [noise_levels(rig).room(rig.sensors, seed) for seed in range(ROOMS)] if learned else []
     found = [
         pose_bound(rig.sensors, mission.robot.device, noise, points, rotations, window).covariance[:, :6, :6]
@@ -163,7 +178,7 @@ def _whitened(mission: Mission, points: FloatArray, headings: list[FloatArray]) 
     return np.mean(found, axis=0)
 
 
-def _paper(mission: Mission, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+def _paper(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
     """Covariances (n, 6, 6) of the paper's estimator."""
     rig, cycle = mission.rig, mission.cycle
     found = [

@@ -11,26 +11,30 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.control import HelixSetup, Setup
+from smolbot.anymission import AnyMission, load_mission
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
 from smolbot.loop import CycleRecord, Listener, Loop, Quiet, Run, StopRules
-from smolbot.missionfile import Mission, load_mission
+from smolbot.missionbase import MissionBase
+from smolbot.missionfile import Mission
 from smolbot.motion.robot import magnet_inertia
-from smolbot.pilots import Follower
+from smolbot.observationfile import Observation
+from smolbot.pilots import Follower, Measurer, Pilot, Watcher
 from smolbot.plugins import load, load_world
 from smolbot.records.folder import RunFolder
+from smolbot.records.observation_summary import summarise_observation
 from smolbot.records.summary import summarise
 from smolbot.records.trace import Trace
 from smolbot.scheduler import Scheduler
 from smolbot.sightings import SightingRig
 from smolbot.tracking import Tracker
+from smolbot.watching import Glimpse, LedTracker
 from smolbot.worlds import Rig
 
 
 def run(
-    mission: str | Mission,
+    mission: str | AnyMission,
     rig: str | None = None,
     seed: int = 0,
     *,
@@ -39,7 +43,7 @@ def run(
     witness: bool = True,
     **overrides: Any,
 ) -> Run:
-    """Fly a mission; the same from a notebook as from the command line.
+    """Fly a mission, or carry out an observation; the same from a notebook as from the command line.
 
     Parameters
     ----------
@@ -78,15 +82,15 @@ def run(
 
 
 def fly(
-    mission: Mission,
+    mission: AnyMission,
     seed: int = 0,
     *,
     folder: RunFolder | None = None,
     settings: Mapping[str, str] | None = None,
     gui: bool = False,
     witness: bool = True,
-    listeners: Callable[[Mission], tuple[Listener, ...]] | None = None,
-    opener: Callable[[Mission, int], Rig] | None = None,
+    listeners: Callable[[AnyMission], tuple[Listener, ...]] | None = None,
+    opener: Callable[[AnyMission, int], Rig] | None = None,
 ) -> Run:
     """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar.
 
@@ -97,7 +101,8 @@ def fly(
         rig = opener(mission, seed)
     else:
         world = load_world(mission.rig.world, mission.rig.document)
-        rig = world.open(mission.rig, mission.robot, mission.put_down, seed, gui=gui)
+        place = mission.start if isinstance(mission, Observation) else mission.put_down
+        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui)
     try:
         return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners)
     finally:
@@ -106,12 +111,12 @@ def fly(
 
 def _fly_on(
     rig: Rig,
-    mission: Mission,
+    mission: AnyMission,
     seed: int,
     folder: RunFolder | None,
     settings: Mapping[str, str],
     witness: bool,
-    listeners: Callable[[Mission], tuple[Listener, ...]] | None,
+    listeners: Callable[[AnyMission], tuple[Listener, ...]] | None,
 ) -> Run:
     drawn: dict[str, Any] = getattr(rig, "provenance", dict)()
     if folder is not None:
@@ -131,7 +136,10 @@ def _fly_on(
     finally:
         gc.unfreeze()
     flown.true_trail = trace.true_positions() if trace.knows_truth else None
-    flown.summary = summarise(mission, flown, trace)
+    if isinstance(mission, Observation):
+        flown.summary = summarise_observation(mission, flown, trace)
+    else:
+        flown.summary = summarise(mission, flown, trace)
     flown.summary["seed"] = seed
     flown.summary["ideal"] = bool(drawn.get("ideal", False))
     flown.summary["plant"] = str(drawn.get("plant", "full"))
@@ -139,35 +147,66 @@ def _fly_on(
     if folder is not None:
         flown.folder = str(folder.path)
         folder.end(flown.summary)
-        from smolbot.records.picture import draw_run
-
-        draw_run(mission, flown, trace, folder.path / "path.png")
+        _draw(mission, flown, trace, folder.path / "path.png")
     return flown
 
 
-def make_loop(rig: Rig, mission: Mission, listeners: tuple[Listener, ...] = ()) -> Loop:
-    """The loop of a mission on an open rig, every part made from the mission's files."""
-    setup: Setup | HelixSetup = mission.helix_setup() if mission.robot.kind == "helical" else mission.setup()
-    controller = load("controllers", mission.law)(setup, mission.gains)
-    if isinstance(setup, HelixSetup):
-        tracker = Tracker(setup.helix, setup.device, None)
+def _draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
+    if isinstance(mission, Observation):
+        from smolbot.records.observation_picture import draw_observation
+
+        draw_observation(mission, run, trace, path)
     else:
-        tracker = Tracker(setup.robot, setup.device, setup.table)
-    inertia = magnet_inertia(setup.device.moment, setup.device.l0)
-    scheduler = Scheduler(setup.cycle, rig.limits, setup.device, rig.excitation_field, rig.now, inertia)
-    listening = mission.sections.localization
-    localizer = Localizer(rig.sensors, setup.device, estimator=listening.estimator, volume=search_volume(mission))
+        from smolbot.records.picture import draw_run
+
+        draw_run(mission, run, trace, path)
+
+
+def make_loop(rig: Rig, mission: AnyMission, listeners: tuple[Listener, ...] = ()) -> Loop:
+    """The loop of a mission on an open rig, every part made from the mission's files."""
+    device, cycle = mission.robot.device, mission.cycle
+    tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
+    inertia = magnet_inertia(device.moment, device.l0)
+    scheduler = Scheduler(cycle, rig.limits, device, rig.excitation_field, rig.now, inertia)
+    listening = mission.base.localization
+    localizer = Localizer(rig.sensors, device, estimator=listening.estimator, volume=search_volume(mission))
     whitened = listening.estimator == "whitened"
     quiet = Quiet(
         listening.quiet_s if whitened else 0.0, mission.rig.sample_rate, whitened and listening.learn_ring_down
     )
-    stop = mission.sections.stop
+    stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
-    return Loop(rig, scheduler, locator, tracker, Follower(mission.path, controller), rules, quiet, listeners)
+    return Loop(
+        rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
+        independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
+    )  # fmt: skip
 
 
-def search_volume(mission: Mission) -> SearchVolume:
+def _steer(mission: Mission) -> tuple[Tracker, Pilot]:
+    """Who believes and who decides where a robot is steered along a path."""
+    make = load("controllers", mission.law)
+    if mission.robot.kind == "helical":
+        screwed = mission.helix_setup()
+        return Tracker(screwed.helix, screwed.device, None), Follower(mission.path, make(screwed, mission.gains))
+    setup = mission.setup()
+    controller = make(setup, mission.gains)
+    return Tracker(setup.robot, setup.device, setup.table), Follower(mission.path, controller)
+
+
+def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
+    """The same where a device is only watched."""
+    section = mission.sections.observe
+    if section.measurements is not None:
+        glimpse = Glimpse(mission.robot.device)
+        return glimpse, Measurer(glimpse, section.measurements)
+    assert section.duration_s is not None
+    device, motion = mission.robot.device, mission.motion
+    tracker = Tracker(None, device, None) if motion is None else LedTracker(device, motion)
+    return tracker, Watcher(section.duration_s)
+
+
+def search_volume(mission: MissionBase) -> SearchVolume:
     """Where the robot can be: inside the container, between its floor and a little above the surface."""
     box = mission.rig.sections.container
     center, half = np.array(box.center_mm) * 1e-3, 0.5e-3 * np.array(box.size_mm)
@@ -176,7 +215,7 @@ def search_volume(mission: Mission) -> SearchVolume:
     return SearchVolume(low, high, spacing=5e-3)
 
 
-def new_folder(mission: Mission, seed: int, base: Path = Path("runs")) -> RunFolder:
+def new_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) -> RunFolder:
     """A fresh run folder, named by mission, seed and local time."""
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", mission.name)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")

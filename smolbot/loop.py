@@ -117,6 +117,8 @@ class Loop:
     """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
     In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
+    Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
+    A device that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
     """
 
     def __init__(
@@ -130,6 +132,9 @@ class Loop:
         quiet: Quiet,
         listeners: tuple[Listener, ...] = (),
         clock: Callable[[], float] = time.perf_counter,
+        *,
+        independent: bool = False,
+        led: bool = False,
     ) -> None:
         self.rig = rig
         self.scheduler = scheduler
@@ -142,6 +147,8 @@ class Loop:
         self.resonance = Resonance(localizer.device)
         self.noise_watch = NoiseWatch(len(localizer.sensors))
         self.listeners = listeners
+        self.independent = independent
+        self.led = led
         self._clock = clock
         self._started = 0.0
         self._heard = 0
@@ -228,13 +235,16 @@ class Loop:
         swing: Swing | SightedSwing | None = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
-            prior = None if shot.mode in ("search", "lost") else self.tracker.prior
+            lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.vague
+            prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
                 pose, swing = self.localizer.locate_swing(recording, prior)
             except InputError:  # too few usable channels: a missed window, counted by the tracker
                 pose = swing = None
         tracked = self.tracker.update(shot, pose, swing)
-        if recording is not None and isinstance(swing, Swing) and tracked is not None and tracked.trusted:
+        learns = not self.independent and tracked is not None and tracked.trusted
+        if recording is not None and isinstance(swing, Swing) and learns:
+            assert tracked is not None
             self._heard += 1
             if self._heard % LEARN_EVERY == 0:
                 self._follow_resonance(tracked.time, swing)
@@ -257,7 +267,7 @@ class Loop:
 
     def _refresh_noise(self, time: float, swing: Swing, recording: Recording) -> None:
         """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
-        if isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
+        if self.led or isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
             return
         ratios = self.noise_watch.update(*swing.energies(recording, self.localizer.noise))
         if ratios is None:

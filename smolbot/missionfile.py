@@ -3,48 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from smolbot.config import Document, Fault, FileModel
 from smolbot.control import HelixSetup, Setup, gain_fault
-from smolbot.errors import InputError
-from smolbot.glyphs import GLYPHS, glyph
 from smolbot.missionbase import MissionBase, MissionBaseFile, Positive, load_parts, open_document, raise_all
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
-from smolbot.paths import Curve, read_csv
+from smolbot.paths import Curve
+from smolbot.pathsection import PathSection, read_path
 from smolbot.plugins import load, names
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 
 Point = tuple[float, float]
-
-
-class PathSection(FileModel):
-    """One of: a glyph of a size, points, or a CSV file of points; all in mm, in the horizontal plane."""
-
-    glyph: str | None = None
-    width_mm: Positive | None = None
-    height_mm: Positive | None = None
-    points_mm: list[Point] | None = None
-    file: str | None = None
-    center_mm: Point = (0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> PathSection:
-        given = [name for name in ("glyph", "points_mm", "file") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(f"give one of glyph, points_mm or file; got {', '.join(given) or 'none'}.")
-        if self.glyph is not None and (self.width_mm is None or self.height_mm is None):
-            raise ValueError("a glyph needs width_mm and height_mm.")
-        if self.glyph is not None and self.glyph not in GLYPHS:
-            raise ValueError(f"no glyph is named '{self.glyph}'; known glyphs: {', '.join(GLYPHS)}.")
-        if self.points_mm is not None and len(self.points_mm) < 2:
-            raise ValueError("points_mm needs at least two points.")
-        return self
 
 
 class StartSection(FileModel):
@@ -81,11 +55,18 @@ class Mission(MissionBase):
     """A mission that steers, whose files hold together: path, rig, robot and law fit each other."""
 
     def __init__(
-        self, document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig, path: Curve
+        self,
+        document: Document,
+        sections: MissionFile,
+        rig: RigConfig,
+        robot: RobotConfig,
+        path: Curve,
+        path_remarks: tuple[str, ...] = (),
     ) -> None:
         super().__init__(document, sections, rig, robot)
         self.sections = sections
         self.path = path
+        self.path_remarks = path_remarks
 
     @property
     def tolerance(self) -> float:
@@ -170,7 +151,7 @@ class Mission(MissionBase):
 
 
 def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Mission:
-    """Read a shipped mission by name, or a user's by path, with the rig and robot that it names.
+    """Read a mission that steers, shipped or a user's own by path, with the rig and robot that it names.
 
     Parameters
     ----------
@@ -187,6 +168,9 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     """
     settings = settings or {}
     document = open_document(name, settings)
+    if "observe" in document.data:
+        message = "this mission only looks, and steers nothing; smolbot run and smolbot simulate carry it out."
+        raise document.error([Fault(("observe",), message)])
     sections, faults = document.validate(MissionFile)
     messages = [document.error(faults)] if faults else []
     rig_config, robot_config, found = load_parts(document, rig, settings)
@@ -199,8 +183,9 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
         message = f"'{robot_config.name}' is of kind 'device', which nothing moves; a path needs a robot that swims."
         raise document.error([Fault(("robot",), message)])
     _check_kind(document, sections, rig_config, robot_config)
-    path = _curve(document, sections.path, rig_config, robot_config)
-    mission = Mission(document, sections, rig_config, robot_config, path)
+    under = 0.5 * robot_config.size[0] if robot_config.kind == "helical" else 0.0  # a helix is pulled up to the plate
+    path, remarks = read_path(document, sections.path, rig_config.surface_z - under)
+    mission = Mission(document, sections, rig_config, robot_config, path, remarks)
     from smolbot.fitness import fitness_faults
 
     unfit = fitness_faults(mission)
@@ -242,19 +227,3 @@ def _law_faults(document: Document) -> list[Fault]:
         if isinstance(value, int | float)
     ]
     return [Fault(("controller", "gains", name), message) for name, message in faults if message]
-
-
-def _curve(document: Document, section: PathSection, rig: RigConfig, robot: RobotConfig) -> Curve:
-    """The path in the world frame, at the height of the liquid's surface; a helix' is just under the plate."""
-    height = rig.surface_z - (0.5 * robot.size[0] if robot.kind == "helical" else 0.0)
-    try:
-        if section.glyph is not None and section.width_mm and section.height_mm:
-            flat = glyph(section.glyph, section.width_mm, section.height_mm)
-        elif section.file is not None:
-            flat = read_csv(Path(document.path.parent) / section.file)
-        else:
-            flat = np.array(section.points_mm)
-        flat = (flat + np.array(section.center_mm)) * 1e-3
-        return Curve(np.column_stack([flat, np.full(len(flat), height)]))
-    except InputError as error:
-        raise document.error([Fault(("path",), str(error))]) from error

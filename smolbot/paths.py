@@ -11,16 +11,19 @@ import numpy as np
 
 from smolbot.arrays import FloatArray, as_floats, frozen
 from smolbot.errors import InputError
+from smolbot.speeds import SpeedProfile
 
 
 @dataclass(frozen=True)
 class Curve:
     """A curve through `points` (n, 3), in m, world frame, with straight pieces between them.
 
-    Arc length `s` runs from 0 to `length`, in m.
+    Arc length `s` runs from 0 to `length`, in m. `speed` is what is wanted along it, listening included; without one a
+    controller goes as fast as it can.
     """
 
     points: FloatArray
+    speed: SpeedProfile | None = None
 
     def __post_init__(self) -> None:
         points = as_floats(self.points, (None, 3), "Curve points")
@@ -88,6 +91,14 @@ class Curve:
         return s, distance[rows, best]
 
 
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def read_csv(path: Path) -> FloatArray:
     """Points (n, 2) in mm of a CSV file with the columns x and y; a header line is allowed.
 
@@ -101,6 +112,7 @@ def read_csv(path: Path) -> FloatArray:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}.") from error
     rows: list[tuple[float, float]] = []
+    header = False
     for number, line in enumerate(lines, 1):
         cells = [cell.strip() for cell in line.replace(";", ",").split(",")]
         if not line.strip() or line.lstrip().startswith("#"):
@@ -108,7 +120,8 @@ def read_csv(path: Path) -> FloatArray:
         try:
             x, y = (float(cell) for cell in cells)
         except ValueError:
-            if not rows and number == 1:
+            if not rows and not header and not any(_is_number(cell) for cell in cells):
+                header = True
                 continue
             raise InputError(
                 f"{path}:{number}: each row must be two numbers, x and y in mm; got {line.strip()!r}."

@@ -8,6 +8,7 @@ from smolbot.control import Command, Controller
 from smolbot.paths import Curve
 from smolbot.shots import Shot
 from smolbot.tracking import Tracker
+from smolbot.watching import Glimpse
 
 
 class Pilot(Protocol):
@@ -42,3 +43,35 @@ class Follower:
         command = self.controller.command(pose)
         self._waiting = command if command.mechanical else None
         return command
+
+
+class Watcher:
+    """Steers nothing: watches for `duration` s from the first pose on."""
+
+    def __init__(self, duration: float) -> None:
+        self.duration = duration
+        self._begun: float | None = None
+
+    def command(self, shot: Shot, tracker: Tracker) -> Command:
+        """Nothing, until the time is over."""
+        if self._begun is None:
+            if tracker.pose is None:
+                return Command(None, note="searching for the signal")
+            self._begun = shot.end
+        watched = shot.end - self._begun
+        if watched >= self.duration:
+            return Command(None, note=f"watched for {watched:.0f} s", done=True)
+        return Command(None)
+
+
+class Measurer:
+    """Steers nothing: has a resting device measured `wanted` times."""
+
+    def __init__(self, glimpse: Glimpse, wanted: int) -> None:
+        self.wanted = wanted
+        self._glimpse = glimpse
+
+    def command(self, shot: Shot, tracker: Tracker) -> Command:
+        """Nothing, until there are enough measurements."""
+        made = self._glimpse.measured
+        return Command(None, note=f"{made} of {self.wanted} measurements", done=made >= self.wanted)

@@ -25,6 +25,10 @@ class World(Protocol):
         """Faults of the world's own section of a rig file."""
 
     @staticmethod
+    def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:
+        """Why this rig cannot hold a bare device; None if it can, or if that is not the world's to know."""
+
+    @staticmethod
     def open(rig: RigConfig, robot: RobotConfig, start: Any, seed: int, **options: Any) -> Rig:
         """Open the rig with the robot at `start` (x, y in m), ready to play shots."""
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.control import Controller, Reach
+from smolbot.drawing.corners import corner_indices, curvature
 from smolbot.fitness import expected_errors
 from smolbot.missionfile import Mission
 from smolbot.motion.gradient import advance
@@ -31,8 +32,18 @@ class Preview:
         A typical cycle.
     rate_limit : float, in Hz
         Of the timeline alone; `rate` has the turnaround in it.
+    corners : int
+        Of the path that are kept.
+    tightest : float, in m
+        Radius of the tightest bend between corners; infinite where all is straight.
+    remarks : tuple of str
+        On how the path came about.
     duration : float, in s
         Expected, search and approach included; nan where the end is not reached.
+    path_time : float, in s
+        From the path's start to its end alone.
+    wanted_time : float, in s, or None
+        The same by the speed that the path asks for; None where it asks for none.
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to go.
     localization_error : ndarray, shape (n,), in m
@@ -46,7 +57,12 @@ class Preview:
     rate_limit: float
     rate: float
     length: float
+    corners: int
+    tightest: float
+    remarks: tuple[str, ...]
     duration: float
+    path_time: float
+    wanted_time: float | None
     cycles: int
     trail: FloatArray
     reach: Reach
@@ -73,6 +89,7 @@ class _Rollout:
         listening = mission.sections.localization
         self.quiet = listening.quiet_s if listening.estimator == "whitened" else 0.0
         self.clock = self.quiet + 2.0 * self.rest  # one shot to find the signal, one to confirm it
+        self.begun = self.clock
         self.cycles = 2
         self.windows: list[Actuate] = []
         self.trail = [self.position.copy()]
@@ -93,6 +110,8 @@ class _Rollout:
             if broken:
                 return f"{self.mission.law} would break a limit near {_mm(self.position)}: {' '.join(broken)}"
             self._act(command.window)
+            if command.phase == "approach":
+                self.begun = self.clock
             goal = self.mission.path.at(command.progress)
             away = float(np.linalg.norm(goal[:2] - self.position[:2]))
             approached = command.phase == "approach" and away < nearest - 1e-5
@@ -147,12 +166,18 @@ def preview(mission: Mission) -> Preview:
     reason = rollout.fly()
     cycling = rollout.clock - rollout.quiet
     played = cycling - rollout.cycles * mission.rig.turnaround
+    bend = np.max(curvature(mission.path.points))
     return Preview(
         shot=rollout.typical_shot(),
         rate_limit=rollout.cycles / played,
         rate=rollout.cycles / cycling,
         length=mission.path.length,
+        corners=len(corner_indices(mission.path.points)),
+        tightest=float(1.0 / bend) if bend > 0.0 else float("inf"),
+        remarks=mission.path_remarks,
         duration=float("nan") if reason else rollout.clock,
+        path_time=float("nan") if reason else rollout.clock - rollout.begun,
+        wanted_time=None if mission.path.speed is None else mission.path.speed.duration,
         cycles=rollout.cycles,
         trail=np.array(rollout.trail),
         reach=rollout.controller.reach(mission.path),

@@ -127,3 +127,10 @@ def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> F
     sign = 1.0 if (index[1] - index[0]) % 3 == 1 else -1.0
     matrix[:, third] = sign * np.cross(matrix[:, index[0]], matrix[:, index[1]])
     return quaternion_from_matrix(matrix)
+
+
+def mean_rotation(quaternions: FloatArray) -> FloatArray:
+    """The rotation (4,) nearest in the mean square to all of `quaternions` (n, 4) (Markley 2007)."""
+    values, vectors = np.linalg.eigh(quaternions.T @ quaternions)
+    mean = vectors[:, int(np.argmax(values))]
+    return np.asarray(mean if mean[0] >= 0 else -mean)

@@ -15,12 +15,17 @@ from smolbot.arrays import FloatArray
 from smolbot.control import Command, Cycle
 from smolbot.excitation import drive
 from smolbot.limits import Limits
+from smolbot.localization.forward import envelope
 from smolbot.poses import Pose
 from smolbot.sensing import Device
 from smolbot.shots import Actuate, Excite, Listen, Mode, RingDown, Shot, Window
 
 PROBE_HALF_PERIODS = 8
 """Length of the recordings from which the coils' ring-down is learned."""
+
+AUDIBLE_LEFT = 0.2
+"""Share of a swing below which it is not minded when the next burst is made. A device in a capsule swings on for a
+second, and a burst against that swing would leave little of either; strong damping leaves nothing to mind."""
 
 SEARCH_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
 """Excitation mixes (x, y) tried in turn while the orientation is unknown."""
@@ -50,6 +55,8 @@ class Believed(Protocol):
 
     @property
     def confirmed(self) -> bool: ...
+
+    def pose_at(self, time: float) -> Pose: ...
 
 
 class Scheduler:
@@ -93,6 +100,7 @@ class Scheduler:
         self._excitation_field = excitation_field
         self._clock = clock
         self._inertia = inertia
+        self._driven: float | None = None  # end of the last burst, in s
 
     def quiet_shots(self, duration: float) -> Iterator[Shot]:
         """Shots of about a second that only listen, `duration` s in all."""
@@ -121,7 +129,10 @@ class Scheduler:
         if mode == "track" and isinstance(command.window, Actuate):
             windows.append(command.window)
         self.searched = self.searched + 1 if mode in ("search", "lost") else 0
-        windows.append(self._excite(mode, tracker.pose))
+        start = self._clock() + sum(window.duration for window in windows)
+        excite = self._excite(mode, None if tracker.pose is None else tracker.pose_at(start), start)
+        self._driven = start + excite.duration
+        windows.append(excite)
         windows.append(RingDown(self.cycle.ring_down))
         windows.append(Listen(self.cycle.half_periods, self.device.frequency))
         return Shot(tuple(windows), mode, self._clock())
@@ -133,8 +144,8 @@ class Scheduler:
             return "lost"
         return "hold" if self.paused or not tracker.confirmed else "track"
 
-    def _excite(self, mode: Mode, pose: Pose | None) -> Excite:
-        """Excitation for the last known orientation; in a search, each direction in turn, then for longer."""
+    def _excite(self, mode: Mode, pose: Pose | None, start: float) -> Excite:
+        """Excitation for the pose expected at `start` s; in a search, each direction in turn, then for longer."""
         turn = (self.searched - 1) % (len(SEARCH_DIRECTIONS) + 1) if mode in ("search", "lost") else 0
         rounds = max(self.searched - 1, 0) // (len(SEARCH_DIRECTIONS) + 1)
         if mode == "search":
@@ -145,7 +156,14 @@ class Scheduler:
         most = self.cycle.excite_current
         if turn == 0 and pose is not None:
             fields = self._excitation_field(np.asarray(pose.position))
-            currents = drive(fields, pose, self.device, self._inertia, cycles, most).currents
+            currents = drive(fields, pose, self.device, self._inertia, cycles, most, self._left(start)).currents
         else:
             currents = most * np.array(SEARCH_DIRECTIONS[turn - 1])
         return Excite((float(currents[0]), float(currents[1])), self.device.frequency, cycles)
+
+    def _left(self, start: float) -> float:
+        """Share of the stops by which the device may still swing at `start` s, where that is worth minding."""
+        if self._driven is None:
+            return 0.0
+        left = float(envelope(self.device, np.array([max(start - self._driven, 0.0)]))[0])
+        return left if left > AUDIBLE_LEFT else 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.kalman import carried_on, corrected
-from smolbot.motion.gradient import advance
+from smolbot.motion.gradient import advance, stray_turn
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.poses import Pose
@@ -35,12 +35,6 @@ MOTION_ERROR = 0.3
 
 MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
 """What sensors slightly out of place leave in every pose, per axis (m, rad, share of the amplitude)."""
-
-COIL_ERROR = 0.03
-"""Share of a coil's field by which it may differ from its table: 2 % of gain, some tenths of a mm of place."""
-
-COARSE = 6e-3
-"""Step, in s, with which a turn is followed whose size alone is asked for."""
 
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
@@ -70,7 +64,9 @@ _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
 
 
 @dataclass(frozen=True)
-class _State:
+class State:
+    """What is believed at one time, in SI; covariance of (position, rotation e, amplitude, drift)."""
+
     time: float
     position: FloatArray
     orientation: FloatArray
@@ -102,18 +98,18 @@ class Tracker:
 
     Parameters
     ----------
-    robot : Robot or Helix
+    robot : Robot, Helix or None
         A helix rests in its gel, and moves in mechanical shots only.
     device : Device
     table : FieldTable or None
-        Field of the actuation coils; without one, windows are taken to cause no motion.
+        Field of the actuation coils; without one, or without a robot, windows are taken to cause no motion.
     """
 
-    def __init__(self, robot: Robot | Helix, device: Device, table: FieldTable | None) -> None:
+    def __init__(self, robot: Robot | Helix | None, device: Device, table: FieldTable | None) -> None:
         self._robot = robot
         self._device = device
         self._table = table
-        self._state: _State | None = None
+        self._state: State | None = None
         self._candidate: Pose | None = None
         self._accepted = 0
         self._surprise = 1.0
@@ -127,12 +123,11 @@ class Tracker:
         return self._last
 
     @property
-    def prior(self) -> Pose | None:
-        """The tracked pose where it is sure enough to start a fit from, else None: a turned helix has lost its roll."""
+    def vague(self) -> bool:
+        """True where the orientation is too unsure to start a fit from: a helix that was turned has lost its roll."""
         if self._state is None or not self._embedded:
-            return self._last
-        vague = float(np.max(np.diag(self._state.covariance)[_E]))
-        return None if vague > VAGUE**2 else self._last
+            return False
+        return bool(np.max(np.diag(self._state.covariance)[_E]) > VAGUE**2)
 
     @property
     def confirmed(self) -> bool:
@@ -194,7 +189,8 @@ class Tracker:
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
         if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
-            pose = replace(pose, orientation=nearer_twin(pose.orientation, self._state.orientation))
+            nearer = nearer_twin(pose.orientation, self._state.orientation)
+            pose = pose if nearer is pose.orientation else replace(pose, orientation=nearer)
         believed = pose is not None and pose.trusted and self._correct(pose, swing)
         if believed:
             self.misses = 0
@@ -212,7 +208,7 @@ class Tracker:
         covariance[_A, _A] = 0.3**2
         covariance[_V, _V] = DRIFT_START**2 * np.eye(3) * (not self._embedded)
         place = np.array(pose.position), np.array(pose.orientation)
-        self._state = _State(pose.time, *place, 0.75, np.zeros(3), covariance)
+        self._state = State(pose.time, *place, 0.75, np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
         self._publish(pose, True)
 
@@ -242,7 +238,9 @@ class Tracker:
         noise[:6] = WANDER**2 * wait
         noise[_V] = DRIFT_WANDER**2 * wait
         for window in shot.windows:
-            if not isinstance(window, Actuate) or self._table is None or not any(window.currents):
+            if not isinstance(window, Actuate) or not any(window.currents):
+                continue
+            if self._table is None or self._robot is None:
                 continue
             try:
                 field, gradient = self._table.field_and_gradient(position[None, :])
@@ -250,17 +248,18 @@ class Tracker:
                 continue
             ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
             heading = math.atan2(ahead[1], ahead[0])
-            step, after = advance(
-                self._robot, field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
-            )
+            currents = np.array(window.currents)
+            step, after = advance(self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration)
             turn = after - heading
             position[:2] += step
             orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
             noise[:2] += MOTION_ERROR**2 * (step[0] * step[0] + step[1] * step[1])
             noise[5] += (MOTION_ERROR * turn) ** 2
-            noise[5] += self._stray_turn(field[:, 0], gradient[:, 0], window, heading, float(state.covariance[5, 5]))
+            noise[5] += stray_turn(
+                self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration, state.covariance[5, 5]
+            )
         covariance = carried_on(state.covariance, wait, noise)
-        self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
+        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _screw(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
         """Predict a helix through a shot: it rests, unless the magnet turns."""
@@ -280,28 +279,7 @@ class Tracker:
             covariance[_P, _P] += axes @ np.diag(places**2) @ axes.T
             covariance[_E, _E] += axes @ np.diag(turning**2) @ axes.T
         covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
-        self._state = _State(time, position, orientation, state.amplitude, state.drift, covariance)
-
-    def _stray_turn(
-        self, field: FloatArray, gradient: FloatArray, window: Actuate, heading: float, variance: float
-    ) -> float:
-        """Variance of the turn, in rad², that errors of the coils' fields and of the heading (`variance`) add.
-
-        A robot that nearly points against the field turns either way: what decides is smaller than any belief.
-        """
-        assert isinstance(self._robot, Robot)
-        currents = np.array(window.currents)
-        each = currents[:, None] * field
-        size = math.sqrt(float(np.sum(each.sum(axis=0) ** 2)))
-        aside = math.atan2(COIL_ERROR * math.sqrt(float(np.sum(each * each))), size)
-        doubt = math.sqrt(max(variance, 0.0))
-        nudge = max(aside, doubt)
-        low, high = (
-            advance(self._robot, field, gradient, currents, heading + a, window.duration, COARSE)[1] - a
-            for a in (-nudge, nudge)
-        )
-        slope = (high - low) / (2.0 * nudge)  # of the turn for the heading; the field's direction counts the other way
-        return (slope * aside) ** 2 + max((1.0 + slope) ** 2 - 1.0, 0.0) * variance
+        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
@@ -325,15 +303,19 @@ class Tracker:
         surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
         self._surprise = min(max(surprise, 1.0), 25.0)
         orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
-        self._state = _State(
-            state.time,
-            state.position + change[_P],
-            orientation / math.sqrt(orientation @ orientation),
-            state.amplitude + float(change[_A]),
-            state.drift + change[_V],
-            covariance,
+        self._state = replace(
+            state,
+            position=state.position + change[_P],
+            orientation=orientation / math.sqrt(orientation @ orientation),
+            amplitude=state.amplitude + float(change[_A]),
+            drift=state.drift + change[_V],
+            covariance=covariance,
         )
+        self._learn(change)
         return True
+
+    def _learn(self, change: FloatArray) -> None:
+        """What a correction says of more than a resting robot's state; nothing here."""
 
     def _publish(self, pose: Pose | None, believed: bool) -> Pose:
         state = self._state

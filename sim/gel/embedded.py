@@ -27,13 +27,7 @@ from smolbot.shots import MoveMagnet, Rotate, Window
 
 
 class Embedded:
-    """The carrier of a helical robot; keeps the promise of `sim.carriers.Turned`.
-
-    Attributes
-    ----------
-    drawn : dict
-        What was drawn of gel, helix and magnet, for provenance.
-    """
+    """The carrier of a helical robot; keeps the promise of `sim.carriers.Turned`."""
 
     def __init__(
         self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
@@ -41,7 +35,7 @@ class Embedded:
     ) -> None:  # fmt: skip
         draws, self._hand = gel_generators(seed)
         own = draw_gel(settings, draws, ideal=ideal)
-        self.drawn: dict[str, Any] = own.as_dict()
+        self._truth = own
         self._device = true_device(robot, settings, truth)
         self._gel = pack_gel(rig, robot, settings, own)
         self._cube = pack_cube(rig, own)
@@ -66,6 +60,10 @@ class Embedded:
             (0.0, 0.0, 0.0),
             (0.0, 0.0, 0.0),
         )
+
+    def as_dict(self) -> dict[str, Any]:
+        """What was drawn of gel, helix and magnet."""
+        return self._truth.as_dict()
 
     def lasting(self, window: Window) -> float:
         """How long a window truly lasts, in s: a hand that moves a magnet is late, never early."""

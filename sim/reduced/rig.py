@@ -14,11 +14,11 @@ from sim.reduced.errors import FitErrors, Heard, true_room
 from sim.reduced.kernel import SWING
 from sim.reduced.plant import ReducedPlant
 from sim.settings import TankSettings
+from smolbot.anymission import AnyMission
 from smolbot.arrays import FloatArray, as_floats
 from smolbot.config import validate
 from smolbot.errors import InputError, RigError
 from smolbot.localization.localizer import Localizer
-from smolbot.missionfile import Mission
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 from smolbot.rotations import half_turned
@@ -150,7 +150,7 @@ class ReducedRig:
         return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
 
 
-def open_reduced(mission: Mission, seed: int, *, ideal: bool = False) -> ReducedRig:
+def open_reduced(mission: AnyMission, seed: int, *, ideal: bool = False) -> ReducedRig:
     """The reduced plant of a mission: pass it to `smolbot.flying.fly` as ``opener``. Raises as `require_flyable`."""
     require_flyable(mission)
     settings, faults = validate(TankSettings, mission.rig.sections.tank, ("tank",))
@@ -160,7 +160,7 @@ def open_reduced(mission: Mission, seed: int, *, ideal: bool = False) -> Reduced
     return ReducedRig(mission.rig, mission.robot, settings, start, seed, ideal=ideal)
 
 
-def require_flyable(mission: Mission) -> None:
+def require_flyable(mission: AnyMission) -> None:
     """Raise `InputError` if the mission's rig is no simulated tank, or its robot is of another kind."""
     robot = mission.robot
     kind: str = robot.kind

@@ -227,6 +227,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
             "direction_p99_deg": float(np.percentile(part["miss_deg"][got], 99)),
             "direction_max_deg": float(part["miss_deg"][got].max()),
             "share_min": float(share.min()),
+            "share_below_099": int((share < 0.99).sum()),
             "share_p1": float(np.percentile(share, 1)),
             "share_median": float(np.median(share)),
             "weakest_un": float(part["force_un"][got].min()),
@@ -239,7 +240,8 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         rows += [
             (f"{name}: direction", f"{case['direction_p99_deg']:.2f}° off at p99, {case['direction_max_deg']:.2f}° at "
              f"most, of {case['directions']} that can be reached; {case['missed']} found by brute force alone"),
-            (f"{name}: force over brute force", f"{case['share_min']:.3f} at least, {case['share_p1']:.3f} at p1, "
+            (f"{name}: force over brute force", f"{case['share_min']:.3f} at least, below 0.99 in "
+             f"{case['share_below_099']} directions, {case['share_p1']:.3f} at p1, "
              f"{case['share_median']:.3f} in the middle; {case['weakest_un']:.0f} µN at least"),
             (f"{name}: heat over SLSQP's best", f"{case['heat_median']:.4f} in the middle, {case['heat_max']:.3f} at "
              f"most, of {len(heat)}"),
@@ -256,20 +258,22 @@ def draw(outcome: Outcome, path: Path) -> None:
     columns = outcome.columns
     head, either = outcome.figures["cases"]
     least = min(head["share_min"], either["share_min"])
-    headline = f"At least {least:.3f} of the force that brute force finds, {head['direction_p99_deg']:.1f}° off"
+    total = head["directions"] + either["directions"]
+    headline = f"At least {least:.3f} of the force that brute force finds, in {total} directions"
     subline = (
-        "strongest force on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may miss "
-        "by the same angle"
+        "strongest pull on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may "
+        f"miss a direction as far: {head['direction_p99_deg']:.1f}°"
     )
     around = float(columns["around_deg"][-1])
     shown = [("head first", 0.0), ("head first", 4.0), ("head first", 8.0)]
     shown += [("either end", 5.0), ("either end", 10.0), ("either end", 20.0)]
-    with slide(path, headline, subline, 2, 3, hspace=0.3, wspace=0.1, top=0.8, bottom=0.05) as axes:
+    with slide(path, headline, subline, 2, 3, hspace=0.2, wspace=0.1, top=0.82, bottom=0.03) as axes:
         for panel, (case, radius) in zip(axes, shown, strict=True):
             part = chosen(columns, case=case, radius_mm=radius, around_deg=around if radius else ANGLES_DEG[0])
             angle = np.radians(np.append(part["toward_deg"], part["toward_deg"][:1]))
             for key, color, width in (("brute_force_un", BOUND, 6.0), ("force_un", WHITENED, 1.6)):
                 force = np.append(part[key], part[key][:1])
+                force[force <= 0.0] = np.nan  # where nothing was found, there is no line
                 panel.plot(force * np.cos(angle), force * np.sin(angle), color=color, lw=width)
             top = 1.1 * float(np.max(part["brute_force_un"]))
             for ring in (100.0, 200.0, 400.0, 800.0):

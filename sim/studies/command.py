@@ -1,10 +1,10 @@
-"""``smolbot study``: how well localization does, by Monte-Carlo on a simulated bench; tables and figures."""
+"""``smolbot study``: how well localization does, and how firmly a mission's loop holds; tables and figures."""
 
 from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smolbot.cli.missions import SetOption
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ STUDIES = {
     "scalpel": "a magnetic tool passing by, against static magnets",
     "allocation": "coil currents for a wanted force: direction, size and heat against brute force, and time",
     "layout": "sensor places: bound, correlation of z with amplitude, an optimised layout",
+    "margins": "a mission's loop along its path: gain, phase and delay margins, a start for its gains",
 }
 """Every study, a module of this package, and what it finds out."""
 
@@ -38,26 +40,45 @@ app = typer.Typer(add_completion=False)
 @app.command("study")
 def study(
     name: Annotated[str, typer.Argument(help="One of: " + ", ".join(STUDIES) + ".", metavar="NAME")],
+    mission: Annotated[
+        str | None,
+        typer.Argument(help="For margins: a shipped mission by name, or your own by path.", metavar="[MISSION]"),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same result, whatever --jobs.")] = 1,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
     poses: Annotated[int | None, typer.Option(min=1, help="Poses, or repeats, of each kind.")] = None,
-    rig: Annotated[str, typer.Option(help="Rig file, by name or path: sensors, noise, mismatches.")] = "tank",
+    rig: Annotated[
+        str | None, typer.Option(help="Rig file, by name or path; default: tank, or the mission's own.")
+    ] = None,
     mismatch: Annotated[float | None, typer.Option(min=0, help="Scale of the rig's mismatches; 0 for none.")] = None,
     estimator: Annotated[str | None, typer.Option(help="whitened, paper or both; default: the study's own.")] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(help="For margins: mm off, degrees off and share of a full current that count alike."),
+    ] = None,
+    set_: SetOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the study that --out holds.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
 ) -> None:
-    """A study of localization: a table, a figure and results.csv in a folder of its own."""
+    """A study of localization, or of a mission's loop: a table, a figure and results.csv in a folder of its own."""
     from smolbot.cli.show import echo_json, table
 
     loaded = load_study(name)
-    options = _options(loaded, seed, jobs, poses, rig, mismatch, estimator)
+    if loaded.mission:
+        given = {"--poses": poses, "--mismatch": mismatch, "--estimator": estimator}
+        options = replace(_mission_options(loaded, mission, seed, jobs, rig, set_, given), weights=weights)
+    elif mission is not None or set_ or weights is not None:
+        what = f"MISSION '{mission}'" if mission is not None else "--set" if set_ else "--weights"
+        raise InputError(f"study {name} is of localization on a bench: it takes no {what}.")
+    else:
+        options = _options(loaded, seed, jobs, poses, rig or "tank", mismatch, estimator)
     if resume and out is None:
         raise InputError("--resume needs --out: the folder of the study to go on with.")
     outcome, folder = carry_out(loaded, options, out, resume=resume)
     rows = [*outcome.rows, ("wall time", f"{outcome.figures['wall_s']:.1f} s"), ("folder", str(folder))]
-    table(f"{loaded.title} (seed {seed}, rig {rig})", rows, err=json)
+    about = f"mission {mission}" if loaded.mission else f"rig {options.rig}"
+    table(f"{loaded.title} (seed {seed}, {about})", rows, err=json)
     if json:
         echo_json(outcome.figures)
 
@@ -86,7 +107,7 @@ def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool 
     from sim.studies.running import StudyFolder, described, executor_for, new_folder, run_chunks
 
     begin = time.perf_counter()
-    config = rig_named(options.rig)
+    config = study.rig_of(options) if study.rig_of is not None else rig_named(options.rig)
     folder = StudyFolder(out if out is not None else new_folder(study.name), options.asked(), resume=resume)
     chunks = study.chunks(options)
     with executor_for(options.jobs if len(chunks) > 1 else 1) as executor, _shown(study.name) as progress:
@@ -94,6 +115,8 @@ def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool 
     outcome = study.conclude(options, parts)
     outcome.figures.update({"wall_s": time.perf_counter() - begin, "folder": str(folder.path)})
     folder.finish({**described(options, study, config), **outcome.figures}, outcome.columns)
+    for file, text in (study.files(outcome) if study.files is not None else {}).items():
+        (folder.path / file).write_text(text, encoding="utf-8")
     study.draw(outcome, folder.path / f"{study.name}.png")
     return outcome, folder.path
 
@@ -111,6 +134,22 @@ def _options(
     if estimator == "whitened":
         return replace(found, estimators=("whitened",))
     return found if estimator is None else replace(found, estimators=("paper",))
+
+
+def _mission_options(
+    study: Study, mission: str | None, seed: int, jobs: int, rig: str | None, pairs: list[str] | None,
+    given: Mapping[str, object],
+) -> Options:  # fmt: skip
+    from sim.studies.study import Options
+    from smolbot.cli.missions import settings_from
+
+    if mission is None:
+        raise InputError(f"study {study.name} needs a mission: smolbot study {study.name} MISSION, such as r_path.")
+    refused = [option for option, value in given.items() if value is not None]
+    if refused:
+        raise InputError(f"study {study.name} draws no poses: it takes no {', '.join(refused)}.")
+    settings = tuple(sorted(settings_from(pairs).items()))
+    return Options(study.name, seed, jobs, mission=mission, own_rig=rig, settings=settings)
 
 
 @contextmanager

@@ -10,12 +10,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from smolbot.localization.localizer import Estimator
 from smolbot.sensing import Device
+
+if TYPE_CHECKING:
+    from smolbot.rigfile import RigConfig
 
 Columns = dict[str, Any]
 """Rows of a study: one-dimensional arrays of equal length, named with their unit. Keys with a leading underscore hold
@@ -24,7 +27,11 @@ arrays of any shape, which figures may use and ``results.csv`` leaves out."""
 
 @dataclass(frozen=True)
 class Options:
-    """What a study was asked for; `poses` and `mismatch` None mean the study's own choice."""
+    """What a study was asked for; `poses` and `mismatch` None mean the study's own choice.
+
+    `mission`, `own_rig` (instead of the mission's), `settings` laid over it and `weights` of a regulator are of studies
+    of a mission.
+    """
 
     name: str
     seed: int = 1
@@ -33,9 +40,18 @@ class Options:
     rig: str = "tank"
     mismatch: float | None = None
     estimators: tuple[Estimator, ...] = ("whitened", "paper")
+    mission: str | None = None
+    own_rig: str | None = None
+    settings: tuple[tuple[str, str], ...] = ()
+    weights: str | None = None
 
     def asked(self) -> dict[str, Any]:
         """What decides the result, and must be the same when a study resumes."""
+        if self.mission is not None:
+            return {
+                "study": self.name, "seed": self.seed, "mission": self.mission, "rig": self.own_rig,
+                "settings": dict(self.settings), "weights": self.weights,
+            }  # fmt: skip
         return {
             "study": self.name,
             "seed": self.seed,
@@ -94,7 +110,8 @@ class Outcome:
 class Study:
     """One study: how it is cut into chunks, what they add up to, and how that is drawn.
 
-    `estimators` are those that are used where none is asked for.
+    `estimators` are those that are used where none is asked for. `mission` is true of a study of a mission,
+    `rig_of` names the rig that is described, `files` are texts that it leaves beside its figure, by name.
     """
 
     name: str
@@ -104,6 +121,9 @@ class Study:
     conclude: Callable[[Options, list[Columns]], Outcome]
     draw: Callable[[Outcome, Path], None]
     estimators: tuple[Estimator, ...] = ("whitened", "paper")
+    mission: bool = False
+    rig_of: Callable[[Options], RigConfig] | None = None
+    files: Callable[[Outcome], Mapping[str, str]] | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,13 +35,17 @@ def gains_file(problem: Problem, law: str, tuned: Flown, before: Flown, seed: in
     """The gains as a mission file writes them, with what they were found by."""
     after, now = tuned.figures(), before.figures()
     lines = [
-        f"# Gains of {law}, tuned for {problem.mission} with seed {seed} over {len(problem.worlds)} drawn worlds",
-        f"# ({problem.plant} plant). Full tank, {after['flown']} held-out worlds: {after['passed']} passed, cost "
+        f"Gains of {law}, tuned for {problem.mission} with seed {seed} over {len(problem.worlds)} drawn worlds",
+        f"({problem.plant} plant). Full tank, {after['flown']} held-out worlds: {after['passed']} passed, cost "
         f"{after['cost_mm']:.3f} mm; before: {now['passed']} passed, cost {now['cost_mm']:.3f} mm.",
-        "[controller.gains]",
-        *[f"{name} = {value:.6g}" for name, value in tuned.gains.items()],
     ]
-    return "\n".join(lines) + "\n"
+    return gains_text(lines, tuned.gains)
+
+
+def gains_text(comments: Sequence[str], gains: Mapping[str, float]) -> str:
+    """Gains as a mission file writes them, under lines of comment."""
+    lines = [*(f"# {line}" for line in comments), "[controller.gains]"]
+    return "\n".join([*lines, *(f"{name} = {value:.6g}" for name, value in gains.items())]) + "\n"
 
 
 def write_trials(study: Study, path: Path) -> None:

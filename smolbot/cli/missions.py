@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,7 @@ from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
+    from smolbot.anymission import AnyMission
     from smolbot.helixpreview import HelixPreview
     from smolbot.loop import Listener, Run
     from smolbot.missionfile import Mission
@@ -25,7 +27,10 @@ RigOption = Annotated[
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", help="key=value laid over the mission file; rig.key=value over the rig file."),
+    typer.Option(
+        "--set",
+        help="key=value laid over the mission file; rig.key=value over the rig file; @FILE: all of a TOML file.",
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
@@ -37,19 +42,44 @@ def register(app: typer.Typer) -> None:
 
 
 def settings_from(pairs: list[str] | None) -> dict[str, str]:
-    """``key=value`` options as a dictionary.
+    """``key=value`` options as a dictionary; ``@gains.toml`` stands for all that the file holds.
 
     Raises
     ------
     InputError
-        For an option without ``=``.
+        For an option without ``=``, or a file that cannot be read.
     """
     found: dict[str, str] = {}
     for pair in pairs or []:
+        if pair.startswith("@"):
+            found |= _settings_of(Path(pair[1:]))
+            continue
         key, equals, value = pair.partition("=")
         if not equals or not key.strip():
             raise InputError(f"--set needs key=value, such as controller.tolerance_mm=0.5; got '{pair}'.")
         found[key.strip()] = value.strip()
+    return found
+
+
+def _settings_of(path: Path) -> dict[str, str]:
+    """What a TOML file holds, as settings."""
+    import json
+    import tomllib
+
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"--set @{path}: cannot be read as TOML: {error}.") from error
+    found: dict[str, str] = {}
+
+    def lay(prefix: str, values: dict[str, Any]) -> None:
+        for key, value in values.items():
+            if isinstance(value, dict):
+                lay(f"{prefix}{key}.", value)
+            else:
+                found[f"{prefix}{key}"] = json.dumps(value, default=str)
+
+    lay("", data)
     return found
 
 
@@ -62,10 +92,10 @@ def run(
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Fly a mission, closed loop, and leave a run folder with its figures and picture."""
+    """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
+    from smolbot.anymission import load_mission
     from smolbot.cli.progress import shown_progress
     from smolbot.flying import fly, new_folder
-    from smolbot.missionfile import load_mission
     from smolbot.records.folder import RunFolder
 
     settings = settings_from(set_)
@@ -73,7 +103,7 @@ def run(
     folder = RunFolder(out) if out is not None else new_folder(loaded, seed)
     with shown_progress(loaded) as progress:
 
-        def listeners(_: Mission) -> tuple[Listener, ...]:
+        def listeners(_: AnyMission) -> tuple[Listener, ...]:
             return (progress,)
 
         flown = fly(loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners)
@@ -87,14 +117,15 @@ def _exit_code(run: Run) -> int:
     return 0 if run.summary["verdict"] == "passed" else 1
 
 
-def _show_run(mission: Mission, run: Run, json: bool) -> None:
+def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
+    from smolbot.cli.observations import observation_rows
     from smolbot.records.summary import label_of
 
     s = run.summary
     rows = [
         ("status", f"{s['status']}: {s['stop_reason']}"),
         ("verdict", "; ".join([str(s["verdict"]), *_texts(s["verdict_reasons"])])),
-        ("robot time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
+        ("robot time" if "path_length_mm" in s else "time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
         ("loop rate", f"{s['loop_rate_hz']:.2f} Hz (timeline allows {s['timeline_limit_hz']:.2f} Hz)"),
         ("computing", _compute(s)),
     ]
@@ -110,11 +141,12 @@ def _show_run(mission: Mission, run: Run, json: bool) -> None:
         if key in s:
             unit = key.rsplit("_", 1)[1]
             rows.append((label, ", ".join(f"{name} {value:.2f}" for name, value in s[key].items()) + f" {unit}"))  # type: ignore[attr-defined]
+    rows += observation_rows(s)
     if s["r_squared_median"] is not None:
         rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
     if "turns" in s:
         rows.append(("magnet", f"{s['turns']:g} turns, {s['pauses']} pauses, {s['step_outs']} step-outs"))
-    else:
+    elif "coil_energy_j" in s:
         rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
@@ -136,7 +168,10 @@ def _compute(summary: dict[str, Any]) -> str:
 
 def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = None, json: JsonOption = False) -> None:
     """Time a mission on paper: a cycle's timeline, rate, duration, reach of force; go or no-go with reasons."""
-    from smolbot.missionfile import load_mission
+    from smolbot.anymission import load_mission
+    from smolbot.cli.observations import show_observation_preview
+    from smolbot.observation_preview import preview_observation
+    from smolbot.observationfile import Observation
     from smolbot.preview import preview as look
 
     try:
@@ -146,11 +181,14 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
             echo_json({"mission": mission, "go": False, "reasons": str(error).splitlines()})
         typer.echo("no-go", err=True)
         raise
-    if loaded.robot.kind == "helical":
+    if isinstance(loaded, Observation):
+        show_observation_preview(loaded, preview_observation(loaded), json)
+    elif loaded.robot.kind == "helical":
         from smolbot.helixpreview import preview_helix
 
         _show_helix_preview(loaded, preview_helix(loaded), json)
-    _show_preview(loaded, look(loaded), json)
+    else:
+        _show_preview(loaded, look(loaded), json)
 
 
 def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
@@ -162,8 +200,10 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
     rows = [
         ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
         ("loop rate", f"{seen.rate:.2f} Hz (timeline allows {seen.rate_limit:.2f} Hz)"),
-        ("path", f"{seen.length * 1e3:.1f} mm"),
+        ("path", _path(seen)),
+        *[("", remark) for remark in seen.remarks],
         ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
+        ("along the path", _pace(seen)),
         ("force along the path", f"{reach.force.min() * 1e6:.0f} to {reach.force.max() * 1e6:.0f} µN"),
         (
             "force direction error",
@@ -187,6 +227,11 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
                 "timeline_limit_hz": seen.rate_limit,
                 "loop_rate_hz": seen.rate,
                 "path_length_mm": seen.length * 1e3,
+                "path_corners": seen.corners,
+                "path_tightest_bend_mm": as_json(seen.tightest * 1e3),
+                "path_remarks": list(seen.remarks),
+                "path_time_s": as_json(seen.path_time),
+                "path_time_wanted_s": seen.wanted_time,
                 "expected_duration_s": as_json(seen.duration),
                 "expected_cycles": seen.cycles,
                 "force_un": {"min": reach.force.min() * 1e6, "max": reach.force.max() * 1e6},
@@ -237,9 +282,29 @@ def _show_helix_preview(mission: Mission, seen: HelixPreview, json: bool) -> Non
     raise typer.Exit(0 if seen.go else 1)
 
 
+def _path(seen: Preview) -> str:
+    import math
+
+    corners = {0: "no corners", 1: "1 corner"}.get(seen.corners, f"{seen.corners} corners")
+    bend = f"tightest bend {seen.tightest * 1e3:.1f} mm" if math.isfinite(seen.tightest) else "no bends"
+    return f"{seen.length * 1e3:.1f} mm, {corners}, {bend}"
+
+
+def _pace(seen: Preview) -> str:
+    if not seen.go:
+        return "does not end"
+    got = f"{seen.path_time:.0f} s, {seen.length * 1e3 / seen.path_time:.2f} mm/s on average"
+    if seen.wanted_time is None:
+        return got
+    wanted = f"{seen.wanted_time:.0f} s, {seen.length * 1e3 / seen.wanted_time:.2f} mm/s"
+    late = seen.path_time > 1.1 * seen.wanted_time
+    return f"{got}; wanted {wanted}{': more than the law can do' if late else ''}"
+
+
 def list_(json: JsonOption = False) -> None:
     """List shipped missions, rigs and robots, and the installed controllers."""
     from smolbot.config import Document
+    from smolbot.drawing.font import KNOWN
     from smolbot.library import KINDS, shipped
     from smolbot.plugins import names
 
@@ -251,25 +316,29 @@ def list_(json: JsonOption = False) -> None:
         table(kind, list(entries.items()), err=json)
     laws = names("controllers")
     table("controllers", [(name, "") for name in laws], err=json)
+    table("glyphs", [('glyph = "S"', KNOWN)], err=json)
     if json:
-        echo_json({**found, "controllers": laws})
+        echo_json({**found, "controllers": laws, "glyphs": KNOWN})
 
 
 def init(
     folder: Annotated[Path, typer.Argument(help="Folder to make.", metavar="DIR")],
     mission: Annotated[str, typer.Option(help="Shipped mission to start from.")] = "r_small",
 ) -> None:
-    """Copy a mission with its rig and robot into a folder, to edit and fly as your own."""
-    from smolbot.config import Document
+    """Copy a mission with its rig, robot and path file into a folder, to edit and fly as your own."""
+    from smolbot.config import Document, Fault
     from smolbot.library import find_file
 
     source = find_file(mission, "missions")
-    data = Document.read(source).data
-    files = {
-        f"{source.stem}.toml": source,
-        f"{data['rig']}.toml": find_file(data["rig"], "rigs"),
-        f"{data['robot']}.toml": find_file(data["robot"], "robots"),
-    }
+    document = Document.read(source)
+    data, beside = document.data, source.parent
+    copies = {key: find_file(str(data.get(key)), f"{key}s", beside) for key in ("rig", "robot")}
+    section = data.get("path", {})
+    if "file" in section:
+        copies["file"] = beside / str(section["file"])
+        if not copies["file"].is_file():
+            raise document.error([Fault(("path", "file"), f"{copies['file']}: no such file.")])
+    files = {source.name: source, **{path.name: path for path in copies.values()}}
     existing = [name for name in files if (folder / name).exists()]
     if existing:
         raise InputError(f"{folder}: {', '.join(existing)} stand there already; nothing was written.")
@@ -277,10 +346,11 @@ def init(
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in files.items():
             shutil.copyfile(path, folder / name)
-        own = folder / f"{source.stem}.toml"
+        own = folder / source.name
         text = own.read_text(encoding="utf-8")
-        for key in ("rig", "robot"):
-            text = text.replace(f'{key} = "{data[key]}"', f'{key} = "{data[key]}.toml"', 1)
+        for key, path in copies.items():
+            given = re.escape(str(section["file"] if key == "file" else data[key]))
+            text = re.sub(rf"""(?m)(\b{key}\s*=\s*)["']{given}["']""", rf'\g<1>"{path.name}"', text, count=1)
         own.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error}.") from error

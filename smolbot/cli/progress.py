@@ -6,19 +6,24 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from smolbot.anymission import AnyMission
 from smolbot.loop import CycleRecord
 from smolbot.missionfile import Mission
+from smolbot.observationfile import Observation
 
 
-class Progress:
-    """Hears every cycle and says so: a bar on a terminal, a line now and then elsewhere."""
+class Shown:
+    """Hears every cycle and says so: a bar on a terminal, a line now and then elsewhere.
 
-    def __init__(self, mission: Mission, every: float = 0.1, quiet_every: float = 10.0) -> None:
+    What `total` counts in, and what is said of a cycle, is each kind of mission's own.
+    """
+
+    def __init__(self, name: str, total: float, every: float = 0.1, quiet_every: float = 10.0) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn
         from rich.progress import Progress as Bar
 
-        self._mission = mission
+        self._name, self._total = name, total
         self._console = Console(stderr=True, highlight=False)
         self._terminal = self._console.is_terminal
         self._every = every if self._terminal else quiet_every
@@ -31,9 +36,8 @@ class Progress:
             transient=True,
             auto_refresh=False,
         )
-        self._task = self._bar.add_task(mission.name, total=mission.path.length, state="")
+        self._task = self._bar.add_task(name, total=total, state="")
         self._shown = time.monotonic()
-        self._begun: tuple[float, float] | None = None
         self._cycles = 0
 
     def start(self) -> None:
@@ -46,19 +50,46 @@ class Progress:
 
     def __call__(self, record: CycleRecord) -> None:
         self._cycles += 1
-        command = record.command
-        if self._begun is None and command.phase == "follow" and command.window is not None:
-            self._begun = (record.shot.end, command.progress)
+        self.hear(record)
         now = time.monotonic()
         if now - self._shown < self._every:
             return
         self._shown = now
-        state = self.describe(record)
+        state, done = self.describe(record), self.done(record)
         if self._terminal:
-            self._bar.update(self._task, completed=command.progress, state=state, refresh=True)
+            self._bar.update(self._task, completed=done, state=state, refresh=True)
         else:
-            done = 100.0 * command.progress / self._mission.path.length
-            self._console.print(f"{self._mission.name}: {done:.0f} %  {state}")
+            self._console.print(f"{self._name}: {100.0 * done / self._total:.0f} %  {state}")
+
+    def hear(self, record: CycleRecord) -> None:
+        """Keep what later ones need; called for every cycle."""
+
+    def done(self, record: CycleRecord) -> float:
+        """How much of the total lies behind."""
+        raise NotImplementedError
+
+    def describe(self, record: CycleRecord) -> str:
+        """One line about a cycle."""
+        raise NotImplementedError
+
+
+class Progress(Shown):
+    """Of a robot on a path."""
+
+    def __init__(self, mission: Mission, every: float = 0.1, quiet_every: float = 10.0) -> None:
+        super().__init__(mission.name, mission.path.length, every, quiet_every)
+        self._mission = mission
+        self._begun: tuple[float, float] | None = None
+
+    def hear(self, record: CycleRecord) -> None:
+        """When the path was begun."""
+        command = record.command
+        if self._begun is None and command.phase == "follow" and command.window is not None:
+            self._begun = (record.shot.end, command.progress)
+
+    def done(self, record: CycleRecord) -> float:
+        """Arc length, in m."""
+        return record.command.progress
 
     def describe(self, record: CycleRecord) -> str:
         """Pose, error to the path as believed, loop rate, time left."""
@@ -83,10 +114,47 @@ class Progress:
         return gone / done * (self._mission.path.length - record.command.progress)
 
 
+class Watching(Shown):
+    """Of a device that is only watched: seconds, or measurements."""
+
+    def __init__(self, mission: Observation, every: float = 0.1, quiet_every: float = 10.0) -> None:
+        section = mission.sections.observe
+        super().__init__(mission.name, section.duration_s or float(section.measurements or 1), every, quiet_every)
+        self._counts = section.measurements is not None
+        self._begun: float | None = None
+        self._made = 0
+
+    def hear(self, record: CycleRecord) -> None:
+        """When the device was first seen, and what was measured."""
+        if record.pose is None or not record.pose.trusted:
+            return
+        self._begun = record.shot.end if self._begun is None else self._begun
+        self._made += record.shot.mode == "hold"
+
+    def done(self, record: CycleRecord) -> float:
+        """Seconds, or measurements."""
+        if self._counts:
+            return float(self._made)
+        return 0.0 if self._begun is None else record.shot.end - self._begun
+
+    def describe(self, record: CycleRecord) -> str:
+        """Mode, pose, and how far."""
+        parts: list[str] = [record.shot.mode]
+        if record.pose is not None:
+            x, y, z = 1e3 * record.pose.position
+            parts.append(f"({x:+.1f}, {y:+.1f}, {z:.1f}) mm")
+        parts.append(f"{self._made} measurements" if self._counts else f"{self._cycles / record.shot.end:.1f} Hz")
+        left = (
+            "" if self._counts or self._begun is None else f", {max(self._total - self.done(record), 0.0):.0f} s left"
+        )
+        parts.append(f"{record.shot.end:.0f} s{left}")
+        return "  ".join(parts)
+
+
 @contextmanager
-def shown_progress(mission: Mission) -> Iterator[Progress]:
+def shown_progress(mission: AnyMission) -> Iterator[Shown]:
     """Progress that is shown while the block runs."""
-    progress = Progress(mission)
+    progress = Watching(mission) if isinstance(mission, Observation) else Progress(mission)
     progress.start()
     try:
         yield progress

@@ -7,11 +7,17 @@ import math
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.motion.kernels import moved
+from smolbot.motion.kernels import moved, strayed
 from smolbot.motion.robot import Robot
 
 STEP = 2e-3
 """Longest step of the integration, in s; alignment takes tens of ms."""
+
+COARSE = 6e-3
+"""Step, in s, with which a turn is followed whose size alone is asked for."""
+
+COIL_ERROR = 0.03
+"""Share of a coil's field by which it may differ from its table: 2 % of gain, some tenths of a mm of place."""
 
 
 def body_of(robot: Robot) -> FloatArray:
@@ -36,7 +42,6 @@ def advance(
     currents: FloatArray,
     heading: float,
     duration: float,
-    step: float = STEP,
 ) -> tuple[FloatArray, float]:
     """Motion under constant coil currents for one window.
 
@@ -55,8 +60,6 @@ def advance(
     heading : float, in rad
         Of the cantilever in the horizontal plane, from x toward y.
     duration : float, in s
-    step : float, in s
-        Longest one of the integration.
 
     Returns
     -------
@@ -65,6 +68,25 @@ def advance(
     heading : float, in rad
         At the end of the window.
     """
-    steps = max(math.ceil(duration / step), 1)
+    steps = max(math.ceil(duration / STEP), 1)
     x, y, after = moved(body_of(robot), field, gradient, currents, float(heading), float(duration), steps)
     return np.array([x, y]), after
+
+
+def stray_turn(
+    robot: Robot,
+    field: FloatArray,
+    gradient: FloatArray,
+    currents: FloatArray,
+    heading: float,
+    duration: float,
+    variance: float,
+) -> float:
+    """Variance of a window's turn, in rad², that errors of the coils' fields and of the heading (`variance`) add.
+
+    A robot that nearly points against the field turns either way: what decides is smaller than any belief. Arguments
+    are those of `advance`.
+    """
+    steps = max(math.ceil(duration / COARSE), 1)
+    given = float(heading), float(duration), steps, COIL_ERROR, float(variance)
+    return float(strayed(body_of(robot), field, gradient, currents, *given))

@@ -90,6 +90,27 @@ def moved(body, b, g, currents, heading, duration, steps):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def strayed(body, b, g, currents, heading, duration, steps, share, variance):
+    """Variance of a window's turn, in rad², for fields that are off by a `share` each, and a heading of some variance.
+
+    A robot that nearly points against the field turns either way: what decides is smaller than any belief. `b`, `g` and
+    `currents` are those of `moved`.
+    """
+    total, apart = np.zeros(3), 0.0
+    for c in range(currents.shape[0]):
+        for i in range(3):
+            total[i] += currents[c] * b[c, i]
+            apart += (currents[c] * b[c, i]) ** 2
+    size = math.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2)
+    aside, doubt = math.atan2(share * math.sqrt(apart), size), math.sqrt(max(variance, 0.0))
+    nudge = max(aside, doubt)
+    low = moved(body, b, g, currents, heading - nudge, duration, steps)[2] + nudge
+    high = moved(body, b, g, currents, heading + nudge, duration, steps)[2] - nudge
+    slope = (high - low) / (2.0 * nudge)  # of the turn for the heading; the field's direction counts the other way
+    return (slope * aside) ** 2 + max((1.0 + slope) ** 2 - 1.0, 0.0) * variance
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _bend(sine, cosine, torque, stiffness, stop, bent):
     """Deflection toward a field whose angle from the housing has the sine (not below 0) and cosine; see `deflection`.
 

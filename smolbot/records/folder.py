@@ -15,7 +15,7 @@ from typing import Any, TextIO
 import smolbot
 from smolbot.config import Document
 from smolbot.errors import InputError
-from smolbot.missionfile import Mission
+from smolbot.missionbase import MissionBase
 from smolbot.records.trace import Moment, row
 
 _PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
@@ -34,7 +34,7 @@ class RunFolder:
         self._writer: csv.DictWriter[str] | None = None
         self._rows = 0
 
-    def begin(self, mission: Mission, seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> None:
+    def begin(self, mission: MissionBase, seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> None:
         """Make the folder and write what the run starts from."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.loop import Run
+from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.poses import Pose
 from smolbot.records.trace import Moment, Trace
@@ -23,12 +24,29 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     start on (the approach is left out). Localization error is the located pose minus truth, in
     three dimensions, of every pose that was trusted; `tracked_error_mm` is the same of the tracked one.
     """
+    out = common_figures(mission, run)
+    out["coil_energy_j"] = coil_energy(mission, run)
+    out["path_length_mm"] = mission.path.length * 1e3
+    out["progress_mm"] = max((c.command.progress for c in run.cycles), default=0.0) * 1e3
+    out["path_time_s"] = path_time(trace)
+    out |= against_truth(mission, trace.moments)
+    if mission.robot.kind == "helical":
+        out |= _screwed(run) | _axis_errors(mission, trace)
+    distance = tracking_distance(mission, trace.following)
+    if distance.size:
+        out["tracking_error_mm"] = statistics(distance * 1e3, "mean", "rms", "p95", "max")
+    out["verdict"], out["verdict_reasons"] = verdict(mission, run, out)
+    return out
+
+
+def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
+    """What is said of every run, whether it steered or only looked."""
     cycles = run.cycles
     played = sum(c.shot.duration for c in cycles)
     duration = run.duration
     cycling = duration - run.begun
     poses = [c.pose for c in cycles if c.pose is not None and c.pose.trusted]
-    out: dict[str, Any] = {
+    return {
         "mission": mission.name,
         "rig": mission.rig.name,
         "status": run.status,
@@ -42,17 +60,9 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
         "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
         "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles if c.shot.listen is not None),
         "events": [{"time_s": e.time, "what": e.what, **e.detail} for e in run.events],
-        "coil_energy_j": coil_energy(mission, run),
-        "path_length_mm": mission.path.length * 1e3,
-        "progress_mm": max((c.command.progress for c in cycles), default=0.0) * 1e3,
+        "wall_s": run.wall,
+        "realtime_factor": duration / run.wall if run.wall else 0.0,
     }
-    if mission.robot.kind == "helical":
-        out |= _screwed(run)
-    out |= _against_truth(mission, trace)
-    out["wall_s"] = run.wall
-    out["realtime_factor"] = duration / run.wall if run.wall else 0.0
-    out["verdict"], out["verdict_reasons"] = verdict(mission, run, out)
-    return out
 
 
 def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
@@ -93,27 +103,29 @@ def coil_energy(mission: Mission, run: Run) -> float:
     )
 
 
-def _against_truth(mission: Mission, trace: Trace) -> dict[str, Any]:
+def path_time(trace: Trace) -> float | None:
+    """Time in s from the path's start to its end, or as far as it was followed; None where it was not."""
+    following = trace.following
+    return following[-1].cycle.shot.end - following[0].cycle.shot.end if following else None
+
+
+def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:
+    """Errors of the trusted poses among `moments`; empty where no witness knew the truth."""
     along = mission.robot.device.along_cantilever
-    heard = [(m.cycle.pose, m.truth) for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    heard = [(m.cycle.pose, m.truth) for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted]
     known = [(pose, truth) for pose, truth in heard if truth is not None]
-    tracked = [(m.cycle.tracked, m.truth) for m in trace.moments if m.cycle.shot.listen is not None]
+    tracked = [(m.cycle.tracked, m.truth) for m in moments if m.cycle.shot.listen is not None]
     out: dict[str, Any] = {}
     if known:
         errors = np.array([pose.position - truth.position for pose, truth in known])
         angles = np.array([orientation_error(pose, truth, along) for pose, truth in known])
-        out["localization_error_mm"] = _statistics(np.linalg.norm(errors, axis=1) * 1e3, "mean", "std", "p95")
+        out["localization_error_mm"] = statistics(np.linalg.norm(errors, axis=1) * 1e3, "mean", "std", "p95")
         out["localization_bias_mm"] = [float(v) for v in errors.mean(axis=0) * 1e3]
         out["localization_scatter_mm"] = [float(v) for v in errors.std(axis=0) * 1e3]
-        out["orientation_error_deg"] = _statistics(np.degrees(angles), "mean", "p95")
+        out["orientation_error_deg"] = statistics(np.degrees(angles), "mean", "p95")
         out["flips"] = int(np.sum(angles > np.radians(90.0)))
         believed = np.array([p.position - t.position for p, t in tracked if p is not None and t is not None])
-        out["tracked_error_mm"] = _statistics(np.linalg.norm(believed, axis=1) * 1e3, "mean", "std", "p95")
-    if mission.robot.kind == "helical":
-        out |= _axis_errors(mission, trace)
-    distance = tracking_distance(mission, trace.following)
-    if distance.size:
-        out["tracking_error_mm"] = _statistics(distance * 1e3, "mean", "rms", "p95", "max")
+        out["tracked_error_mm"] = statistics(np.linalg.norm(believed, axis=1) * 1e3, "mean", "std", "p95")
     return out
 
 
@@ -152,10 +164,10 @@ def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
     out = {}
     located = [axis_angle(m.cycle.pose, m.truth) for m in heard if m.cycle.pose and m.truth]
     if located:
-        out["axis_error_deg"] = _statistics(np.degrees(located), "mean", "rms", "p95", "max")
+        out["axis_error_deg"] = statistics(np.degrees(located), "mean", "rms", "p95", "max")
     if ends:
         tracked = [axis_angle(m.cycle.tracked, m.truth) for m in ends if m.cycle.tracked and m.truth]
-        out["axis_error_tracked_deg"] = _statistics(np.degrees(tracked), "mean", "rms", "p95", "max")
+        out["axis_error_tracked_deg"] = statistics(np.degrees(tracked), "mean", "rms", "p95", "max")
         truths = [m.truth for m in ends if m.truth and m.cycle.command.phase == "follow"]
         if truths:
             arc, _ = mission.path.project(np.array([t.position for t in truths]))
@@ -163,7 +175,7 @@ def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
             axes = np.array([t.body_axis("z")[:2] for t in truths])
             axes /= np.linalg.norm(axes, axis=1, keepdims=True)
             angles = np.degrees(np.arccos(np.clip(np.sum(along * axes, axis=1), -1.0, 1.0)))
-            out["axis_to_path_deg"] = _statistics(angles, "mean", "p95")
+            out["axis_to_path_deg"] = statistics(angles, "mean", "p95")
     return out
 
 
@@ -179,7 +191,8 @@ def _compute(run: Run) -> dict[str, float | None]:
     return {"median": float(np.median(times)), "p99": float(np.percentile(times, 99))}
 
 
-def _statistics(values: FloatArray, *names: str) -> dict[str, float]:
+def statistics(values: FloatArray, *names: str) -> dict[str, float]:
+    """Some of mean, std, rms, p95 and max."""
     functions: dict[str, Callable[[FloatArray], Any]] = {
         "mean": np.mean,
         "std": np.std,

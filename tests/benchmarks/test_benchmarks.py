@@ -12,9 +12,11 @@ from scipy.optimize import least_squares, minimize
 
 from controllers import ForceAllocator
 from controllers.predictive import Predictive
+from sim.executors import open_executor
 from sim.reduced.plant import ReducedPlant
 from sim.reduced.rig import open_reduced
 from sim.settings import TankSettings
+from sim.simulate import Plant, fly_seeds, warm_rates
 from sim.world import TankWorld
 from smolbot.config import validate
 from smolbot.flying import fly
@@ -152,6 +154,7 @@ def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
 
 @pytest.mark.benchmark(group="ratios")
 def test_reduced_plant_against_the_full_tank_and_the_loop_around_it(benchmark):
+    """By processor time, since other programs share the machine."""
     mission = load_mission("line")
     run = fly(mission, 1, opener=open_reduced)
     shots = [c.shot for c in run.cycles]
@@ -163,19 +166,41 @@ def test_reduced_plant_against_the_full_tank_and_the_loop_around_it(benchmark):
             if name == "reduced":
                 rig.sightings(Localizer(rig.sensors, mission.robot.device))
             rig.play(shots[0])
-            begin, clock = time.perf_counter(), rig.now()
+            begin, clock = time.process_time(), rig.now()
             for shot in shots:
                 rig.play(shot)
-            factors[name] = (rig.now() - clock) / (time.perf_counter() - begin)
+            factors[name] = (rig.now() - clock) / (time.process_time() - begin)
     settings, _ = validate(TankSettings, mission.rig.sections.tank, ("tank",))
     plant = ReducedPlant(mission.rig, mission.robot, settings, np.array(mission.start), 1)
     moves = [(*shot.windows, Rest(mission.rig.turnaround)) for shot in shots]
-    begin = time.perf_counter()
+    begin = time.process_time()
     for windows in moves:
         plant.advance(windows)
-    factors["motion alone"] = plant.time / (time.perf_counter() - begin)
+    factors["motion alone"] = plant.time / (time.process_time() - begin)
+    begin = time.process_time()
     flown = benchmark.pedantic(fly, (mission, 1), {"opener": open_reduced}, rounds=3, iterations=1)
-    factors["reduced, tracker and controller in the loop"] = flown.duration / flown.wall
+    factors["reduced, a whole flight"] = 3.0 * flown.duration / (time.process_time() - begin)
     print("\ntimes real time: " + "; ".join(f"{name} {factor:.0f}" for name, factor in factors.items()))
     print(f"the reduced plant plays {factors['reduced'] / factors['full']:.0f} times as fast as the full tank")
     assert flown.status == "completed"
+
+
+@pytest.mark.benchmark(group="ratios")
+def test_flights_a_minute_of_the_reduced_plant_with_one_process_and_with_two(benchmark):
+    """In pairs, since other programs share the machine; workers warm, each pair over seeds of its own."""
+
+    def rates(jobs, first, count=12):
+        with open_executor(jobs) as executor:
+            done = list(fly_seeds(executor, "r_path", None, {}, list(range(first, first + count)), Plant.REDUCED))
+        assert all(f.summary["status"] == "completed" for f in done)
+        return warm_rates(done)
+
+    benchmark.pedantic(rates, (1, 1, 2), rounds=1, iterations=1)
+    pairs = [(rates(1, 10 * k), rates(2, 10 * k)) for k in range(1, 4)]
+    for name, what, cores in (("warm", "by the wall's clock", 1), ("per_processor", "by processor time", 2)):
+        ones, twos = ([pair[i][name] * (1 if i == 0 else cores) for pair in pairs] for i in (0, 1))
+        ratios = ", ".join(f"{two / one:.2f}" for one, two in zip(ones, twos))
+        print(
+            f"\nr_path, reduced plant, flights a minute, {what}: {max(ones):.0f} with one process, {max(twos):.0f} "
+            f"with two; two over one, pair by pair: {ratios}"
+        )

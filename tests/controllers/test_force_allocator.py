@@ -136,6 +136,36 @@ def test_no_currents_pull_much_harder_within_the_same_angle(radius, around, head
     assert np.median(shares) > 0.99
 
 
+@pytest.mark.parametrize(
+    ("radius", "around", "head_first", "currents"),
+    [
+        (4.0, 17.0, True, [5.38830, 8.0, 0.0, 0.0]),
+        (8.0, 45.0, True, [3.72480, 8.0, 0.0, 0.0]),
+        (20.0, 17.0, False, [6.14552, 0.0, 8.0, 0.0]),
+    ],
+)
+def test_where_the_best_field_is_the_last_one_that_fits_it_is_found(radius, around, head_first, currents):
+    """Two coils alone, of which these currents were found by hand: beyond their field's direction nothing fits."""
+    here = place(radius, around)
+    _, force = forces(TABLE, here, np.array([currents]))
+    toward = np.degrees(np.arctan2(force[0, 1], force[0, 0]))
+    found = allocator(head_first=head_first).allocate(here, unit(toward))
+    assert np.linalg.norm(found.force[:2]) > 0.998 * np.linalg.norm(force[0, :2])
+
+
+@pytest.mark.parametrize(
+    ("radius", "around", "currents"),
+    [(0.0, 0.0, [0.0, 0.04225, 2.43254, 2.41162]), (10.0, 73.0, [0.0, 0.0, 2.76465, 7.19880])],
+)
+def test_the_coolest_currents_are_found_where_few_fit(radius, around, currents):
+    """Currents found by hand; Newton steps without a line search missed the first, and every angle near it."""
+    here, currents = place(radius, around), np.array(currents)
+    _, force = forces(TABLE, here, currents[None, :])
+    toward, size = np.degrees(np.arctan2(force[0, 1], force[0, 0])), np.linalg.norm(force[0, :2])
+    found = allocator(head_first=False).allocate(here, unit(toward), size)
+    assert found.currents @ found.currents < 1.005 * (currents @ currents)
+
+
 @pytest.mark.parametrize(("n", "unipolar"), [(3, True), (3, False), (4, False), (5, True), (6, False), (8, True)])
 def test_any_number_of_coils_with_and_without_reversal(n, unipolar):
     table, here = Dipoles(n, n), place(4.0, 50.0)

@@ -156,12 +156,12 @@ def test_a_tracked_helix_goes_with_its_turns_forgets_its_roll_and_keeps_its_plac
     listen = Listen(20, 181.0)
     for i in range(3):
         tracker.update(Shot((listen,), start=0.1 * i), heard(0.1 * i, start))
-    assert tracker.prior is not None
+    assert not tracker.vague
     shot = Shot((MoveMagnet("near", 10.0), Rotate((-1.0, 0, 0), 0.25, 4.0), MoveMagnet("away", 10.0)), start=1.0)
     tracker.update(shot, None)
     assert tracker.misses == 0
     assert tracker.pose.position[0] - start[0] == pytest.approx(4 * HELIX.advance, rel=0.05)
-    assert tracker.prior is None  # its roll may be anything now: a fit has to start from nothing
+    assert tracker.vague  # its roll may be anything now: a fit has to start from nothing
     found = start + np.array([4.3e-3, 0.2e-3, 0.0])
     tracker.update(Shot((listen,), start=40.0), heard(40.0, found, roll=2.6))
     assert tracker.misses == 0

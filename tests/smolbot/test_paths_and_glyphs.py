@@ -105,11 +105,6 @@ def test_the_length_of_an_R_is_stem_bowl_and_leg():
     assert length == pytest.approx(height + bowl + leg, rel=1e-3)
 
 
-def test_an_unknown_letter_is_told_the_known_ones():
-    with pytest.raises(InputError, match="I, L, R"):
-        glyph("Q", 1.0, 1.0)
-
-
 def test_a_csv_file_of_points_may_have_a_header_comments_and_semicolons(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("x,y\n# comment\n0, 1\n\n2;3.5\n")
@@ -125,6 +120,8 @@ def test_a_csv_file_of_points_may_have_a_header_comments_and_semicolons(tmp_path
         ("0,0\n1,nan\n", ":2:", "finite"),
         ("0,0\n\n1,inf\n", ":3:", "finite"),
         ("x,y\nx,y\n0,0\n", ":2:", "two numbers"),
+        ("# where\n\nx,y\n0,0\n1,b\n", ":5:", "'1,b'"),
+        ("0,o\n1,1\n2,2\n", ":1:", "'0,o'"),
         ("x,y\n0,0\n", ":", "at least two points; found 1"),
         ("", ":", "at least two points; found 0"),
     ],

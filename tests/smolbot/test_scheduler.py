@@ -32,6 +32,9 @@ class Belief:
     misses: int = 0
     confirmed: bool = True
 
+    def pose_at(self, time: float) -> Pose:
+        return self.pose
+
 
 def scheduler(per_ampere=1e-4, **options):
     return Scheduler(

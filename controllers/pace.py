@@ -1,0 +1,54 @@
+"""Keeps a robot to the speed that a path asks for: how far the next window may bring it."""
+
+from __future__ import annotations
+
+from smolbot.speeds import SpeedProfile
+
+CATCH_UP = 1.5
+"""A robot that is behind may be asked for this multiple of the wanted speed."""
+
+PATIENCE = 5.0
+"""The wanted place waits for a robot that is this far behind it, in s: time lost for good is not made up for."""
+
+LEAST = 0.1e-3
+"""Steps of less than this, in m, drown in the noise of poses; slow robots stand still for a cycle instead."""
+
+
+class Pace:
+    """The place where the robot should be by now, and what is missing to it.
+
+    That place moves by the clock, so that windows and listening, turns at corners and windows that went wrong count.
+
+    Parameters
+    ----------
+    profile : SpeedProfile
+    period : float, in s
+        Of a cycle: one window, and listening.
+    """
+
+    def __init__(self, profile: SpeedProfile, period: float) -> None:
+        self._profile = profile
+        self._period = period
+        self._wanted = 0.0
+        self._time: float | None = None
+
+    def stride(self, time: float, s: float) -> float:
+        """Arc length that the next window should bring, in m; 0 where none is wanted yet.
+
+        Parameters
+        ----------
+        time : float, in s
+            When the window begins.
+        s : float, in m
+            Where the robot is along the path.
+        """
+        profile = self._profile
+        since = 0.0 if self._time is None else max(time - self._time, 0.0)
+        self._time = time
+        self._wanted = profile.after(self._wanted, since)
+        self._wanted = min(self._wanted, profile.after(s, PATIENCE))
+        missing = profile.after(self._wanted, self._period) - s
+        if missing < LEAST and s + LEAST < profile.arc[-1]:
+            return 0.0
+        longest = min(max(self._period, since), 2.0 * self._period)
+        return max(min(missing, profile.after(s, CATCH_UP * longest) - s), LEAST)

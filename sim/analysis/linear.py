@@ -1,0 +1,194 @@
+"""One cycle of the loop as small numbers: what a little off the path, or a little turned, makes of the next motion.
+
+The law is asked as it is, with what it remembers, at poses as far from the nominal one as tracked poses err.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from sim.analysis.flight import Instant, Model, State, turned
+from smolbot.arrays import FloatArray
+from smolbot.control import Controller
+from smolbot.poses import Pose
+from smolbot.rotations import rotation_error
+from smolbot.shots import Actuate
+
+PAIRS = 8
+"""Pairs of poses, either side of the nominal one, that a law is asked at."""
+
+CURRENT_STEP = 0.02
+"""Share of the largest current by which currents are varied."""
+
+LEAST_SIGMA = np.array([5e-5, math.radians(1.0)])
+"""Smallest step, in m and rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """The loop about one nominal cycle. Deviations x are (across the path in m, heading in rad).
+
+        x' = x + M x + G x^,      M: the same window from elsewhere;  G: the window that the law gives for a pose x^
+
+    Attributes
+    ----------
+    arc : float, in m
+        Progress along the path.
+    position : ndarray, shape (2,), in m
+    speed : float, in m
+        Advance along the path in this cycle.
+    duration, wait : float, in s
+        Of the cycle; from the middle of listening to its end.
+    sigma : ndarray, shape (2,)
+        Standard deviation of the tracked pose, which the law is asked within.
+    motion : ndarray, shape (2, 2)
+        M.
+    feedback : ndarray, shape (2, 2)
+        G: the gain that leaves the least of a motion unexplained, over poses that err as tracked ones do.
+    explained : ndarray, shape (2,)
+        Share of the variance of the motion (across, turn) that G explains; 1 for a linear law.
+    currents : ndarray, shape (2, n_coils), per A
+        Motion by a change of each coil's current.
+    kalman : ndarray, shape (3, 2)
+        What an error of the heard pose adds to the tracked (across, heading, drift across in m/s).
+    saturated : bool
+    """
+
+    arc: float
+    position: FloatArray
+    speed: float
+    duration: float
+    wait: float
+    sigma: FloatArray
+    motion: FloatArray
+    feedback: FloatArray
+    explained: FloatArray
+    currents: FloatArray
+    kalman: FloatArray
+    saturated: bool
+
+
+def linearised(model: Model, instant: Instant, pairs: int = PAIRS) -> Cycle:
+    """The loop about one instant of a flight in which tracker and law were kept."""
+    assert instant.tracker is not None
+    assert instant.controller is not None
+    path, state, command = model.mission.path, instant.state, instant.command
+    tangent = path.tangent(np.array([min(command.progress, path.length - 1e-9)]))[0, :2]
+    normal = np.array([-tangent[1], tangent[0]])
+    covariance = np.asarray(instant.pose.covariance)
+    across = float(normal @ covariance[:2, :2] @ normal)
+    sigma = np.maximum(np.sqrt([across, covariance[5, 5]]), LEAST_SIGMA)
+    feedback, explained = probed(model, instant.controller, instant.pose, state, normal, sigma, pairs)
+    window = command.window
+
+    def seen(moved: tuple[FloatArray, float]) -> FloatArray:
+        return np.array([moved[0] @ normal, moved[1]])
+
+    motion = np.empty((2, 2))
+    for k, step in enumerate(np.diag(sigma)):
+        ends = [
+            seen(model.motion(state.moved(sign * step[0] * normal, sign * step[1]), window)) for sign in (1.0, -1.0)
+        ]
+        motion[:, k] = (ends[0] - ends[1]) / (2.0 * sigma[k])
+    return Cycle(
+        arc=command.progress,
+        position=state.position[:2].copy(),
+        speed=float(model.motion(state, window)[0] @ tangent),
+        duration=instant.cycle,
+        wait=instant.wait,
+        sigma=sigma,
+        motion=motion,
+        feedback=feedback,
+        explained=explained,
+        currents=_by_currents(model, state, window, normal),
+        kalman=_kalman(model, instant, normal, sigma),
+        saturated=command.saturated,
+    )
+
+
+def probed(
+    model: Model, controller: Controller, pose: Pose, state: State, normal: FloatArray, sigma: FloatArray, pairs: int
+) -> tuple[FloatArray, FloatArray]:
+    """Feedback (2, 2) of a law as it stands, and the share (2,) of the variance that it explains.
+
+    A law has dead zones, limits and choices, so that a derivative at a point may be anything. This is the gain that
+    a noisy input sees: least squares over poses that err as the tracked one does.
+    """
+    points = _normal_points(pairs) * sigma
+    moved = np.empty((len(points), 2))
+    for row, (off, turn) in enumerate(points):
+        answer = model.copied(controller).command(turned(pose, off, normal, turn))
+        step, swung = model.motion(state, answer.window)
+        moved[row] = step @ normal, swung
+    design = np.column_stack([np.ones(len(points)), points / sigma])
+    found, *_ = np.linalg.lstsq(design, moved, rcond=None)
+    left = np.sum((moved - design @ found) ** 2, axis=0)
+    whole = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
+    explained = np.where(whole > 1e-24, 1.0 - left / np.maximum(whole, 1e-300), 1.0)
+    return found[1:].T / sigma, explained
+
+
+@cache
+def _normal_points(pairs: int) -> FloatArray:
+    """Points (2 pairs, 2) of unit covariance in opposite pairs, the same each time: none of it is drawn."""
+    index = np.arange(pairs)
+    # radii at the middles of equal shares of their distribution, each turned on by the golden section of half a turn
+    radii = np.sqrt(-2.0 * np.log(1.0 - (index + 0.5) / pairs))
+    angles = math.pi * ((index * 0.5 * (math.sqrt(5.0) - 1.0)) % 1.0)
+    half = radii[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    points = np.concatenate([half, -half])
+    factor = np.linalg.cholesky(points.T @ points / len(points))
+    whitened: FloatArray = np.linalg.solve(factor, points.T).T
+    return whitened
+
+
+def _by_currents(model: Model, state: State, window: object, normal: FloatArray) -> FloatArray:
+    n = model.setup.table.n_coils
+    out = np.zeros((2, n))
+    if not isinstance(window, Actuate):
+        return out
+    step = CURRENT_STEP * model.setup.limits.max_current
+    for c in range(n):
+        ends = []
+        for sign in (1.0, -1.0):
+            currents = np.array(window.currents)
+            currents[c] += sign * step
+            moved, turn = model.motion(state, Actuate(tuple(currents.tolist()), window.duration))
+            ends.append(np.array([moved @ normal, turn]))
+        out[:, c] = (ends[0] - ends[1]) / (2.0 * step)
+    return out
+
+
+def _kalman(model: Model, instant: Instant, normal: FloatArray, sigma: FloatArray) -> FloatArray:
+    """What the tracker makes of an error in a heard pose: exact, since it is linear in it."""
+    assert instant.tracker is not None
+    out = np.empty((3, 2))
+    for k, (off, turn) in enumerate(np.diag(sigma)):
+        ends = []
+        for sign in (1.0, -1.0):
+            tracker = model.copied_tracker(instant.tracker)
+            tracker.update(instant.shot, turned(instant.heard, sign * off, normal, sign * turn))
+            assert tracker.pose is not None
+            heading = rotation_error(np.asarray(tracker.pose.orientation), np.asarray(instant.heard.orientation))[2]
+            place = normal @ np.asarray(tracker.pose.position)[:2]
+            ends.append(np.array([place, heading, normal @ tracker.drift[:2]]))
+        out[:, k] = (ends[0] - ends[1]) / (2.0 * sigma[k])
+    return out
+
+
+def averaged(cycles: list[Cycle], index: int, reach: int) -> Cycle:
+    """The mean loop of the cycles up to `reach` before and after `index`: what the loop sees while it settles."""
+    near = cycles[max(index - reach, 0) : index + reach + 1]
+    here = cycles[index]
+
+    def mean(name: str) -> FloatArray:
+        return np.mean([getattr(c, name) for c in near], axis=0)
+
+    return Cycle(
+        here.arc, here.position, float(mean("speed")), float(mean("duration")), here.wait, mean("sigma"),
+        mean("motion"), mean("feedback"), mean("explained"), mean("currents"), mean("kalman"), here.saturated,
+    )  # fmt: skip

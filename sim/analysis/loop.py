@@ -1,0 +1,296 @@
+"""The sampled loop as matrices: closed with a factor, or with late poses; its margins and responses.
+
+The loop is cut where the law's answer moves the robot, which is the same as at the heard pose. A factor there is a
+robot that answers more strongly than believed; a delay is a pose that comes late. Both act on place and heading at
+once, so the loop has one factor and two channels: its margins are those of the characteristic loci, not of one entry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.analysis.linear import Cycle
+from smolbot.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+ComplexArray = npt.NDArray[np.complex128]
+
+UNSTABLE = 1.0 + 1e-6
+"""Size of a pole from which on a loop counts as unstable; a loop that does not steer has one at 1."""
+
+MOST_GAIN, FREQUENCIES = 100.0, 500
+"""Largest factor that is looked at, and frequencies up to half the sampling rate."""
+
+BAND = 0.05
+"""A response has settled when it stays within this share of the step."""
+
+LONGEST = 400
+"""Cycles of a step response."""
+
+STEPS, MOST_LATE = 120, 24
+"""Factors that are looked at between none and the largest, and cycles by which poses are taken to be late at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """One cycle after the other, about the path. Deviations are (across in m, heading in rad), n = 2 of them, or fewer.
+
+        x' = (1 + M) x + c G x~                      the robot, under a factor c
+        p  = (1 + M)(x^ + T v D) + G x~              the tracker's prediction
+        x^' = p + K (x'[late] - p),  v' = v + K_v (x'[late] - p),   x~ = x^ + wait v D
+
+    Attributes
+    ----------
+    motion, feedback : ndarray, shape (n, n)
+        M and G.
+    kalman : ndarray, shape (n + m, n)
+        K, and below it K_v of m drifts.
+    drifts : ndarray, shape (n, m)
+        D: which deviation each drift carries off.
+    period, wait : float, in s
+        T; from the middle of listening to the next command.
+    """
+
+    motion: FloatArray
+    feedback: FloatArray
+    kalman: FloatArray
+    drifts: FloatArray
+    period: float
+    wait: float
+
+    @classmethod
+    def of(cls, cycle: Cycle) -> SampledLoop:
+        """The loop frozen at one cycle."""
+        drifts = np.array([[1.0], [0.0]])
+        return cls(cycle.motion, cycle.feedback, cycle.kalman, drifts, cycle.duration, cycle.wait)
+
+    @property
+    def size(self) -> int:
+        """Number of deviations."""
+        return len(self.motion)
+
+    def opened(self, late: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """State-space (A, B, C) from the motion w (n,) that an answer makes to the answer that the law gives, (n,).
+
+        The state is (x, x^, v, x one cycle ago, two ago, …); closed, w = c C z.
+        """
+        n, m = self.drifts.shape
+        eye, zero = np.eye(n), np.zeros((n, n))
+        k, kv = self.kalman[:n], self.kalman[n:]
+        told = np.hstack([zero, self.feedback, self.wait * self.feedback @ self.drifts])
+        predicted = np.hstack([zero, eye + self.motion, (eye + self.motion) @ self.drifts * self.period]) + told
+        order = 2 * n + m + late * n
+        a, b = np.zeros((order, order)), np.zeros((order, n))
+        a[:n, :n], b[:n] = eye + self.motion, eye
+        heard, heard_w = np.zeros((n, order)), np.zeros((n, n))
+        if late == 0:
+            heard[:, :n], heard_w = eye + self.motion, eye
+        elif late == 1:
+            heard[:, :n] = eye
+        else:
+            heard[:, 2 * n + m + (late - 2) * n : 2 * n + m + (late - 1) * n] = eye
+        wide = np.zeros((n, order))
+        wide[:, : 2 * n + m] = predicted
+        a[n : 2 * n] = wide + k @ (heard - wide)
+        a[2 * n : 2 * n + m] = kv @ (heard - wide)
+        a[2 * n : 2 * n + m, 2 * n : 2 * n + m] += np.eye(m)
+        b[n : 2 * n], b[2 * n : 2 * n + m] = k @ heard_w, kv @ heard_w
+        for i in range(late):
+            row = 2 * n + m + i * n
+            source = 0 if i == 0 else row - n
+            a[row : row + n, source : source + n] = eye
+        c = np.zeros((n, order))
+        c[:, : 2 * n + m] = told
+        return a, b, c
+
+    def closed(self, factor: float = 1.0, late: int = 0) -> FloatArray:
+        """The matrix that takes one cycle's state to the next."""
+        a, b, c = self.opened(late)
+        return a + factor * b @ c
+
+    def radius(self, factor: float = 1.0, late: int = 0) -> float:
+        """Size of the largest pole of the closed loop."""
+        return float(np.max(np.abs(np.linalg.eigvals(self.closed(factor, late)))))
+
+    def poles(self) -> ComplexArray:
+        """Of the closed loop, the largest first."""
+        found = np.linalg.eigvals(self.closed())
+        return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
+
+    def loci(self, angles: FloatArray, late: int = 0) -> ComplexArray:
+        """Eigenvalues (k, n) of minus the open loop at angles (k,) per cycle, in rad: -1 is where it would ring on."""
+        a, b, c = self.opened(late)
+        z = np.exp(1j * angles)[:, None, None]
+        response = -(c @ np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(b, (len(angles), *b.shape))))
+        return np.asarray(np.linalg.eigvals(response), dtype=np.complex128)
+
+    def heard(self) -> FloatArray:
+        """What an error (n,) of the heard pose adds to the state of the closed loop."""
+        n, m = self.drifts.shape
+        out = np.zeros((2 * n + m, n))
+        out[n:] = self.kalman
+        return out
+
+    def system(self) -> StateSpace:
+        """The closed loop for python-control: from an error of the heard pose to the deviations."""
+        import control
+
+        n = self.size
+        return control.ss(self.closed(), self.heard(), np.eye(n, 2 * n + len(self.drifts[0])), 0.0, dt=self.period)
+
+    def step(self, cycles: int) -> FloatArray:
+        """Deviations (cycles + 1, n) after the robot was put 1 m, or 1 rad, off in its first deviation, unnoticed."""
+        a = self.closed()
+        state = np.zeros(len(a))
+        state[0] = 1.0
+        out = np.empty((cycles + 1, self.size))
+        for k in range(cycles + 1):
+            out[k] = state[: self.size]
+            state = a @ state
+        return out
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far a loop is from ringing on. Zero margins where it does so already, infinite ones where nothing makes it.
+
+    Attributes
+    ----------
+    gain, least_gain : float
+        Factor on what the law makes of a deviation, up to which and down to which the loop is stable.
+    phase : float, in rad
+    delay : float, in cycles
+        Of the poses. Whole cycles are exact, in between the phase of a pure delay is taken.
+    late : int
+        Whole cycles by which poses may be late.
+    disc : float
+        Largest alpha for which factors (1 + alpha/2 d) / (1 - alpha/2 d), complex |d| < 1, leave the loop stable.
+    radius : float
+        Size of the largest pole.
+    bandwidth : float, in Hz
+        At which the robot follows an error of the pose across the path by 3 dB less than a slow one.
+    settling : float, in s
+        Until the response to a step across the path stays within 5 %.
+    """
+
+    gain: float
+    least_gain: float
+    phase: float
+    delay: float
+    late: int
+    disc: float
+    radius: float
+    bandwidth: float
+    settling: float
+
+    @property
+    def stable(self) -> bool:
+        return self.radius <= UNSTABLE
+
+    @property
+    def gain_db(self) -> float:
+        """The upper gain margin in dB."""
+        return 20.0 * math.log10(self.gain) if self.gain < math.inf else math.inf
+
+
+def margins(loop: SampledLoop) -> Margins:
+    """All of them."""
+    a, b, c = loop.opened()
+    fed = b @ c
+    radius = loop.radius()
+    bandwidth, settling = _bandwidth(loop), _settling(loop)
+    if radius > UNSTABLE:
+        return Margins(1.0, 1.0, 0.0, 0.0, -1, 0.0, radius, bandwidth, math.inf)
+    angles = np.linspace(0.0, math.pi, FREQUENCIES + 1)[1:]
+    loci = loop.loci(angles)
+    share = np.linspace(0.0, 1.0, STEPS + 1)[1:]
+    return Margins(
+        gain=_first_unstable(a, fed, lambda x: MOST_GAIN**x, share, math.inf),
+        least_gain=_first_unstable(a, fed, lambda x: MOST_GAIN**-x, share, 0.0),
+        phase=abs(np.angle(_first_unstable(a, fed, lambda x: np.exp(-1j * math.pi * x), share, -1.0))),
+        delay=_delay(angles, loci),
+        late=_late(loop),
+        disc=float(np.min(2.0 * np.abs(1.0 + loci) / np.maximum(np.abs(1.0 - loci), 1e-12))),
+        radius=radius,
+        bandwidth=bandwidth,
+        settling=settling,
+    )
+
+
+def _first_unstable(
+    a: FloatArray, fed: FloatArray, factor: Callable[[Any], Any], share: FloatArray, nothing: float
+) -> Any:
+    """The first of the factors at `share` that makes the loop ring on, found closely; `nothing` if none does."""
+
+    def unstable(x: Any) -> Any:
+        matrices = a + np.asarray(factor(x))[..., None, None] * fed
+        return np.max(np.abs(np.linalg.eigvals(matrices)), axis=-1) > UNSTABLE
+
+    found = np.flatnonzero(unstable(share))
+    if not found.size:
+        return nothing
+    high = float(share[found[0]])
+    low = high - float(share[0])
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if unstable(middle) else (middle, high)
+    return factor(low)
+
+
+def _delay(angles: FloatArray, loci: ComplexArray) -> float:
+    """Smallest delay, in cycles, that turns a locus of size 1 to -1."""
+    curves, best = _followed(loci), math.inf
+    size = np.abs(curves)
+    for i in range(curves.shape[1]):
+        for k in np.flatnonzero((size[:-1, i] - 1.0) * (size[1:, i] - 1.0) < 0.0):
+            t = (1.0 - size[k, i]) / (size[k + 1, i] - size[k, i])
+            angle = angles[k] + t * (angles[k + 1] - angles[k])
+            phase = np.angle(curves[k, i] + t * (curves[k + 1, i] - curves[k, i]))
+            best = min(best, float((phase + math.pi) % (2.0 * math.pi) / angle))
+    return best
+
+
+def _followed(loci: ComplexArray) -> ComplexArray:
+    """The loci with each of at most two columns a continuous curve."""
+    if loci.shape[1] != 2:
+        return loci
+    out = loci.copy()
+    for k in range(1, len(out)):
+        step = np.abs(out[k][:, None] - out[k - 1][None, :])
+        if step[1, 0] + step[0, 1] < step[0, 0] + step[1, 1]:
+            out[k] = out[k, ::-1]
+    return out
+
+
+def _late(loop: SampledLoop) -> int:
+    """Whole cycles by which poses may be late, up to `MOST_LATE`."""
+    return next((late - 1 for late in range(1, MOST_LATE + 1) if loop.radius(late=late) > UNSTABLE), MOST_LATE)
+
+
+def _bandwidth(loop: SampledLoop) -> float:
+    """In Hz; nan where the loop does not follow at all, half the sampling rate where it follows everything."""
+    angles = np.linspace(0.0, math.pi, FREQUENCIES + 1)[1:]
+    a, heard = loop.closed(), loop.heard()
+    z = np.exp(1j * angles)[:, None, None]
+    response = np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(heard[:, :1], (len(angles), len(a), 1)))
+    across = np.abs(response[:, 0, 0])
+    if not across[0] > 1e-6:
+        return math.nan
+    below = np.flatnonzero(across < across[0] / math.sqrt(2.0))
+    last = float(angles[below[0]]) if below.size else math.pi
+    return last / (2.0 * math.pi * loop.period)
+
+
+def _settling(loop: SampledLoop) -> float:
+    outside = np.flatnonzero(~(np.abs(loop.step(LONGEST)[:, 0]) <= BAND))
+    if not outside.size:
+        return 0.0
+    return float((outside[-1] + 1) * loop.period) if outside[-1] < LONGEST else math.inf

@@ -1,0 +1,202 @@
+"""A linear-quadratic regulator for the sampled loop, and the gains of a law whose feedback comes closest to it.
+
+A starting point for a search, no more: it knows the plan along the path from the law, and no limits, noise or mismatch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.analysis.flight import Model, fly
+from sim.analysis.linear import Cycle, linearised
+from smolbot.arrays import FloatArray
+from smolbot.control import Controller, Gain
+from smolbot.errors import InputError
+from smolbot.plugins import load
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What counts as much as what, cycle by cycle: so far off (m), so far turned (rad), so much of a full current.
+
+    By default what a tracked pose errs by, a turn that one window makes, and the room that a coil has about its mean.
+    """
+
+    across: float = 1e-4
+    heading: float = math.radians(10.0)
+    current: float = 0.5
+
+    @classmethod
+    def parse(cls, text: str) -> Weights:
+        """From ``0.1,10,0.5``: mm, degrees, share of a full current. Raises `InputError` for anything else."""
+        try:
+            across, heading, current = (float(part) for part in text.split(","))
+        except ValueError:
+            across = heading = current = math.nan
+        if not all(0.0 < value < math.inf for value in (across, heading, current)):
+            raise InputError(f"--weights must be three numbers above 0, in mm, degrees and share of a full current, "
+                             f"such as 0.1,10,0.5; got '{text}'.")  # fmt: skip
+        return cls(1e-3 * across, math.radians(heading), current)
+
+
+PLACES, PAIRS = 24, 4
+"""Cycles of a flight at which a law is held against the regulator, and pairs of poses that it is asked at."""
+
+PACE = 1.1
+"""How much longer than now a flight may take under the gains that are found."""
+
+STEP, LEAST_STEP = 0.16, 0.05
+"""First and last step of the search, as shares of a gain's range."""
+
+MATTERS = 0.05
+"""Share of the distance that one step of a gain changes, from which on the gain matters."""
+
+WORTH = 0.03
+"""Share of the distance that a step must gain to be taken."""
+
+MOST = 48
+"""Flights that the search may take."""
+
+
+def regulator(cycle: Cycle, weights: Weights, max_current: float) -> FloatArray:
+    """Feedback (2, 2) of the linear-quadratic regulator: motion (across in m, turn in rad) by deviation.
+
+    The window's currents are free about those that the law chose; its duration is the law's.
+
+        x' = (1 + M) x + B u,   minimise the sum of (x / w_x)^2 + (u / (w_u I_max))^2
+    """
+    import control
+
+    state = np.diag([weights.across**-2, weights.heading**-2])
+    b = cycle.currents * max_current
+    if not np.any(b):
+        return np.zeros((2, 2))
+    gain, _, _ = control.dlqr(np.eye(2) + cycle.motion, b, state, np.eye(b.shape[1]) / weights.current**2)
+    return np.asarray(-b @ np.asarray(gain), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Gains closest to the regulator, and how far the law was from it before and is now.
+
+    Attributes
+    ----------
+    gains : mapping
+        Those that are to be changed.
+    before, after : float
+        Median distance over the path, as a share of the regulator's own feedback.
+    duration : tuple of float, in s
+        Of a flight without noise, before and after.
+    flights : int
+        Tried.
+    """
+
+    gains: Mapping[str, float]
+    before: float
+    after: float
+    duration: tuple[float, float]
+    flights: int
+
+
+def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST) -> Found:
+    """Search the law's declared ranges, one gain after the other, for the feedback nearest to the regulator's."""
+    weights = weights or Weights()
+    declared: Mapping[str, Gain] = load("controllers", model.mission.law).gains
+    start = {name: float(model.mission.gains.get(name, gain.default)) for name, gain in declared.items()}
+    stride, target, arcs = _target(model, weights)
+    flights, (before, pace) = 1, _distance(model, start, stride, target, arcs, weights, math.inf)
+    best, shortest, seconds = dict(start), before, pace
+
+    def tried(name: str, share: float) -> tuple[dict[str, float], float, float]:
+        gain = declared[name]
+        moved = {**best, name: _moved(gain, best[name], share)}
+        if moved[name] == best[name]:
+            return moved, math.inf, math.inf
+        return moved, *_distance(model, moved, stride, target, arcs, weights, PACE * pace)
+
+    matter: dict[str, float] = {}
+    step = STEP
+    names: Sequence[str] = list(declared)
+    while step >= LEAST_STEP and flights < most:
+        better = False
+        for name in names:
+            for sign in (1.0, -1.0):
+                if flights >= most:
+                    break
+                moved, distance, took = tried(name, sign * step)
+                flights += 1
+                if math.isfinite(distance):
+                    matter[name] = max(matter.get(name, 0.0), abs(distance - shortest))
+                if distance < (1.0 - WORTH) * shortest:
+                    best, shortest, seconds, better = moved, distance, took, True
+                    break
+        if step == STEP:
+            names = sorted((n for n in names if matter.get(n, 0.0) > MATTERS * before), key=lambda n: -matter[n])
+        if not better:
+            step *= 0.5
+    found = {name: best[name] for name in declared if best[name] != start[name]}
+    return Found(found, before, shortest, (pace, seconds), flights)
+
+
+def between(
+    declared: Mapping[str, Gain], start: Mapping[str, float], end: Mapping[str, float], share: float
+) -> dict[str, float]:
+    """Gains at `share` of the way from `start` to `end`, each on its own scale."""
+    out = {}
+    for name, goal in end.items():
+        a, b = start[name], goal
+        out[name] = a * (b / a) ** share if declared[name].log else a + share * (b - a)
+    return out
+
+
+def _moved(gain: Gain, value: float, share: float) -> float:
+    """A gain moved by a share of its range, within it."""
+    scale: Callable[[float], float] = math.log if gain.log else float
+    low, high, now = scale(gain.low), scale(gain.high), scale(value)
+    moved = min(max(now + share * (high - low), low), high)
+    return min(max(math.exp(moved) if gain.log else moved, gain.low), gain.high)
+
+
+def _target(model: Model, weights: Weights) -> tuple[int, FloatArray, FloatArray]:
+    """Every how many cycles to look, feedback (n, 2, 2) of the regulator there, and arc lengths (n,)."""
+    count = sum(1 for _ in fly(model, model.controller(), keep=lambda cycle: False))
+    stride = max(count // PLACES, 1)
+    cycles = _cycles(model, model.controller(), stride)[0]
+    limit = model.setup.limits.max_current
+    return stride, np.array([regulator(c, weights, limit) for c in cycles]), np.array([c.arc for c in cycles])
+
+
+def _cycles(model: Model, controller: Controller, stride: int, longest: float = math.inf) -> tuple[list[Cycle], float]:
+    """Linearised cycles of a flight, and its duration in s; raises `InputError` where it does not arrive in time."""
+    cycles, clock, done = [], 0.0, False
+    for instant in fly(model, controller, keep=lambda cycle: cycle % stride == 0):
+        clock += instant.cycle
+        done = instant.command.done
+        if clock > longest:
+            break
+        if instant.tracker is not None and instant.command.phase == "follow" and not done:
+            cycles.append(linearised(model, instant, PAIRS))
+    if not done:
+        raise InputError(f"{model.mission.law} does not arrive in time.")
+    return cycles, clock
+
+
+def _distance(
+    model: Model, gains: Mapping[str, float], stride: int, target: FloatArray, arcs: FloatArray, weights: Weights,
+    longest: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Median relative distance of a law's feedback from the regulator's, and its flight's duration; inf if it fails."""
+    try:
+        cycles, clock = _cycles(model, model.controller(gains), stride, longest)
+    except InputError:
+        return math.inf, math.inf
+    scale = np.array([weights.across, weights.heading])
+    unit = scale[None, :] / scale[:, None]
+    wanted = np.array([target[int(np.argmin(np.abs(arcs - c.arc)))] for c in cycles]) * unit
+    found = np.array([c.feedback for c in cycles]) * unit
+    apart = np.linalg.norm(found - wanted, axis=(1, 2)) / np.maximum(np.linalg.norm(wanted, axis=(1, 2)), 1e-9)
+    return float(np.median(apart)), clock

@@ -1,0 +1,244 @@
+"""How far a mission's loop is from ringing on along its path, and the gains nearest to a linear-quadratic regulator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.analysis.flight import Model, fly
+from sim.analysis.linear import Cycle, averaged, linearised
+from sim.analysis.loop import Margins, SampledLoop, margins
+from sim.analysis.lqr import Weights, between, closest_gains
+from sim.studies.columns import joined
+from sim.studies.margins_report import figures_of, files, rows_of
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
+from smolbot.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.missionfile import Mission, load_mission
+
+PARTS = 4
+"""Pieces that the cycles of a flight are dealt out to."""
+
+REACH = 4
+"""Cycles before and after one over which its loop is averaged: about what it takes to settle."""
+
+FLIGHTS = 3
+"""Worlds of the reduced plant in which gains are flown, now and closest to the regulator."""
+
+SHARES = (1.0, 0.5, 0.25)
+"""How far toward the regulator the gains are moved: the first share with which no fewer of these flights pass."""
+
+MATRICES = {"motion": (2, 2), "feedback": (2, 2), "kalman": (3, 2), "sigma": (2,), "explained": (2,), "position": (2,)}
+"""What of a cycle is kept beside its numbers, and its shape."""
+
+
+@lru_cache(maxsize=1)
+def _loaded(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Mission:
+    return load_mission(mission, rig, dict(settings))
+
+
+@lru_cache(maxsize=1)
+def _model(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Model:
+    return Model(_loaded(mission, rig, settings))
+
+
+def mission_of(options: Options) -> Mission:
+    """The mission that a study is about."""
+    if options.mission is None:
+        raise InputError("study margins needs a mission: smolbot study margins MISSION, such as r_path.")
+    return _loaded(options.mission, options.own_rig, options.settings)
+
+
+def weights_of(text: str | None) -> Weights:
+    """Those asked for, or the default."""
+    return Weights() if text is None else Weights.parse(text)
+
+
+def chunks(options: Options) -> list[Chunk]:
+    """The flight's cycles in some pieces, and the search for gains; an unreachable path is refused here.
+
+    Raises
+    ------
+    InputError
+        For a mission without a loop, or one that would not arrive on the controller's own model.
+    """
+    from sim.analysis.flight import require_loop
+    from smolbot.preview import preview
+
+    mission = mission_of(options)
+    require_loop(mission)
+    found = preview(mission)
+    if not found.go:
+        raise InputError(f"{mission.name}: there is no flight to analyse: {' '.join(found.reasons)}")
+    weights_of(options.weights)
+    given = {
+        "weights": options.weights,
+        "mission": options.mission,
+        "own_rig": options.own_rig,
+        "settings": options.settings,
+    }
+    pieces = [("gains", {**given, "seed": options.seed})]
+    pieces += [(f"path-{i}", {**given, "part": i}) for i in range(PARTS)]
+    return [*cut(options, work_gains, pieces[:1]), *cut(options, work_path, pieces[1:])]
+
+
+def work_path(chunk: Chunk) -> Columns:
+    """Every `PARTS`-th cycle of the flight, linearised."""
+    model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
+    rows: list[tuple[int, Cycle]] = []
+    for instant in fly(model, model.controller(), keep=lambda k: k % PARTS == chunk["part"]):
+        if instant.tracker is not None and instant.command.phase == "follow" and not instant.command.done:
+            rows.append((instant.number, linearised(model, instant)))
+    cycles = [c for _, c in rows]
+    out: Columns = {
+        "cycle": np.array([number for number, _ in rows]),
+        **{name: np.array([getattr(c, name) for c in cycles]) for name in ("arc", "speed", "duration", "wait")},
+        "saturated": np.array([c.saturated for c in cycles]),
+    }
+    for name, shape in MATRICES.items():
+        flat = np.array([getattr(c, name).ravel() for c in cycles]).reshape(len(cycles), math.prod(shape))
+        out |= {f"{name}_{i}": flat[:, i] for i in range(flat.shape[1])}
+    return out
+
+
+def work_gains(chunk: Chunk) -> Columns:
+    """Gains closest to the regulator, and flights of the reduced plant under the present ones and these."""
+    model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
+    mission, found = model.mission, closest_gains(model, weights_of(chunk["weights"]))
+    names, settings, declared = list(found.gains), dict(chunk["settings"]), _declared(mission)
+    start = {name: float(mission.gains.get(name, declared[name].default)) for name in names}
+    before = _flown(chunk, mission, settings)
+    values, share, after = found.gains, 1.0, np.zeros((0, 4))
+    for share in SHARES if names else ():
+        values = between(declared, start, found.gains, share)
+        after = _flown(chunk, mission, {**settings, **{f"controller.gains.{n}": repr(v) for n, v in values.items()}})
+        if np.sum(after[:, 3:]) >= np.sum(before[:, 3:]):
+            break
+    return {
+        "_names": np.array(names, dtype=np.str_),
+        "_values": np.array([values[n] for n in names]),
+        "_start": np.array([start[n] for n in names]),
+        "_share": np.array([share]),
+        "_distance": np.array([found.before, found.after]),
+        "_duration": np.array(found.duration),
+        "_flights": np.array([found.flights]),
+        "_flown_before": before,
+        "_flown_after": after,
+    }
+
+
+def _declared(mission: Mission) -> Mapping[str, Any]:
+    from smolbot.plugins import load
+
+    declared: Mapping[str, Any] = load("controllers", mission.law).gains
+    return declared
+
+
+def _flown(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> FloatArray:
+    """Rows (seed, tracking rms in mm, robot time in s, passed) of flights of the reduced plant; none on a bench."""
+    from sim.reduced.rig import require_flyable
+    from sim.simulate import Plant, fly_one
+
+    try:
+        require_flyable(mission)
+    except InputError:
+        return np.zeros((0, 4))
+    rows = []
+    for seed in range(chunk["seed"], chunk["seed"] + FLIGHTS):
+        summary = fly_one(chunk["mission"], chunk["own_rig"], dict(settings), seed, Plant.REDUCED).summary
+        done = summary["status"] == "completed"
+        rms = summary["tracking_error_mm"]["rms"] if done else math.nan
+        rows.append([seed, rms, summary["duration_s"] if done else math.nan, summary["verdict"] == "passed"])
+    return np.array(rows, dtype=np.float64)
+
+
+def cycles_of(columns: Columns) -> list[Cycle]:
+    """The cycles of a flight, in order, from their columns."""
+    order = np.argsort(columns["cycle"])
+    taken = {name: np.asarray(column)[order] for name, column in columns.items()}
+    matrices = {
+        name: np.stack([taken[f"{name}_{i}"] for i in range(math.prod(shape))], axis=1).reshape(-1, *shape)
+        for name, shape in MATRICES.items()
+    }
+    return [
+        Cycle(
+            arc=float(taken["arc"][k]),
+            speed=float(taken["speed"][k]),
+            duration=float(taken["duration"][k]),
+            wait=float(taken["wait"][k]),
+            currents=np.zeros((2, 0)),
+            saturated=bool(taken["saturated"][k]),
+            **{name: matrix[k] for name, matrix in matrices.items()},
+        )
+        for k in range(len(order))
+    ]
+
+
+def conclude(options: Options, parts: list[Columns]) -> Outcome:
+    """Margins at every cycle, the worst and the median of each, and what the search for gains found."""
+    gains, columns = parts[0], joined(parts[1:])
+    cycles = cycles_of(columns)
+    if len(cycles) < 2:
+        raise InputError("The flight follows its path for less than two cycles: there is no loop to analyse.")
+    loops = [averaged(cycles, k, REACH) for k in range(len(cycles))]
+    found = [margins(SampledLoop.of(loop)) for loop in loops]
+    periods = np.array([loop.duration for loop in loops])
+    table: Columns = {
+        "cycle": np.sort(columns["cycle"]),
+        "arc_mm": 1e3 * np.array([c.arc for c in cycles]),
+        "x_mm": 1e3 * np.array([c.position[0] for c in cycles]),
+        "y_mm": 1e3 * np.array([c.position[1] for c in cycles]),
+        "cycle_ms": 1e3 * np.array([c.duration for c in cycles]),
+        "gain_margin_db": np.array([m.gain_db for m in found]),
+        "gain_reduction_margin_db": np.array([_reduction(m) for m in found]),
+        "phase_margin_deg": np.degrees([m.phase for m in found]),
+        "delay_margin_cycles": np.array([m.delay for m in found]),
+        "delay_margin_ms": 1e3 * np.array([m.delay for m in found]) * periods,
+        "late_cycles": np.array([m.late for m in found]),
+        "disc_margin": np.array([m.disc for m in found]),
+        "bandwidth_hz": np.array([m.bandwidth for m in found]),
+        "settle_s": np.array([m.settling for m in found]),
+        "largest_pole": np.array([m.radius for m in found]),
+        "explained_across": np.array([loop.explained[0] for loop in loops]),
+        "explained_turn": np.array([loop.explained[1] for loop in loops]),
+        **{f"_{name}": np.array([getattr(loop, name) for loop in loops]) for name in ("motion", "feedback", "kalman")},
+        "_period": periods,
+        "_wait": np.array([loop.wait for loop in loops]),
+    }
+    figures = figures_of(mission_of(options), weights_of(options.weights), table, found, gains)
+    return Outcome(rows_of(figures, table), figures, table)
+
+
+def _reduction(found: Margins) -> float:
+    return -20.0 * math.log10(found.least_gain) if found.least_gain > 0.0 else math.inf
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """See `sim.studies.margins_picture`."""
+    from sim.studies.margins_picture import draw_margins
+
+    draw_margins(outcome, path)
+
+
+STUDY = Study(
+    name="margins",
+    title="Margins of the loop",
+    devices=dict,
+    chunks=chunks,
+    conclude=conclude,
+    draw=draw,
+    mission=True,
+    rig_of=lambda options: mission_of(options).rig,
+    files=files,
+    notes={
+        "cut": "where the law's answer moves the robot: place across the path and heading together",
+        "loop": "frozen at each cycle, averaged over four before and after; the tracker at its covariance there; "
+        "what a law learns in flight is held",
+        "feedback": "least squares over poses that err as tracked ones do, 0.05 mm and 1 degree at least",
+    },
+)
