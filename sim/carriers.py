@@ -40,6 +40,23 @@ class Carrier(Protocol):
 
 
 @runtime_checkable
+class Turned(Carrier, Protocol):
+    """Moved by a rotating magnet as well: takes mechanical windows in long strides, since nothing listens to them."""
+
+    longest_step: float
+    """Of a stride, in s."""
+
+    def lasting(self, window: Window) -> float:
+        """How long a mechanical window truly lasts, in s; asked once for each."""
+
+    def turn(self, step: float, poses: FloatArray) -> None:
+        """As many steps of `step` s as `poses` (n, 7) has rows, which receive rotation centre (m) and orientation."""
+
+    def end(self, window: Window) -> None:
+        """A mechanical window is over, or was cut short."""
+
+
+@runtime_checkable
 class Magnetised(Carrier, Protocol):
     """Brings a magnetism of its own along, which the device feels and the sensors hear."""
 
@@ -75,6 +92,10 @@ def make_carrier(
         from sim.floating import Floating
 
         return Floating(rig, robot, settings, truth, start, gui=gui)
+    if robot.kind == "helical":
+        from sim.gel.embedded import Embedded
+
+        return Embedded(rig, robot, settings, truth, start, seed, ideal=ideal)
     if robot.kind == "device":
         from sim.held import held
 

@@ -16,7 +16,7 @@ from smolbot.errors import RigError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 from smolbot.sensing import Recording
-from smolbot.shots import Excite, Listen, Rest, Shot
+from smolbot.shots import Excite, Listen, MoveMagnet, Rest, Shot, magnet_near_after
 from smolbot.worlds import Witness
 
 
@@ -63,6 +63,7 @@ class TankRig:
         self._turnaround = rig.turnaround
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
         self._last_drive: tuple[Excite, float] | None = None
+        self._magnet_near = False
         self._open = True
 
     def now(self) -> float:
@@ -83,10 +84,16 @@ class TankRig:
         """
         if not self._open:
             raise RigError("This tank is closed; nothing was played.")
-        self.limits.check(shot)
+        self.limits.check(shot, magnet_near=self._magnet_near)
         tank, begin = self._tank, self._tank.time
         windows = (*shot.windows, Rest(self._turnaround)) if self._turnaround > 0 else shot.windows
-        if not tank.advance(windows):
+        for window in shot.windows:
+            if isinstance(window, MoveMagnet):  # a move that is cut short leaves the magnet near
+                self._magnet_near = True
+        played = tank.advance(windows)
+        if played:
+            self._magnet_near = magnet_near_after(shot, near=self._magnet_near)
+        if not played:
             raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
         return self._recording(shot, begin)
 

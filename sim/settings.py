@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
+from sim.gel.settings import GelSettings
 from smolbot.config import FileModel
 
 Positive = Annotated[float, Field(gt=0)]
@@ -129,6 +130,7 @@ class TankSettings(FileModel):
     wall_friction: NotNegative = 0.1
     earth: EarthSection = EarthSection()
     surface: SurfaceSection = SurfaceSection()
+    gel: GelSettings = GelSettings()
     mismatch: MismatchSection = MismatchSection()
     hand: HandSection | None = None
     place: PlaceSection | None = None

@@ -33,6 +33,13 @@ COLUMNS = {
     "localization_p95_mm": ("localization_error_mm", "p95"),
     "tracked_mean_mm": ("tracked_error_mm", "mean"),
     "orientation_mean_deg": ("orientation_error_deg", "mean"),
+    "axis_error_mean_deg": ("axis_error_deg", "mean"),
+    "axis_error_max_deg": ("axis_error_deg", "max"),
+    "axis_tracked_mean_deg": ("axis_error_tracked_deg", "mean"),
+    "axis_to_path_deg": ("axis_to_path_deg", "mean"),
+    "pauses": ("pauses",),
+    "turns": ("turns",),
+    "step_outs": ("step_outs",),
     "tracking_mean_mm": ("tracking_error_mm", "mean"),
     "tracking_rms_mm": ("tracking_error_mm", "rms"),
     "tracking_p95_mm": ("tracking_error_mm", "p95"),
@@ -98,7 +105,6 @@ def simulate(
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
     from sim.executors import open_executor
     from smolbot.anymission import load_mission
-    from smolbot.observationfile import Observation
     from smolbot.records.folder import RunFolder
 
     wanted = parse_seeds(seeds)
@@ -108,7 +114,7 @@ def simulate(
         from sim.reduced.rig import require_flyable
 
         require_flyable(loaded)
-    if not isinstance(loaded, Observation):
+    if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
     folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
     folder.begin(loaded, wanted[0], settings, {"seeds": wanted, "plant": str(plant)})

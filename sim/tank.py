@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sim.cantilever import STATE_LENGTH, swing
-from sim.carriers import Carrier, Magnetised, make_carrier
+from sim.carriers import Carrier, Magnetised, Turned, make_carrier
 from sim.coils import TankCoils, volume
 from sim.history import History
 from sim.magnet import true_device
@@ -19,8 +19,9 @@ from smolbot.errors import RigError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 from smolbot.rotations import matrix_from_quaternion
-from smolbot.shots import Actuate, Excite, Window
+from smolbot.shots import Actuate, Excite, MoveMagnet, Rotate, Window
 
+STRIDES = 500  # of a mechanical window between two looks at whether to stop
 SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
 
 
@@ -66,16 +67,19 @@ class Tank:
         """Play windows one after the other; return False if `running` was set to False meanwhile.
 
         Afterwards every command is zero."""
-        lengths = [(w, *_divide(w.duration, self._step)) for w in windows]
+        lengths = [(w, *self._strides(w)) for w in windows]
         steps = sum(n for _, n, _ in lengths)
         self.history.drop_last()  # the first row of this shot repeats the closing row of the last
         times, poses = self.history.reserve(steps + 1)
-        self._begin_trace(sum(n * _substeps(h) for _, n, h in lengths))
+        self._begin_trace(sum(1 if _is_mechanical(w) else n * _substeps(h) for w, n, h in lengths))
         done, self.running = 0, True
         try:
             for window, n, step in lengths:
                 self._command(window)
-                done += self._run(n, step, times[done:], poses[done:])
+                run = self._turn if isinstance(window, Rotate | MoveMagnet) else self._run
+                done += run(n, step, times[done:], poses[done:])
+                if isinstance(self.carrier, Turned) and _is_mechanical(window):
+                    self.carrier.end(window)
                 if not self.running:
                     break
         finally:
@@ -135,6 +139,27 @@ class Tank:
         self.time = start + played * step
         return played
 
+    def _turn(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
+        """A mechanical window: the magnet's own field stills the swing, and nobody listens."""
+        carrier, start, played = self.carrier, self.time, 0
+        assert isinstance(carrier, Turned)  # no other rig's limits let such a window pass
+        while self.running and played < n:
+            stride = min(STRIDES, n - played)
+            carrier.turn(step, poses[played : played + stride])
+            played += stride
+        times[:played] = start + step * np.arange(played)
+        self.time = start + played * step
+        self._state[:2] = 0.0
+        self._trace_times[self._used], self._trace[self._used] = self.time, 0.0
+        self._trace[self._used, 1:] = self.coils.circuits[:, 0]
+        self._used += 1
+        return played
+
+    def _strides(self, window: Window) -> tuple[int, float]:
+        if isinstance(self.carrier, Turned) and _is_mechanical(window):
+            return _divide(self.carrier.lasting(window), self.carrier.longest_step)
+        return _divide(window.duration, self._step)
+
     def _command(self, window: Window) -> None:
         self.silence()
         self.carrier.begin(window, self.time)
@@ -165,6 +190,10 @@ class Tank:
         time[0] = self.time
         pose[0, :3] = position - turn @ self.device[10:13]
         pose[0, 3:] = quaternion
+
+
+def _is_mechanical(window: Window) -> bool:
+    return isinstance(window, Rotate | MoveMagnet)
 
 
 def _divide(duration: float, longest: float) -> tuple[int, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def warm_up() -> None:
-    """Fly the first seconds of two missions, and draw them; what that needs is compiled and cached."""
+    """Fly the beginning of three missions, and draw them; what that needs is compiled and cached."""
     import tempfile
 
     import smolbot
@@ -13,6 +13,8 @@ def warm_up() -> None:
         for mission in ("line", "r_path"):
             out = f"{folder}/{mission}"
             smolbot.run(mission, seed=0, out=out, stop__max_duration_s=2.0, localization__quiet_s=1.0)
+        out = f"{folder}/s_path"  # one maneuver of the magnet takes half a minute of its time
+        smolbot.run("s_path", seed=0, out=out, stop__max_duration_s=30.0, localization__quiet_s=1.0)
 
 
 if __name__ == "__main__":

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.limits import Limits
+from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths import Curve
 from smolbot.poses import Pose
 from smolbot.sensing import Device
-from smolbot.shots import Actuate, Rotate
+from smolbot.shots import Actuate, Mechanical, Rotate
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
@@ -83,13 +84,37 @@ class Setup:
 
 
 @dataclass(frozen=True)
+class HelixSetup:
+    """Everything the controller of a helical robot may know of its world: beliefs, never truth.
+
+    Attributes
+    ----------
+    helix : Helix
+    limits : Limits
+    device : Device
+    cycle : Cycle
+    move : float, in s
+        Expected, to bring the magnet near or to take it away.
+    tolerance : float, in m
+        Distance within which the path's end counts as reached.
+    """
+
+    helix: Helix
+    limits: Limits
+    device: Device
+    cycle: Cycle
+    move: float
+    tolerance: float = 0.8e-3
+
+
+@dataclass(frozen=True)
 class Command:
     """What to do next.
 
     Attributes
     ----------
-    window : Actuate, Rotate or None
-        None: do nothing this cycle.
+    window : Actuate, Rotate, a tuple of mechanical windows, or None
+        Mechanical windows are played as a shot of their own. None: do nothing this cycle but listen.
     saturated : bool
         True where a limit cut the command short.
     note : str
@@ -100,14 +125,27 @@ class Command:
         On the way to the path's start, or on the path.
     done : bool
         True once the path's end is reached.
+    stuck : bool
+        True where the controller gives up; its note says why.
+    event : str
+        Something that a reader of the record should find, such as a step-out.
     """
 
-    window: Actuate | Rotate | None
+    window: Actuate | Rotate | tuple[Mechanical, ...] | None
     saturated: bool = False
     note: str = ""
     progress: float = 0.0
     phase: Phase = "follow"
     done: bool = False
+    stuck: bool = False
+    event: str = ""
+
+    @property
+    def mechanical(self) -> tuple[Mechanical, ...]:
+        """Its mechanical windows; empty if it has none."""
+        if isinstance(self.window, tuple):
+            return self.window
+        return (self.window,) if isinstance(self.window, Rotate) else ()
 
 
 @dataclass(frozen=True)

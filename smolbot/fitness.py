@@ -32,7 +32,7 @@ def fitness_faults(mission: Mission) -> list[Fault]:
     """Every reason why the mission cannot be flown as its files say; empty if there is none."""
     return [
         *_container_faults(mission),
-        *_table_faults(mission),
+        *(_table_faults(mission) if mission.robot.kind == "gradient" else ()),
         *_limit_faults(mission),
         *(_sensor_faults(mission) or _tolerance_faults(mission)),
     ]

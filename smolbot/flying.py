@@ -107,7 +107,8 @@ def fly(
         rig = opener(mission, seed)
     else:
         world = load_world(mission.rig.world, mission.rig.document)
-        rig = world.open(mission.rig, mission.robot, mission.start, seed, gui=gui)
+        place = mission.start if isinstance(mission, Observation) else mission.put_down
+        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui)
     try:
         return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners)
     finally:
@@ -224,8 +225,12 @@ def learned_sensors(mission: Mission, learned: ArrayFilter) -> SensorsFile:
 
 def _steer(mission: Mission) -> tuple[Tracker, Pilot]:
     """Who believes and who decides where a robot is steered along a path."""
+    make = load("controllers", mission.law)
+    if mission.robot.kind == "helical":
+        screwed = mission.helix_setup()
+        return Tracker(screwed.helix, screwed.device, None), Follower(mission.path, make(screwed, mission.gains))
     setup = mission.setup()
-    controller = load("controllers", mission.law)(setup, mission.gains)
+    controller = make(setup, mission.gains)
     return Tracker(setup.robot, setup.device, setup.table), Follower(mission.path, controller)
 
 

@@ -1,4 +1,4 @@
-"""Letters and signs as one continuous route, in a box of a given size: three own letters, and a plotter's font."""
+"""Letters and signs as one continuous route, in a box of a given size: four own letters, and a plotter's font."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from smolbot.errors import InputError
 
 BOWL = 0.25
 """Radius of the R's bowl as a fraction of its height: the bowl takes the upper half."""
+
+S_TERMINAL = 10.0
+"""Where the S begins and ends on its bowls, in degrees above and below their middle."""
 
 TURN = np.radians(4.0)
 """Most turn between two samples of a bend: on one of 5 mm radius a chord is off by 3 µm."""
@@ -38,7 +41,23 @@ def _letter_l(width: float, height: float) -> FloatArray:
     return np.array([[0.0, height], [0.0, 0.0], [width, 0.0]])
 
 
-GLYPHS = {"I": _letter_i, "L": _letter_l, "R": _letter_r}
+def _letter_s(width: float, height: float) -> FloatArray:
+    """From the upper end round the upper bowl, through the middle, round the lower one: the gentlest bends that fit.
+
+    Each bowl is half as high as the letter, its ends quarter circles and half circles joined by straight pieces.
+    """
+    radius = BOWL * height
+    reach = max(0.5 * width - radius, 0.0)
+    stretch = min(0.5 * width, radius) / radius
+    right = np.linspace(np.radians(S_TERMINAL), 0.5 * np.pi, 33)
+    left = np.linspace(0.5 * np.pi, 1.5 * np.pi, 65)
+    x = np.concatenate([reach + stretch * radius * np.cos(right), -reach + stretch * radius * np.cos(left)])
+    y = radius + radius * np.sin(np.concatenate([right, left]))
+    upper = np.stack([x, y], axis=1)
+    return np.concatenate([upper, -upper[::-1]]) + 0.5 * np.array([width, height])
+
+
+GLYPHS = {"I": _letter_i, "L": _letter_l, "R": _letter_r, "S": _letter_s}
 """Own letters, drawn for robots; every other character is of the font."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from smolbot.errors import InterlockError
@@ -31,6 +32,8 @@ class Limits:
     max_listen : float, in s
     max_rotation_frequency : float, in Hz
         Of the rotating magnet; 0 without one.
+    max_steering_rate : float, in rad/s
+        Of the stage that turns the magnet's axis about the vertical, while the magnet is near.
     """
 
     coils: tuple[str, ...]
@@ -42,12 +45,22 @@ class Limits:
     min_ring_down: float = 0.0
     max_listen: float = 3.0
     max_rotation_frequency: float = 0.0
+    max_steering_rate: float = 0.0
 
-    def faults(self, shot: Shot) -> list[str]:
-        """Every limit that the shot breaks, a sentence each; empty if it may be played."""
+    def faults(self, shot: Shot, *, magnet_near: bool = False) -> list[str]:
+        """Every limit that the shot breaks, a sentence each; empty if it may be played.
+
+        `magnet_near` says where the actuation magnet stands when the shot begins.
+        """
         found: list[str] = []
         quiet_since = float("inf")
+        axis: tuple[float, float, float] | None = None
         for at, window in shot.timed():
+            if magnet_near and isinstance(window, Actuate | Excite | Listen):
+                found.append(
+                    f"{type(window).__name__} at {at * 1e3:.1f} ms needs the actuation magnet away: near, it saturates "
+                    "the sensors and holds the swing; move it away first."
+                )
             if isinstance(window, Actuate):
                 found += self._actuation_faults(window)
                 quiet_since = 0.0
@@ -63,14 +76,16 @@ class Limits:
                 if window.duration > self.max_listen + 1e-9:
                     found.append(f"Listen window must last at most {self.max_listen:g} s; got {window.duration:.3f} s.")
             elif isinstance(window, Rotate | MoveMagnet):
-                found += self._mechanical_faults(window)
+                found += self._mechanical_faults(window, axis, near=magnet_near)
+                axis = window.axis if isinstance(window, Rotate) else None
+                magnet_near = window.to == "near" if isinstance(window, MoveMagnet) else magnet_near
             if not isinstance(window, Actuate | Excite):
                 quiet_since += window.duration
         return found
 
-    def check(self, shot: Shot) -> None:
+    def check(self, shot: Shot, *, magnet_near: bool = False) -> None:
         """Raise `InterlockError`, naming every broken limit, unless the shot may be played."""
-        found = self.faults(shot)
+        found = self.faults(shot, magnet_near=magnet_near)
         if found:
             raise InterlockError(" ".join([*found, "Nothing was played."]))
 
@@ -102,9 +117,29 @@ class Limits:
             )
         return found
 
-    def _mechanical_faults(self, window: Rotate | MoveMagnet) -> list[str]:
+    def _mechanical_faults(
+        self, window: Rotate | MoveMagnet, before: tuple[float, float, float] | None, *, near: bool
+    ) -> list[str]:
+        """Faults of a move of the magnet; `before` is the axis about which it turned just now, near the sample."""
         if self.max_rotation_frequency <= 0:
             return ["This rig has no rotating magnet; Rotate and MoveMagnet cannot be played."]
-        if isinstance(window, Rotate) and not 0 < window.frequency <= self.max_rotation_frequency:
-            return [f"Rotate must stay within {self.max_rotation_frequency:g} Hz; got {window.frequency:g} Hz."]
-        return []
+        if isinstance(window, MoveMagnet):
+            return []
+        found = []
+        if not near:
+            found.append("Rotate needs the actuation magnet near; it is away.")
+        if not 0 < window.frequency <= self.max_rotation_frequency + 1e-9:
+            found.append(f"Rotate must stay within {self.max_rotation_frequency:g} Hz; got {window.frequency:g} Hz.")
+        length = math.sqrt(sum(a * a for a in window.axis))
+        if not length > 0 or abs(window.axis[2]) > 1e-6 * length:
+            found.append(f"The stage's axis lies in the horizontal plane; got {window.axis}.")
+        elif before is not None:
+            along = abs(sum(a * b for a, b in zip(window.axis, before, strict=True)))
+            change = math.acos(min(along / length / math.sqrt(sum(a * a for a in before)), 1.0))
+            most = self.max_steering_rate * window.duration
+            if change > most + 1e-6:
+                found.append(
+                    f"The stage steers at most {math.degrees(most):.1f}° within {window.duration:g} s; "
+                    f"got {math.degrees(change):.1f}°."
+                )
+        return found

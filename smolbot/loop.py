@@ -31,7 +31,7 @@ from smolbot.sightings import SightedSwing, Sightings
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
-Status = Literal["completed", "stopped", "lost", "timeout", "failed"]
+Status = Literal["completed", "stuck", "stopped", "lost", "timeout", "failed"]
 
 
 LEARN_EVERY = 5
@@ -40,13 +40,17 @@ LEARN_EVERY = 5
 
 @dataclass(frozen=True)
 class CycleRecord:
-    """What happened in one cycle. `pose` is as located, `tracked` as believed; `compute` in s."""
+    """What happened in one cycle. `pose` is as located, `tracked` as believed; `compute` in s.
+
+    `ended` is when the rig had truly played the shot, in s: a hand that moves a magnet is not punctual.
+    """
 
     shot: Shot
     pose: Pose | None
     tracked: Pose | None
     command: Command
     compute: float
+    ended: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -260,14 +264,14 @@ class Loop:
         shot = self.scheduler.next(command, self.tracker)
         planned = self._clock()
         recording = self.rig.play(shot)
-        heard = self._clock()
+        heard, ended = self._clock(), self.rig.now()
         recording = None if recording is None else self.tails.removed(shot, recording)
         pose: Pose | None = None
         swing: Swing | SightedSwing | None = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
-            stale = self.independent or self.tracker.pose is None or shot.mode in ("search", "lost")
-            prior = None if stale else self.tracker.pose_at(recording.middle)
+            lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.vague
+            prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
                 pose, swing = self.localizer.locate_swing(recording, prior)
             except InputError:  # too few usable channels: a missed window, counted by the tracker
@@ -285,8 +289,10 @@ class Loop:
                 self._follow_resonance(tracked.time, swing)
                 self._refresh_noise(tracked.time, swing, recording)
         answer = self.pilot.command(shot, self.tracker)
+        if answer.event:
+            self.events.append(Event(shot.end, answer.event, {"note": answer.note}))
         done = self._clock()
-        return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard))
+        return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended)
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Swing) -> None:
         """Let the localizer know of sensors that do not stand where they were thought to."""
@@ -324,6 +330,8 @@ class Loop:
     def _ended(self, command: Command) -> tuple[Status, str] | None:
         if command.done:
             return "completed", command.note or "done"
+        if command.stuck:
+            return "stuck", command.note or "the controller gave up"
         if self.tracker.misses >= self.rules.lost_shots:
             seen = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
             return "lost", f"{seen}: {self.tracker.misses} shots in a row gave no pose that can be believed"

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 from pydantic import Field
 
 from smolbot.config import Document, Fault, FileModel
-from smolbot.control import Setup, gain_fault
+from smolbot.control import HelixSetup, Setup, gain_fault
 from smolbot.missionbase import MissionBase, MissionBaseFile, Positive, load_parts, open_document, raise_all
+from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths import Curve
 from smolbot.pathsection import PathSection, read_path
@@ -85,8 +87,49 @@ class Mission(MissionBase):
         offset = self.sections.start.offset_mm
         return self.path.points[0, 0] + offset[0] * 1e-3, self.path.points[0, 1] + offset[1] * 1e-3
 
+    @property
+    def put_down(self) -> tuple[float, ...]:
+        """Start (x, y) in m; with the heading, in rad, in which a helix is pushed into its gel: along the path."""
+        if self.robot.kind != "helical":
+            return self.start
+        ahead = self.path.tangent(np.zeros(1))[0]
+        return (*self.start, float(np.arctan2(ahead[1], ahead[0])))
+
+    def helix_setup(self) -> HelixSetup:
+        """What the controller of a helical robot may know."""
+        helix, device, medium, magnet = self.robot.helix, self.robot.device, self.rig.sections.medium, self.rig.magnet
+        box, center = self.rig.sections.container, 1e-3 * np.array(magnet.center_mm)
+        return HelixSetup(
+            helix=Helix.in_gel(
+                pitch=1e-3 * helix.pitch_mm,
+                slip=helix.slip,
+                diameter=self.robot.size[0],
+                length=self.robot.size[2],
+                center_ahead=self.robot.center[2],
+                moment=device.moment,
+                l0=device.l0,
+                theta_max=device.theta_max,
+                frequency=device.frequency,
+                yield_stress=medium.yield_stress_pa,
+                viscosity=medium.viscosity_pa_s,
+                magnet=(float(center[0]), float(center[1]), float(center[2])),
+                field=1e-3 * magnet.field_mt,
+                distance=1e-3 * magnet.distance_mm,
+                steering_rate=self.rig.limits.max_steering_rate,
+                floor=1e-3 * box.floor_z_mm,
+                plate=1e-3 * box.surface_z_mm,
+                steering=helix.steering,
+                drift=1e-3 * helix.drift_mm,
+            ),
+            limits=self.rig.limits,
+            device=device,
+            cycle=self.cycle,
+            move=magnet.move_s,
+            tolerance=self.tolerance,
+        )
+
     def setup(self) -> Setup:
-        """What the controller may know."""
+        """What the controller of a robot that coils pull may know."""
         medium = self.rig.sections.medium
         device = self.robot.device
         return Setup(
@@ -139,7 +182,9 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     if robot_config.kind == "device":
         message = f"'{robot_config.name}' is of kind 'device', which nothing moves; a path needs a robot that swims."
         raise document.error([Fault(("robot",), message)])
-    path, remarks = read_path(document, sections.path, rig_config.surface_z)
+    _check_kind(document, sections, rig_config, robot_config)
+    under = 0.5 * robot_config.size[0] if robot_config.kind == "helical" else 0.0  # a helix is pulled up to the plate
+    path, remarks = read_path(document, sections.path, rig_config.surface_z - under)
     mission = Mission(document, sections, rig_config, robot_config, path, remarks)
     from smolbot.fitness import fitness_faults
 
@@ -147,6 +192,23 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     if unfit:
         raise document.error(unfit)
     return mission
+
+
+def _check_kind(document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig) -> None:
+    """A law is made for a kind of robot, and a helix needs a magnet that turns and a gel to bite into."""
+    kinds = getattr(load("controllers", sections.controller.law), "kinds", ("gradient",))
+    faults = []
+    if robot.kind not in kinds:
+        message = (
+            f"'{sections.controller.law}' drives robots of kind {', '.join(kinds)}; '{robot.name}' is {robot.kind}."
+        )
+        faults.append(Fault(("controller", "law"), message))
+    if robot.kind == "helical" and rig.sections.magnet is None:
+        faults.append(Fault(("rig",), f"'{rig.name}' has no [magnet], which a helical robot needs."))
+    if robot.kind == "helical" and rig.sections.medium.yield_stress_pa == 0:
+        faults.append(Fault(("rig",), f"the medium of '{rig.name}' has no yield_stress_pa: a helix needs a gel."))
+    if faults:
+        raise document.error(faults)
 
 
 def _law_faults(document: Document) -> list[Fault]:

@@ -25,6 +25,7 @@ class Follower:
         self.path = path
         self.controller = controller
         self._begun = False
+        self._waiting: Command | None = None
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
         """The controller's command for the pose that is expected at the end of the shot."""
@@ -32,11 +33,16 @@ class Follower:
             return Command(None, note="searching for the signal")
         if not tracker.confirmed:
             return Command(None, note="waiting for a second pose to agree")
+        held_back = self._waiting is not None and shot.windows != self._waiting.mechanical
+        if self._waiting is not None and held_back:
+            return self._waiting  # the magnet was not moved while the loop was held, or searched: it still has to be
         pose = tracker.pose_at(shot.end)
         if not self._begun:
             self.controller.reset(self.path, pose)
             self._begun = True
-        return self.controller.command(pose)
+        command = self.controller.command(pose)
+        self._waiting = command if command.mechanical else None
+        return command
 
 
 class Watcher:

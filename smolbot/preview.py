@@ -105,7 +105,8 @@ class _Rollout:
             command = self.controller.command(self._pose())
             if command.done:
                 return None
-            broken = self.setup.limits.faults(Shot((command.window,))) if command.window else []
+            windows = command.mechanical or ((command.window,) if isinstance(command.window, Actuate) else ())
+            broken = self.setup.limits.faults(Shot(windows)) if windows else []
             if broken:
                 return f"{self.mission.law} would break a limit near {_mm(self.position)}: {' '.join(broken)}"
             self._act(command.window)

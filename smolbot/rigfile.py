@@ -107,11 +107,28 @@ class ContainerSection(FileModel):
 
 
 class MediumSection(FileModel):
-    """The liquid, as it is believed to be."""
+    """The liquid, as it is believed to be; a gel where it has a yield stress."""
 
     name: str
     viscosity_pa_s: Positive
     density_kg_m3: Positive
+    yield_stress_pa: NotNegative = 0.0
+
+
+class MagnetSection(FileModel):
+    """A cube magnet on a motor whose axis is steered about the vertical, near the sample or away from it.
+
+    At a turn of zero its pole looks straight down. `field_mt` is its mean size over a turn, `distance_mm` below.
+    """
+
+    side_mm: Positive
+    remanence_t: Positive
+    field_mt: Positive
+    distance_mm: Positive
+    center_mm: Vector
+    max_rotation_hz: Positive
+    max_steering_deg_per_s: Positive
+    move_s: Positive
 
 
 class NoiseSection(FileModel):
@@ -160,6 +177,7 @@ class RigFile(FileModel):
     coils: list[CoilSection] = Field(default_factory=list)
     excitation: Annotated[list[ExcitationSection], Field(min_length=1, max_length=2)]
     table: TableSection | None = None
+    magnet: MagnetSection | None = None
     container: ContainerSection
     medium: MediumSection
     noise: NoiseSection
@@ -225,7 +243,7 @@ class RigConfig:
 
     @cached_property
     def limits(self) -> Limits:
-        section = self.sections.limits
+        section, magnet = self.sections.limits, self.sections.magnet
         return Limits(
             coils=self.coil_names,
             max_current=section.max_current_a,
@@ -235,7 +253,22 @@ class RigConfig:
             max_excitation=section.max_excitation_ms * 1e-3,
             min_ring_down=section.min_ring_down_ms * 1e-3,
             max_listen=section.max_listen_ms * 1e-3,
+            max_rotation_frequency=0.0 if magnet is None else magnet.max_rotation_hz,
+            max_steering_rate=0.0 if magnet is None else float(np.radians(magnet.max_steering_deg_per_s)),
         )
+
+    @property
+    def magnet(self) -> MagnetSection:
+        """The rotating magnet.
+
+        Raises
+        ------
+        ConfigError
+            If this rig has none.
+        """
+        if self.sections.magnet is None:
+            raise self.document.error([Fault(("magnet",), "this rig has no [magnet]; a helical robot needs one.")])
+        return self.sections.magnet
 
     @property
     def coil_resistances(self) -> FloatArray:

@@ -22,8 +22,22 @@ class BodySection(FileModel):
     size_mm: tuple[Positive, Positive, Positive]
     center_mm: Vector = (0.0, 0.0, 0.0)
     mass_mg: Positive
-    drag_radius_mm: Positive
-    urdf: str
+    drag_radius_mm: Positive | None = None
+    urdf: str | None = None
+
+
+class HelixSection(FileModel):
+    """The thread on a helical robot's housing, right-handed, and what was measured of its way through this gel.
+
+    `slip` is a share of the pitch, `steering` the turn of the axis in a bend over what theory says, `drift_mm` goes to
+    the left with each turn.
+    """
+
+    pitch_mm: Positive
+    core_diameter_mm: Positive
+    slip: Annotated[float, Field(ge=0, lt=1)]
+    steering: Positive = 1.0
+    drift_mm: float = 0.0
 
 
 class DeviceSection(FileModel):
@@ -55,15 +69,24 @@ class RobotFile(FileModel):
     """Everything a robot file says."""
 
     name: str
-    kind: Literal["gradient", "device"]
+    kind: Literal["gradient", "helical", "device"]
     description: str = ""
     body: BodySection | None = None
+    helix: HelixSection | None = None
     device: DeviceSection
 
     @model_validator(mode="after")
     def _body_of_a_swimmer(self) -> RobotFile:
-        if self.kind == "gradient" and self.body is None:
-            raise ValueError("a robot of kind 'gradient' needs a [body] section.")
+        if self.kind != "device" and self.body is None:
+            raise ValueError(f"a robot of kind '{self.kind}' needs a [body] section.")
+        if self.kind == "gradient" and self.body is not None:
+            missing = [key for key in ("drag_radius_mm", "urdf") if getattr(self.body, key) is None]
+            if missing:
+                raise ValueError(f"a robot of kind 'gradient' needs {' and '.join(missing)} in [body].")
+        if (self.kind == "helical") != (self.helix is not None):
+            raise ValueError("a [helix] section belongs to a robot of kind 'helical', which needs one.")
+        if self.kind == "helical" and self.device.moment_in_body[2] != 0:
+            raise ValueError("the moment of a helical robot lies across its axis: moment_in_body along body x.")
         if self.kind == "device" and self.body is not None:
             raise ValueError("kind 'device' is a bare device in a tool or tissue: leave [body] away.")
         return self
@@ -130,7 +153,22 @@ class RobotConfig:
     @property
     def drag_radius(self) -> float:
         """Radius of the sphere with the same Stokes drag, in m."""
+        if self.body.drag_radius_mm is None:
+            raise self.document.error([Fault(("body", "drag_radius_mm"), "is needed here, and not given.")])
         return self.body.drag_radius_mm * 1e-3
+
+    @property
+    def helix(self) -> HelixSection:
+        """The thread of a helical robot.
+
+        Raises
+        ------
+        ConfigError
+            If it is none.
+        """
+        if self.sections.helix is None:
+            raise self.document.error([Fault(("helix",), f"kind '{self.kind}' has no thread, and one is needed here.")])
+        return self.sections.helix
 
 
 def load_robot(name: str, beside: Path | None = None) -> RobotConfig:

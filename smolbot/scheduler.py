@@ -1,4 +1,7 @@
-"""Makes each shot: interleaves actuation with localization, finds a lost signal, holds still on demand."""
+"""Makes each shot: interleaves actuation with localization, finds a lost signal, holds still on demand.
+
+Where a magnet has to come and go, actuation is a shot of its own.
+"""
 
 from __future__ import annotations
 
@@ -140,7 +143,9 @@ class Scheduler:
         """The next shot, for a command and what the tracker believes."""
         mode = self._mode(tracker)
         windows: list[Window] = []
-        if mode == "track" and command.window is not None:
+        if mode == "track" and command.mechanical:
+            return Shot(command.mechanical, mode, self._clock())
+        if mode == "track" and isinstance(command.window, Actuate):
             windows.append(command.window)
         self.searched = self.searched + 1 if mode in ("search", "lost") else 0
         start = self._clock() + sum(window.duration for window in windows)

@@ -84,7 +84,11 @@ class Rest:
 
 @dataclass(frozen=True)
 class Rotate:
-    """Turn the actuation magnet about `axis` (world, 3) at `frequency` Hz for `turns` turns."""
+    """Turn the actuation magnet about `axis` (world, 3) at `frequency` Hz for `turns` turns.
+
+    The stage steers its axis to `axis`, or to the opposite direction where that is nearer and then turns the magnet the
+    other way, while it turns; an axis that is set while the magnet is away is there from the start.
+    """
 
     axis: tuple[float, float, float]
     frequency: float
@@ -115,9 +119,18 @@ class MoveMagnet:
         return f"move magnet {self.to}"
 
 
+Mechanical = Rotate | MoveMagnet | Rest
 Window = Actuate | Excite | RingDown | Listen | Rest | Rotate | MoveMagnet
 _ELECTRICAL = (Actuate, Excite, RingDown, Listen)
 _MECHANICAL = (Rotate, MoveMagnet)
+
+
+def magnet_near_after(shot: Shot, *, near: bool) -> bool:
+    """Whether the actuation magnet is near once a shot was played, if it was `near` before."""
+    for window in shot.windows:
+        if isinstance(window, MoveMagnet):
+            near = window.to == "near"
+    return near
 
 
 @dataclass(frozen=True)

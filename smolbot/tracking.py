@@ -12,6 +12,7 @@ from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.kalman import carried_on, corrected
 from smolbot.motion.gradient import advance, stray_turn
+from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.poses import Pose
 from smolbot.rotations import (
@@ -22,7 +23,7 @@ from smolbot.rotations import (
     rotation_error,
 )
 from smolbot.sensing import Device
-from smolbot.shots import Actuate, Shot
+from smolbot.shots import Actuate, Rotate, Shot
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
@@ -37,6 +38,19 @@ MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
 
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
+
+SCREWED = np.array([0.35, 0.1, 0.1])
+"""Standard deviation of a believed advance, as shares of it, along, across and above the axis: step-out, drift."""
+
+RESEATED = 1e-3
+"""How far a helix may screw on or back while the magnet comes and goes (m): half a pitch."""
+
+STRAYED = np.array([np.radians(180.0), np.radians(6.0), np.radians(5.0), 0.3])
+"""After turns of a helix (rad): its roll is anything; its axis has strayed up or down, aside, and by this share of what
+it should have turned."""
+
+VAGUE = 0.6
+"""An orientation less sure than this (rad) is no start for a fit."""
 
 AMPLITUDE_WANDER = 0.02
 """Share by which the amplitude of the drive varies from one shot to the next."""
@@ -84,7 +98,8 @@ class Tracker:
 
     Parameters
     ----------
-    robot : Robot or None
+    robot : Robot, Helix or None
+        A helix rests in its gel, and moves in mechanical shots only.
     device : Device
     table : FieldTable or None
         Field of the actuation coils; without one, or without a robot, windows are taken to cause no motion.
@@ -95,7 +110,7 @@ class Tracker:
         What the last shot is thought to have caused: step (3,) in m, turn (3,) in rad, and their variances (6,).
     """
 
-    def __init__(self, robot: Robot | None, device: Device, table: FieldTable | None) -> None:
+    def __init__(self, robot: Robot | Helix | None, device: Device, table: FieldTable | None) -> None:
         self._robot = robot
         self._device = device
         self._table = table
@@ -103,6 +118,7 @@ class Tracker:
         self._candidate: Pose | None = None
         self._accepted = 0
         self._surprise = 1.0
+        self._embedded = isinstance(robot, Helix)
         self._last: Pose | None = None
         self.motion: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self.misses = 0
@@ -111,6 +127,13 @@ class Tracker:
     def pose(self) -> Pose | None:
         """The tracked pose as of the last update; None before the first."""
         return self._last
+
+    @property
+    def vague(self) -> bool:
+        """True where the orientation is too unsure to start a fit from: a helix that was turned has lost its roll."""
+        if self._state is None or not self._embedded:
+            return False
+        return bool(np.max(np.diag(self._state.covariance)[_E]) > VAGUE**2)
 
     @property
     def confirmed(self) -> bool:
@@ -141,7 +164,7 @@ class Tracker:
         if self._last is None or self._state is None:
             raise ValueError("There is no pose yet to carry on.")
         wait = max(time - self._state.time, 0.0)
-        covariance = self._state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
+        covariance = self._state.covariance[:6, :6] + np.diag(WANDER**2 * wait * (not self._embedded))
         position = self._state.position + wait * self._state.drift
         return replace(self._last, time=time, position=position, covariance=covariance)
 
@@ -189,7 +212,7 @@ class Tracker:
         covariance = np.zeros((_SIZE, _SIZE))
         covariance[:6, :6] = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
         covariance[_A, _A] = 0.3**2
-        covariance[_V, _V] = DRIFT_START**2 * np.eye(3)
+        covariance[_V, _V] = DRIFT_START**2 * np.eye(3) * (not self._embedded)
         place = np.array(pose.position), np.array(pose.orientation)
         self._state = State(pose.time, *place, 0.75, np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
@@ -214,8 +237,11 @@ class Tracker:
         wait = max(time - state.time, 0.0)
         position, orientation = state.position + wait * state.drift, state.orientation
         noise = np.zeros(_SIZE)
-        noise[:6] = WANDER**2 * wait
         noise[_A] = AMPLITUDE_WANDER**2
+        if isinstance(self._robot, Helix):
+            self._screw(self._robot, shot, time, noise)
+            return
+        noise[:6] = WANDER**2 * wait
         noise[_V] = DRIFT_WANDER**2 * wait
         for window in shot.windows:
             if not isinstance(window, Actuate) or not any(window.currents):
@@ -240,6 +266,26 @@ class Tracker:
             )
         self.motion = position - state.position, rotation_error(orientation, state.orientation), noise[:6].copy()
         covariance = carried_on(state.covariance, wait, noise)
+        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
+
+    def _screw(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
+        """Predict a helix through a shot: it rests, unless the magnet turns."""
+        state = self._state
+        assert state is not None
+        covariance = state.covariance.copy()
+        position, orientation = state.position, state.orientation
+        if any(isinstance(window, Rotate) for window in shot.windows):
+            position, orientation, turns, turned = helix.carry(shot.windows, position, orientation)
+            frame = matrix_from_quaternion(orientation)
+            ahead = frame[:, 2]
+            left = np.array([-ahead[1], ahead[0], 0.0]) / math.hypot(ahead[0], ahead[1])
+            axes = np.column_stack([ahead, left, np.cross(ahead, left)])
+            places = SCREWED * turns * helix.advance
+            places[0] = math.hypot(places[0], RESEATED)
+            turning = np.array([STRAYED[0], STRAYED[1], math.hypot(STRAYED[2], STRAYED[3] * turned)])
+            covariance[_P, _P] += axes @ np.diag(places**2) @ axes.T
+            covariance[_E, _E] += axes @ np.diag(turning**2) @ axes.T
+        covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
         self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:

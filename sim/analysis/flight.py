@@ -211,6 +211,7 @@ def fly(
             begun = True
         before = model.copied(controller) if kept is not None else None
         command = controller.command(pose)
+        assert not isinstance(command.window, tuple)  # a helix is refused before this
         window, progress = command.window, command.progress
         duration = window.duration if window is not None else 0.0
         yield Instant(cycle, kept, before, shot, heard, state, pose, command, duration + model.rest, wait)

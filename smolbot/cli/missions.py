@@ -14,6 +14,7 @@ from smolbot.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from smolbot.anymission import AnyMission
+    from smolbot.helixpreview import HelixPreview
     from smolbot.loop import Listener, Run
     from smolbot.missionfile import Mission
     from smolbot.preview import Preview
@@ -132,6 +133,9 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         ("localization_error_mm", "localization error"),
         ("tracked_error_mm", "tracked pose error"),
         ("orientation_error_deg", "orientation error"),
+        ("axis_error_deg", "axis error"),
+        ("axis_error_tracked_deg", "axis error, tracked"),
+        ("axis_to_path_deg", "axis against path"),
         ("tracking_error_mm", "tracking error"),
     ):
         if key in s:
@@ -140,7 +144,9 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
     rows += observation_rows(s)
     if s["r_squared_median"] is not None:
         rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
-    if "coil_energy_j" in s:
+    if "turns" in s:
+        rows.append(("magnet", f"{s['turns']:g} turns, {s['pauses']} pauses, {s['step_outs']} step-outs"))
+    elif "coil_energy_j" in s:
         rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
@@ -177,6 +183,10 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
         raise
     if isinstance(loaded, Observation):
         show_observation_preview(loaded, preview_observation(loaded), json)
+    elif loaded.robot.kind == "helical":
+        from smolbot.helixpreview import preview_helix
+
+        _show_helix_preview(loaded, preview_helix(loaded), json)
     else:
         _show_preview(loaded, look(loaded), json)
 
@@ -231,6 +241,42 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
                 },
                 "localization_error_mm": {"min": error.min(), "max": error.max()},
                 "coil_energy_j": seen.coil_energy,
+            }
+        )
+    raise typer.Exit(0 if seen.go else 1)
+
+
+def _show_helix_preview(mission: Mission, seen: HelixPreview, json: bool) -> None:
+    error, margin = seen.localization_error * 1e3, seen.torque_margin
+    turns = ", ".join(f"{t:g}" for t in seen.turns)
+    rows = [
+        ("listening", seen.listening.timeline()),
+        ("a maneuver", seen.maneuver.timeline()),
+        ("turns before each pause", f"{turns}: {sum(seen.turns):g} in all, {len(seen.turns)} pauses"),
+        ("path", f"{seen.length * 1e3:.1f} mm"),
+        ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
+        ("tightest bend", f"{seen.bend * 1e3:.1f} mm in the path, {seen.radius * 1e3:.1f} mm for this robot"),
+        ("torque to spare", f"{margin.min():.2f} to {margin.max():.2f} times what the gel asks for"),
+        ("localization error", f"{error.min():.3f} to {error.max():.3f} mm rms in the plane, each pose"),
+        ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons)),
+    ]
+    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=json)
+    if json:
+        echo_json(
+            {
+                "mission": mission.name,
+                "rig": mission.rig.name,
+                "go": seen.go,
+                "reasons": seen.reasons,
+                "listening": str(seen.listening),
+                "maneuver": str(seen.maneuver),
+                "turns": list(seen.turns),
+                "pauses": len(seen.turns),
+                "path_length_mm": seen.length * 1e3,
+                "expected_duration_s": as_json(seen.duration),
+                "bend_radius_mm": {"path": as_json(seen.bend * 1e3), "robot": as_json(seen.radius * 1e3)},
+                "torque_margin": {"min": float(margin.min()), "max": float(margin.max())},
+                "localization_error_mm": {"min": float(error.min()), "max": float(error.max())},
             }
         )
     raise typer.Exit(0 if seen.go else 1)

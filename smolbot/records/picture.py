@@ -9,6 +9,7 @@ import numpy as np
 
 from smolbot.loop import Run
 from smolbot.missionfile import Mission
+from smolbot.records import helixpicture
 from smolbot.records.summary import label_of, tracking_distance
 from smolbot.records.trace import Trace
 
@@ -32,11 +33,18 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
             3, 2, width_ratios=[1.0, 1.25], height_ratios=[1.0, 1.0, 1.0], wspace=0.2, hspace=0.28,
             left=0.06, right=0.975, top=0.845, bottom=0.085,
         )  # fmt: skip
-        _draw_path(figure.add_subplot(grid[:, 0]), mission, trace)
-        errors = figure.add_subplot(grid[0, 1])
-        _draw_tracking(errors, mission, trace)
-        _draw_localization(figure.add_subplot(grid[1, 1], sharex=errors), trace)
-        _draw_currents(figure.add_subplot(grid[2, 1], sharex=errors), mission, trace)
+        left, errors = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
+        middle, low = figure.add_subplot(grid[1, 1], sharex=errors), figure.add_subplot(grid[2, 1], sharex=errors)
+        if mission.robot.kind == "helical":
+            helixpicture.draw_axes_on_path(left, mission, trace)
+            helixpicture.draw_distance(errors, mission, trace)
+            helixpicture.draw_axis_error(middle, mission, trace)
+            helixpicture.draw_turns(low, mission, trace)
+        else:
+            _draw_path(left, mission, trace)
+            _draw_tracking(errors, mission, trace)
+            _draw_localization(middle, trace)
+            _draw_currents(low, mission, trace)
         figure.text(0.06, 0.945, headline(mission, run), fontsize=17, fontweight="bold", color="#222222")
         figure.text(0.06, 0.905, subline(run.summary), fontsize=11.5, color="#555555")
         figure.savefig(path)
@@ -51,6 +59,8 @@ def headline(mission: Mission, run: Run) -> str:
 def subline(summary: dict[str, Any]) -> str:
     """The figures that a slide needs."""
     parts = [f"{summary['duration_s']:.0f} s", f"{summary['cycles']} cycles at {summary['loop_rate_hz']:.1f} Hz"]
+    if "turns" in summary:
+        parts = [f"{summary['duration_s']:.0f} s", *helixpicture.subline_parts(summary)]
     if "tracking_error_mm" in summary:
         t = summary["tracking_error_mm"]
         parts.append(f"tracking error {t['mean']:.2f} mm mean, {t['max']:.2f} max")

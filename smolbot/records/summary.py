@@ -14,7 +14,7 @@ from smolbot.missionfile import Mission
 from smolbot.poses import Pose
 from smolbot.records.trace import Moment, Trace
 from smolbot.rotations import nearer_twin, rotation_error
-from smolbot.shots import Actuate
+from smolbot.shots import Actuate, Rotate
 
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
@@ -30,6 +30,8 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     out["progress_mm"] = max((c.command.progress for c in run.cycles), default=0.0) * 1e3
     out["path_time_s"] = path_time(trace)
     out |= against_truth(mission, trace.moments)
+    if mission.robot.kind == "helical":
+        out |= _screwed(run) | _axis_errors(mission, trace)
     distance = tracking_distance(mission, trace.following)
     if distance.size:
         out["tracking_error_mm"] = statistics(distance * 1e3, "mean", "rms", "p95", "max")
@@ -56,7 +58,7 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
         "turnaround_ms": mission.rig.turnaround * 1e3,
         "compute_ms": _compute(run),
         "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
-        "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles),
+        "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles if c.shot.listen is not None),
         "events": [{"time_s": e.time, "what": e.what, **e.detail} for e in run.events],
         "wall_s": run.wall,
         "realtime_factor": duration / run.wall if run.wall else 0.0,
@@ -112,7 +114,7 @@ def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]
     along = mission.robot.device.along_cantilever
     heard = [(m.cycle.pose, m.truth) for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted]
     known = [(pose, truth) for pose, truth in heard if truth is not None]
-    tracked = [(m.cycle.tracked, m.truth) for m in moments]
+    tracked = [(m.cycle.tracked, m.truth) for m in moments if m.cycle.shot.listen is not None]
     out: dict[str, Any] = {}
     if known:
         errors = np.array([pose.position - truth.position for pose, truth in known])
@@ -129,16 +131,57 @@ def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]
 
 def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
     """Distance (n,) of the true robot to the path, in m, at pose times and shot ends."""
-    truths = [p.position for m in moments for p in (m.truth, m.truth_at_end) if p is not None]
-    if not truths:
+    truths = np.vstack([np.zeros((0, 3)), *(m.positions for m in moments)])
+    if not len(truths):
         return np.zeros(0)
-    return mission.path.project(np.array(truths))[1]
+    return mission.path.project(truths)[1]
 
 
 def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
     """Angle between two orientations, in rad; to the nearer twin where a half turn about the moment changes nothing."""
     estimate = nearer_twin(pose.orientation, truth.orientation) if along_cantilever else pose.orientation
     return float(np.linalg.norm(rotation_error(estimate, truth.orientation)))
+
+
+def _screwed(run: Run) -> dict[str, Any]:
+    """How much the magnet turned, and how often and how the helix was lost."""
+    turned = [[w for w in c.shot.windows if isinstance(w, Rotate)] for c in run.cycles]
+    return {
+        "turns": float(sum(w.turns for windows in turned for w in windows)),
+        "pauses": sum(bool(windows) for windows in turned),
+        "step_outs": sum(e.what in ("step-out", "gave up") for e in run.events),
+    }
+
+
+def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
+    """Angles between the propulsion axis as estimated and as it is: of every pose, and as tracked when a pause ends.
+
+    ``axis_to_path_deg`` is the angle, seen from above, between the true axis and the path where the magnet is fetched:
+    a screw that bends, drifts and is late goes not quite where it points.
+    """
+    heard = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
+    ends = [m for m in trace.moments if m.cycle.command.mechanical and m.cycle.tracked and m.truth]
+    out = {}
+    located = [axis_angle(m.cycle.pose, m.truth) for m in heard if m.cycle.pose and m.truth]
+    if located:
+        out["axis_error_deg"] = statistics(np.degrees(located), "mean", "rms", "p95", "max")
+    if ends:
+        tracked = [axis_angle(m.cycle.tracked, m.truth) for m in ends if m.cycle.tracked and m.truth]
+        out["axis_error_tracked_deg"] = statistics(np.degrees(tracked), "mean", "rms", "p95", "max")
+        truths = [m.truth for m in ends if m.truth and m.cycle.command.phase == "follow"]
+        if truths:
+            arc, _ = mission.path.project(np.array([t.position for t in truths]))
+            along = mission.path.tangent(arc)[:, :2]
+            axes = np.array([t.body_axis("z")[:2] for t in truths])
+            axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+            angles = np.degrees(np.arccos(np.clip(np.sum(along * axes, axis=1), -1.0, 1.0)))
+            out["axis_to_path_deg"] = statistics(angles, "mean", "p95")
+    return out
+
+
+def axis_angle(pose: Pose, truth: Pose) -> float:
+    """Angle between two propulsion axes (body z), in rad."""
+    return float(np.arccos(np.clip(pose.body_axis("z") @ truth.body_axis("z"), -1.0, 1.0)))
 
 
 def _compute(run: Run) -> dict[str, float | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,30 @@ from smolbot.poses import Pose
 from smolbot.shots import Actuate
 from smolbot.worlds import Witness
 
+WAY_STEP = 0.2
+"""Seconds between two places on a robot's way while nothing listens."""
+
+RESTING = 1e-5
+"""A robot that moves less than this (m) in a step rests."""
+
 
 @dataclass(frozen=True)
 class Moment:
-    """One cycle with the truth at its pose's time and at its end, where a witness knows it."""
+    """One cycle with the truth at its pose's time and at its end, where a witness knows it.
+
+    `way` (n, 3), in m, is where the robot went during a shot that nothing listened to.
+    """
 
     cycle: CycleRecord
     truth: Pose | None
     truth_at_end: Pose | None
+    way: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def positions(self) -> FloatArray:
+        """Where the robot truly was (n, 3), in m: on its way, when it was heard, and at the end of the shot."""
+        known = [p.position for p in (self.truth, self.truth_at_end) if p is not None]
+        return np.vstack([self.way, np.array(known).reshape(-1, 3)])
 
 
 class Trace:
@@ -32,10 +48,23 @@ class Trace:
 
     def __call__(self, record: CycleRecord) -> None:
         truth = end = None
+        way = np.zeros((0, 3))
         if self._witness is not None:
-            end = self._witness.truth(record.shot.end)
+            end = self._witness.truth(min(record.shot.end, record.ended))
             truth = self._witness.truth(record.pose.time) if record.pose is not None else end
-        self.moments.append(Moment(record, truth, end))
+            if record.shot.listen is None:
+                way = self._way(self._witness, record.shot.start, record.ended)
+        self.moments.append(Moment(record, truth, end, way))
+
+    @staticmethod
+    def _way(witness: Witness, start: float, end: float) -> FloatArray:
+        """Positions at equal times, those left out in which the robot rested."""
+        times = np.arange(start, end, WAY_STEP)
+        places = np.array([witness.truth(float(time)).position for time in times]).reshape(-1, 3)
+        if len(places) < 2:
+            return places
+        moved = np.linalg.norm(np.diff(places, axis=0), axis=1) > RESTING
+        return places[1:][moved]
 
     @property
     def knows_truth(self) -> bool:
@@ -63,15 +92,11 @@ class Trace:
 
     def true_positions(self) -> FloatArray:
         """True positions at pose times and shot ends, in order, shape (n, 3), in m."""
-        return _positions([p for m in self.moments for p in (m.truth, m.truth_at_end) if p is not None])
+        return np.vstack([np.zeros((0, 3)), *(m.positions for m in self.moments)])
 
 
 def _begun(moment: Moment) -> bool:
     return moment.cycle.command.window is not None or moment.cycle.command.done
-
-
-def _positions(poses: list[Pose]) -> FloatArray:
-    return np.array([p.position for p in poses]).reshape(-1, 3)
 
 
 def row(number: int, moment: Moment) -> dict[str, Any]:

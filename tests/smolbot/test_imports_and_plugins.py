@@ -149,7 +149,7 @@ def lab(monkeypatch):
 
 def test_a_labs_own_controller_is_found_by_its_entry_point(lab):
     assert plugins.load("controllers", "lazy") is Lazy
-    assert plugins.names("controllers") == ["broken", "current_ratio", "force_pursuit", "lazy", "predictive"]
+    assert plugins.names("controllers") == ["broken", "current_ratio", "force_pursuit", "helical", "lazy", "predictive"]
     from smolbot.missionfile import load_mission
 
     mission = load_mission("line", settings={"controller.law": "lazy", "controller.gains.patience": "0.5"})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import cos, sin
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -56,8 +58,9 @@ def test_a_supply_that_reverses_may_pull_both_ways():
 
 def test_a_magnet_turns_no_faster_than_its_stage():
     stage = Limits((), 0.0, max_rotation_frequency=0.5)
-    assert stage.faults(Shot((Rotate((0, 0, 1), 0.5, 3), Rest(1.0), MoveMagnet("away", 3.0)))) == []
-    assert "0.5 Hz; got 0.6 Hz" in stage.faults(Shot((Rotate((0, 0, 1), 0.6, 3),)))[0]
+    fast, slow = (Rotate((0, 1, 0), frequency, 3) for frequency in (0.6, 0.5))
+    assert stage.faults(Shot((slow, Rest(1.0), MoveMagnet("away", 3.0))), magnet_near=True) == []
+    assert "0.5 Hz; got 0.6 Hz" in stage.faults(Shot((fast,)), magnet_near=True)[0]
 
 
 @given(
@@ -78,3 +81,37 @@ def test_a_shot_passes_exactly_if_every_number_is_within_its_limit(currents, dur
     edge = any(abs(c) < near or abs(c - 8) < near for c in currents) or any(abs(abs(c) - 10) < near for c in drive)
     if not edge and abs(duration - 0.1) > near and abs(ring_down - 0.005) > near:
         assert (LIMITS.faults(shot) == []) == fine
+
+
+STAGE = Limits((), 8.0, max_rotation_frequency=0.25, max_steering_rate=0.175, min_ring_down=0.005)
+NEAR, AWAY = MoveMagnet("near", 10.0), MoveMagnet("away", 10.0)
+
+
+def about(degrees, frequency=0.25, turns=1.0):
+    angle = degrees * 3.141592653589793 / 180.0
+    return Rotate((cos(angle), sin(angle), 0.0), frequency, turns)
+
+
+def test_a_maneuver_within_the_stages_limits_is_played():
+    shot = Shot((NEAR, about(10), about(45), about(210), AWAY))  # 210 is 30 the other way round
+    assert STAGE.faults(shot) == []
+
+
+@pytest.mark.parametrize(
+    ("windows", "near", "words"),
+    [
+        ((Listen(2, F),), True, ["Listen", "needs the actuation magnet away", "saturates"]),
+        ((Excite((1.0, 0.0), F, 5), RingDown(0.02), Listen(2, F)), True, ["Excite at 0.0 ms", "Listen at 68.3 ms"]),
+        ((about(0),), False, ["Rotate needs the actuation magnet near"]),
+        ((NEAR, AWAY, about(0)), False, ["Rotate needs the actuation magnet near"]),
+        ((NEAR, about(0, 0.3)), False, ["within 0.25 Hz", "0.3 Hz"]),
+        ((NEAR, about(0), about(41)), False, ["at most 40.1° within 4 s", "41.0°"]),
+        ((NEAR, Rotate((1.0, 0.0, 0.1), 0.25, 1.0)), False, ["horizontal plane"]),
+        ((NEAR, Rotate((0.0, 0.0, 0.0), 0.25, 1.0)), False, ["horizontal plane"]),
+    ],
+)
+def test_the_magnet_is_away_while_sensors_listen_and_turns_as_the_stage_can(windows, near, words):
+    with pytest.raises(InterlockError) as error:
+        STAGE.check(Shot(windows), magnet_near=near)
+    for word in words:
+        assert word in str(error.value)

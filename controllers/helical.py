@@ -1,0 +1,210 @@
+"""Screws a helical robot along a path, leg by leg: plans turns and axes of the magnet, and gets over a step-out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from controllers.screwing import Leg, Screwing
+from smolbot.arrays import FloatArray
+from smolbot.control import Command, Gain, HelixSetup, Phase, complete_gains
+from smolbot.motion import helixkernels as kernels
+from smolbot.motion.helix import rotation, state_of
+from smolbot.paths import Curve
+from smolbot.poses import Pose
+from smolbot.shots import Mechanical, MoveMagnet
+
+RUNWAY = 15e-3
+"""Straight continuation of a path at both ends, in m: the way in, and something to look ahead at."""
+
+FEWEST = 2
+"""Turns that a plan has at least, or pauses would never end."""
+
+QUARTER = 0.25
+"""Turns come in quarters: less than half a millimetre."""
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """A maneuver that was commanded: from where, through which legs, and where it should lead."""
+
+    state: FloatArray
+    legs: list[Leg]
+    expected: FloatArray
+
+
+class Helical:
+    """Plans, in every pause, the next turns of the magnet and its axis in each, so that the helix keeps to the path.
+
+    The plan rolls the helix forward as it was learned to go, and ends where the place of the next pause would no
+    longer be sure enough. A leg that comes out far too short is a step-out: the magnet turned on without the robot.
+    Then the robot backs off, to seat it again, and goes on more slowly, for drag takes its share of the torque in
+    proportion to the rate.
+
+    States, said in the notes: ``cruise``, ``recover`` (with the number of the try), ``slow`` until well past the place.
+    """
+
+    kinds: ClassVar[tuple[str, ...]] = ("helical",)
+    gains: ClassVar[Mapping[str, Gain]] = {
+        "cross_track_mm": Gain(0.4, 0.05, 2.0, True, meaning="distance from the path, two sigma, that ends a plan"),
+        "max_turns": Gain(6.0, 1.0, 20.0, meaning="most turns between two pauses"),
+        "listens": Gain(3.0, 1.0, 50.0, meaning="shots listened to in every pause"),
+        "tilt_deg": Gain(60.0, 5.0, 80.0, meaning="most that the magnet's axis leads the robot's by"),
+        "lookahead_turns": Gain(3.5, 0.5, 8.0, meaning="turns over which a choice of axis is judged"),
+        "heading_mm": Gain(0.4, 0.0, 10.0, meaning="distance that a heading off by one radian counts as"),
+        "wander_deg": Gain(2.0, 0.2, 20.0, True, meaning="heading that a turn adds by chance"),
+        "blocked_share": Gain(0.6, 0.1, 0.9, meaning="of the expected advance, below which a leg counts as a step-out"),
+        "tries": Gain(4.0, 0.0, 10.0, meaning="step-outs in a row that are recovered from"),
+        "slower": Gain(0.5, 0.1, 1.0, meaning="each recovery turns at this share of the rate before"),
+        "back_turns": Gain(1.0, 0.0, 5.0, meaning="turns to back off by, to seat the robot again"),
+        "clear_mm": Gain(5.0, 0.0, 50.0, meaning="progress past a step-out after which the full rate is tried again"),
+    }
+
+    most_tilt_deg: float
+    """Most that the magnet's axis leads the robot's by, in degrees."""
+
+    def __init__(self, setup: HelixSetup, gains: Mapping[str, float]) -> None:
+        self.setup = setup
+        g = complete_gains(self.gains, gains, "helical")
+        self._bound, self._most = 1e-3 * g["cross_track_mm"], g["max_turns"]
+        self._listens, self._tilt = round(g["listens"]), math.radians(g["tilt_deg"])
+        self._look, self._weight = g["lookahead_turns"], 1e-3 * g["heading_mm"]
+        self._blocked_share, self._tries = g["blocked_share"], round(g["tries"])
+        self._slower, self._back, self._clear = g["slower"], g["back_turns"], 1e-3 * g["clear_mm"]
+        self.most_tilt_deg = g["tilt_deg"]
+        self.screwing = Screwing(setup.helix, math.radians(g["wander_deg"]))
+        self._full = setup.limits.max_rotation_frequency
+        self._points, self._arc, self._length = np.zeros((2, 2)), np.zeros(2), 0.0
+        self._near, self._progress = 0.0, 0.0
+        self._flown: _Flown | None = None
+        self._heard, self._moving, self._seated = 0, False, False
+        self._tried, self._blocked_at, self._frequency = 0, -math.inf, self._full
+        self._phase: Phase = "approach"
+
+    def reset(self, path: Curve, pose: Pose) -> None:
+        """Begin a path from a pose."""
+        ends = path.tangent(np.array([0.0, path.length]))[:, :2]
+        first, last = path.points[0, :2] - RUNWAY * ends[0], path.points[-1, :2] + RUNWAY * ends[1]
+        self._points = np.ascontiguousarray(np.vstack([first, path.points[:, :2], last]))
+        self._arc = np.concatenate([[-RUNWAY], path.arc, [path.length + RUNWAY]])
+        self._length = path.length
+        self._near, self._progress, self._phase = 0.0, 0.0, "approach"
+        self._flown, self._heard, self._moving, self._seated = None, 0, False, False
+        self._tried, self._blocked_at, self._frequency = 0, -math.inf, self._full
+
+    def command(self, pose: Pose) -> Command:
+        """Listen until the pause has given enough poses; then judge the leg that was flown, and plan the next."""
+        if self._moving:
+            self._moving, self._heard = False, 0
+            return self._say(None, f"listening, 1 of {self._listens}")
+        self._heard += pose.trusted
+        if self._heard < self._listens or not pose.trusted:
+            return self._say(None, f"listening, {min(self._heard + 1, self._listens)} of {self._listens}")
+        state = state_of(pose.position, pose.orientation)
+        event = self._judge(state, pose) if self._flown is not None else ""
+        self._locate(state)
+        if self._tried > self._tries:
+            at = f"({1e3 * state[0]:.1f}, {1e3 * state[1]:.1f}) mm"
+            note = f"gave up near {at}: the robot stepped out {self._tried} times in a row"
+            return Command(None, note=note, progress=self._progress, phase=self._phase, stuck=True, event="gave up")
+        if self._near >= self._length - self.setup.tolerance:
+            return Command(
+                None, note="path's end reached", progress=self._length, phase="follow", done=True, event=event
+            )
+        legs = self._recovery(state) if event == "step-out" else []
+        legs += self._plan(self.screwing.predict(state, legs), pose.covariance)
+        self._flown = _Flown(state, legs, self.screwing.predict(state, legs))
+        self._moving = True
+        return self._say(self._windows(legs), self._state_note(legs), event)
+
+    def _say(self, window: tuple[Mechanical, ...] | None, note: str, event: str = "") -> Command:
+        return Command(window, note=note, progress=self._progress, phase=self._phase, event=event)
+
+    def _state_note(self, legs: list[Leg]) -> str:
+        turns = sum(leg.turns for leg in legs)
+        state = "cruise" if not self._tried else ("slow" if legs[0].sense > 0 else f"recover, try {self._tried}")
+        expected = 1e3 * float(np.linalg.norm(self._flown.expected[:2] - self._flown.state[:2])) if self._flown else 0.0
+        return f"{state}: {turns:g} turns at {legs[-1].frequency:.3g} Hz, {expected:.1f} mm"
+
+    def _locate(self, state: FloatArray) -> None:
+        self._near, _, _ = kernels.nearest(self._points, self._arc, state[0], state[1], self._near, 8e-3)
+        self._progress = max(self._progress, min(max(self._near, 0.0), self._length))
+        if self._near > 0.0:
+            self._phase = "follow"
+
+    def _judge(self, state: FloatArray, pose: Pose) -> str:
+        """Whether the robot went along with the magnet; if so, learn from it. Returns what happened, if anything."""
+        flown = self._flown
+        assert flown is not None
+        planned = flown.expected[:2] - flown.state[:2]
+        length = float(np.linalg.norm(planned))
+        went = float((state[:2] - flown.state[:2]) @ planned) / length if length > 0 else 0.0
+        seat = 0.5 * self.setup.helix.advance
+        short = length - went > (1.0 - self._blocked_share) * length + (0.0 if self._seated else seat)
+        if short:
+            if self._tried == 0 or self._near > self._blocked_at:
+                self._blocked_at = self._near
+            self._tried += 1
+            self._frequency *= self._slower
+            return "step-out"
+        recovered = self._tried > 0 and flown.legs[0].sense < 0
+        if all(leg.sense > 0 for leg in flown.legs):
+            self.screwing.learn(flown.state, flown.legs, state, pose.covariance, 0.1 * seat if self._seated else seat)
+        self._seated = True
+        if self._tried and self._near > self._blocked_at + self._clear:
+            self._tried, self._frequency = 0, self._full
+            return "full rate again"
+        return "recovered" if recovered else ""
+
+    def _recovery(self, state: FloatArray) -> list[Leg]:
+        """Back off along the way that was cut, at the lower rate."""
+        if self._back == 0:
+            return []
+        return [Leg(float(state[kernels.HEADING]), -1.0, self._back, self._frequency)]
+
+    def _plan(self, state: FloatArray, covariance: FloatArray) -> list[Leg]:
+        """Turns ahead, each with its own axis, while the place they lead to is sure enough and the path goes on."""
+        body, factors = self.setup.helix.body, self.screwing.factors
+        reach = 0.98 * self.setup.limits.max_steering_rate / self._frequency
+        legs: list[Leg] = []
+        start, near = state.copy(), self._near
+        start[kernels.COURSE] = np.nan
+        at = start
+        while len(legs) < self._most:
+            course = kernels.best_course(
+                body, factors, at, self._tilt, reach, self._look, self._frequency,
+                self._points, self._arc, near, self._weight,
+            )  # fmt: skip
+            turns = self._last_turns(at, course, near)
+            if legs and turns < 1.0:  # less time to steer in
+                off = kernels.wrapped(course - at[kernels.COURSE])
+                course = at[kernels.COURSE] + min(max(off, -reach * turns), reach * turns)
+            leg = Leg(float(course), 1.0, turns, self._frequency)
+            at = kernels.screw_on(body, factors, at, leg.course, 1.0, turns, leg.frequency)
+            near, _, _ = kernels.nearest(self._points, self._arc, at[0], at[1], near, 8e-3)
+            spread = self.screwing.spread(start, [*legs, leg], covariance)
+            if len(legs) >= FEWEST and 2.0 * math.sqrt(spread[1, 1]) > self._bound:
+                break
+            legs.append(leg)
+            if turns < 1.0 or near > self._length - 0.5 * QUARTER * self.setup.helix.advance:
+                break
+        return legs
+
+    def _last_turns(self, at: FloatArray, course: float, near: float) -> float:
+        """A whole turn, or as many quarters of one as bring the robot to the path's end."""
+        ends = []
+        for quarters in range(1, 5):
+            after = kernels.screw_on(
+                self.setup.helix.body, self.screwing.factors, at, course, 1.0, QUARTER * quarters, self._frequency
+            )
+            place, _, _ = kernels.nearest(self._points, self._arc, after[0], after[1], near, 8e-3)
+            ends.append(abs(self._length - place))
+        return QUARTER * (1 + int(np.argmin(ends)))
+
+    def _windows(self, legs: list[Leg]) -> tuple[Mechanical, ...]:
+        near, away = MoveMagnet("near", self.setup.move), MoveMagnet("away", self.setup.move)
+        return (near, *(rotation(leg.course, leg.sense, leg.frequency, leg.turns) for leg in legs), away)

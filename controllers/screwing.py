@@ -1,0 +1,125 @@
+"""What a helix is learned to do, from one pause to the next: advance, steering, offset of the axis, drift."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.motion import helixkernels as kernels
+from smolbot.motion.helix import Helix
+
+SPREAD = np.array([0.08, 0.2, math.radians(3.0), 3e-5])
+"""How far off beliefs may be, one sigma: advance and steering (shares), offset of the axis (rad), drift (m)."""
+
+FORGETTING = np.array([0.01, 0.03, math.radians(0.5), 1e-5])
+"""How far they change from one leg to the next: with the place under the magnet, and what the model leaves out."""
+
+_STEPS = np.array([0.01, 0.02, math.radians(0.5), 1e-5])
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A piece of a maneuver: `turns` turns about a course (rad), ahead (`sense` 1) or back (-1), at `frequency` Hz."""
+
+    course: float
+    sense: float
+    turns: float
+    frequency: float
+
+
+class Screwing:
+    """A helix whose advance, steering, axis offset and drift are learned by a Kalman filter over legs.
+
+    Attributes
+    ----------
+    factors : ndarray, shape (4,)
+        As `smolbot.motion.helixkernels` takes them.
+    covariance : ndarray, shape (4, 4)
+    wander : float, in rad
+        Heading that a turn adds by chance.
+    """
+
+    def __init__(self, helix: Helix, wander: float) -> None:
+        self.helix = helix
+        self.wander = wander
+        self.factors = helix.factors.copy()
+        self.covariance = np.diag(SPREAD**2)
+
+    def predict(self, state: FloatArray, legs: list[Leg], factors: FloatArray | None = None) -> FloatArray:
+        """State (6,) after some legs, the magnet's axis free before the first."""
+        out, used = state.copy(), self.factors if factors is None else factors
+        out[kernels.COURSE] = np.nan
+        for leg in legs:
+            out = kernels.screw_on(self.helix.body, used, out, leg.course, leg.sense, leg.turns, leg.frequency)
+        return out
+
+    def spread(self, state: FloatArray, legs: list[Leg], covariance: FloatArray) -> FloatArray:
+        """Covariance (3, 3) of where the legs lead, along and across their end's heading (m), and of the heading (rad).
+
+        From that of the pose (6, 6), from what is not yet known of the helix, and from what turns add by chance.
+        """
+        end, jacobian = self._jacobian(state, legs)
+        turns = sum(leg.turns for leg in legs)
+        forward = np.array([math.cos(end[kernels.HEADING]), math.sin(end[kernels.HEADING])])
+        frame = np.array([forward, [-forward[1], forward[0]]])
+        out = jacobian @ self.covariance @ jacobian.T
+        out[:2, :2] += frame @ covariance[:2, :2] @ frame.T
+        moved = frame @ (end[:2] - state[:2])
+        lever = np.array([-moved[1], moved[0], 1.0])  # of a heading that is off at the start
+        out += np.outer(lever, lever) * covariance[5, 5]
+        chance = self.wander**2 * turns
+        out[1, 1] += chance * moved[0] ** 2 / 3.0
+        out[1, 2] += chance * moved[0] / 2.0
+        out[2, 1] += chance * moved[0] / 2.0
+        out[2, 2] += chance
+        out[0, 0] += (0.05 * self.helix.advance * turns) ** 2
+        return out
+
+    def learn(self, state: FloatArray, legs: list[Leg], found: FloatArray, covariance: FloatArray, seat: float) -> None:
+        """Correct the beliefs by where some legs from `state` were `found` to lead (6,).
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (6, 6)
+            Of the pose that was found.
+        seat : float, in m
+            By how much the advance is off because the roll was not known at the start.
+        """
+        end, jacobian = self._jacobian(state, legs)
+        turns = sum(leg.turns for leg in legs)
+        forward = np.array([math.cos(end[kernels.HEADING]), math.sin(end[kernels.HEADING])])
+        frame = np.array([forward, [-forward[1], forward[0]]])
+        off = np.append(frame @ (found[:2] - end[:2]), kernels.wrapped(found[kernels.HEADING] - end[kernels.HEADING]))
+        length = self.helix.advance * turns
+        noise = np.diag(
+            [
+                (0.05 * length) ** 2 + seat**2,
+                self.wander**2 * turns * length**2 / 3.0 + 1e-4**2,
+                self.wander**2 * turns + math.radians(1.0) ** 2,
+            ]
+        )
+        noise[:2, :2] += 2.0 * frame @ covariance[:2, :2] @ frame.T
+        noise[2, 2] += 2.0 * covariance[5, 5]
+        prior = self.covariance + np.diag(FORGETTING**2)
+        gain = prior @ jacobian.T @ np.linalg.inv(jacobian @ prior @ jacobian.T + noise)
+        self.factors = self.factors + gain @ off
+        self.factors[:2] = np.clip(self.factors[:2], 0.5 * self.helix.factors[:2], 2.0 * self.helix.factors[:2])
+        left = np.eye(4) - gain @ jacobian
+        self.covariance = left @ prior @ left.T + gain @ noise @ gain.T
+
+    def _jacobian(self, state: FloatArray, legs: list[Leg]) -> tuple[FloatArray, FloatArray]:
+        """Where legs lead, and how that changes (3, 4), along, across and in heading, with each factor."""
+        end = self.predict(state, legs)
+        forward = np.array([math.cos(end[kernels.HEADING]), math.sin(end[kernels.HEADING])])
+        frame = np.array([forward, [-forward[1], forward[0]]])
+        jacobian = np.empty((3, 4))
+        for i, step in enumerate(_STEPS):
+            factors = self.factors.copy()
+            factors[i] += step
+            other = self.predict(state, legs, factors)
+            jacobian[:2, i] = frame @ (other[:2] - end[:2]) / step
+            jacobian[2, i] = kernels.wrapped(other[kernels.HEADING] - end[kernels.HEADING]) / step
+        return end, jacobian

@@ -1,0 +1,228 @@
+"""A helix in gel under a rotating magnet, as its controller believes it: between plates, averaged over turns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.motion import helixkernels as kernels
+from smolbot.motion.robot import magnet_inertia
+from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.shots import MoveMagnet, Rotate, Window
+
+MEAN_OF_ELLIPSE = 1.5420
+"""Mean over a turn of ``sqrt(4 cos² + sin²)``: the field of a dipole beside its axis, in units of its weakest."""
+
+BEARING = 7.0
+"""Yield stresses that a gel bears on the projected area of a cylinder pushed across its axis."""
+
+
+@dataclass(frozen=True)
+class Helix:
+    """A screw in a gel, and the magnet that turns it. SI units.
+
+    Attributes
+    ----------
+    advance : float, in m
+        Per turn, slip taken off.
+    moment : float, in A·m²
+    stiffness, theta_max : float, in N·m/rad and rad
+        Of the cantilever between magnet and housing, and its stops.
+    spin_yield, tilt_yield : float, in N·m
+        Torque about the axis, and across it, at which the gel yields.
+    across_yield : float, in N
+    viscous_rate : float, in rad/s
+        Rate of turn at which viscous drag is as large as the yield stress.
+    center_ahead, magnet_ahead : float, in m
+        Housing's middle and oscillating magnet from the rotation centre, along the axis.
+    half_length : float, in m
+    low, high : float, in m
+        Lowest and highest place of the axis between the plates.
+    magnet : tuple of 3 floats, in m
+        Centre of the magnet.
+    field : float, in T
+        Mean over a turn, straight below the magnet at `distance`.
+    distance : float, in m
+    steering_rate : float, in rad/s
+        Of the magnet's axis about the vertical.
+    steering : float
+        Measured turn of the axis over what theory says.
+    drift : float, in m
+        To the left, per turn, as measured.
+    """
+
+    advance: float
+    moment: float
+    stiffness: float
+    theta_max: float
+    spin_yield: float
+    tilt_yield: float
+    across_yield: float
+    viscous_rate: float
+    center_ahead: float
+    magnet_ahead: float
+    half_length: float
+    low: float
+    high: float
+    magnet: tuple[float, float, float]
+    field: float
+    distance: float
+    steering_rate: float
+    steering: float = 1.0
+    drift: float = 0.0
+
+    @classmethod
+    def in_gel(
+        cls,
+        *,
+        pitch: float,
+        slip: float,
+        diameter: float,
+        length: float,
+        center_ahead: float,
+        moment: float,
+        l0: float,
+        theta_max: float,
+        frequency: float,
+        yield_stress: float,
+        viscosity: float,
+        magnet: tuple[float, float, float],
+        field: float,
+        distance: float,
+        steering_rate: float,
+        floor: float,
+        plate: float,
+        steering: float = 1.0,
+        drift: float = 0.0,
+    ) -> Helix:
+        """A helix as large as a cylinder, in a gel that yields at `yield_stress` Pa and flows with `viscosity` Pa·s.
+
+        The cantilever's stiffness follows from its resonance: k = I (2 pi f)², I = m_magnet l0².
+        """
+        radius = 0.5 * diameter
+        return cls(
+            advance=pitch * (1.0 - slip),
+            moment=moment,
+            stiffness=magnet_inertia(moment, l0) * (2.0 * np.pi * frequency) ** 2,
+            theta_max=theta_max,
+            spin_yield=yield_stress * np.pi * radius**2 * (2.0 * length + 4.0 / 3.0 * radius),
+            tilt_yield=yield_stress * BEARING * diameter * length**2 / 4.0,
+            across_yield=yield_stress * BEARING * diameter * length,
+            viscous_rate=yield_stress / (2.0 * viscosity),
+            center_ahead=center_ahead,
+            magnet_ahead=l0,
+            half_length=0.5 * length,
+            low=floor + radius,
+            high=plate - radius,
+            magnet=magnet,
+            field=field,
+            distance=distance,
+            steering_rate=steering_rate,
+            steering=steering,
+            drift=drift,
+        )
+
+    def load(self, frequency: float) -> float:
+        """Torque, in N·m, that it takes to turn in the gel at `frequency` Hz."""
+        return self.spin_yield * (1.0 + 2.0 * math.pi * frequency / self.viscous_rate)
+
+    def torque_margin(self, position: FloatArray, frequency: float) -> float:
+        """Least torque of the field in a turn over the most that the gel asks for, at `position` (3,) in m.
+
+        Where the field is weakest it turns twice as fast as the magnet. Below 1 the robot steps out.
+        """
+        away = float(np.linalg.norm(position - np.array(self.magnet)))
+        weakest = self.field / MEAN_OF_ELLIPSE * (self.distance / away) ** 3
+        return self.moment * weakest / self.load(2.0 * frequency)
+
+    @cached_property
+    def body(self) -> FloatArray:
+        """As the kernels take it."""
+        weakest = self.moment * self.field / MEAN_OF_ELLIPSE
+        return np.array(
+            [self.advance, self.center_ahead, self.magnet_ahead - self.center_ahead, *self.magnet, weakest,
+             self.distance, self.steering_rate, self.spin_yield, self.tilt_yield, self.across_yield, self.viscous_rate,
+             self.stiffness, self.theta_max, self.half_length, self.low, self.high]
+        )  # fmt: skip
+
+    @cached_property
+    def factors(self) -> FloatArray:
+        """What the kernels multiply and add by, as measured beforehand."""
+        return np.array([1.0, self.steering, 0.0, self.drift])
+
+    def turning(self, tilt: float, frequency: float, turns: int = 4) -> float:
+        """Turn of the axis per turn of the robot, in rad, below the magnet with the field's axis `tilt` rad aside."""
+        state = np.array([self.magnet[0], self.magnet[1], 0.5 * (self.low + self.high), 0.0, 0.0, np.nan])
+        for _ in range(turns):
+            state[: kernels.Z] = self.magnet[:2]
+            before = state[kernels.HEADING]
+            state[kernels.COURSE] = np.nan
+            state = kernels.screw_on(self.body, self.factors, state, before + tilt, 1.0, 1.0, frequency)
+        return float(state[kernels.HEADING] - before)
+
+    def tightest(self, frequency: float, tilt: float) -> float:
+        """Radius, in m, of the tightest bend at a tilt of at most `tilt` rad."""
+        most = max(self.turning(t, frequency) for t in np.linspace(0.5 * tilt, tilt, 5))
+        return self.advance / most if most > 0 else math.inf
+
+    def carry(
+        self, windows: tuple[Window, ...], position: FloatArray, orientation: FloatArray
+    ) -> tuple[FloatArray, FloatArray, float, float]:
+        """Where the rotation centre and the axis go through the windows of a mechanical shot.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+        orientation : ndarray, shape (4,)
+
+        Returns
+        -------
+        position, orientation
+            At the end; the roll is left as it was, which says nothing.
+        turns : float
+            Of the magnet, in either sense.
+        turned : float, in rad
+            Of the axis, all turns of it added up.
+        """
+        state = state_of(position, orientation)
+        heading, pitch, turns, turned = state[kernels.HEADING], state[kernels.PITCH], 0.0, 0.0
+        for window in windows:
+            if isinstance(window, MoveMagnet):
+                state[kernels.COURSE] = np.nan  # the axis is free while the magnet is away
+            elif isinstance(window, Rotate):
+                before = state[kernels.HEADING]
+                course, sense = course_of(window, before)
+                state = kernels.screw_on(self.body, self.factors, state, course, sense, window.turns, window.frequency)
+                turns += window.turns
+                turned += abs(state[kernels.HEADING] - before)
+        left = np.array([-math.sin(heading), math.cos(heading), 0.0])
+        tipped = quaternion_from_rotation_vector((pitch - state[kernels.PITCH]) * left)
+        yawed = quaternion_from_rotation_vector(np.array([0.0, 0.0, state[kernels.HEADING] - heading]))
+        return state[:3].copy(), quaternion_product(yawed, quaternion_product(tipped, orientation)), turns, turned
+
+
+def state_of(position: FloatArray, orientation: FloatArray) -> FloatArray:
+    """State (6,) of the kernels for a pose, the magnet's axis free."""
+    ahead = matrix_from_quaternion(orientation)[:, 2]
+    heading, pitch = math.atan2(ahead[1], ahead[0]), math.asin(min(max(ahead[2], -1.0), 1.0))
+    return np.array([*position, heading, pitch, np.nan])
+
+
+def course_of(window: Rotate, heading: float) -> tuple[float, float]:
+    """Course, in rad, of the magnet's axis for a robot of a heading, and 1 ahead or -1 back along it.
+
+    The robot turns against the magnet, so a magnet's axis that points back drives it ahead.
+    """
+    course = math.atan2(-window.axis[1], -window.axis[0])
+    if math.cos(course - heading) >= 0.0:
+        return course, 1.0
+    return course + math.pi, -1.0
+
+
+def rotation(course: float, sense: float, frequency: float, turns: float) -> Rotate:
+    """The window that drives the robot about the line of heading `course` (rad), ahead for `sense` 1, back for -1."""
+    return Rotate((-sense * math.cos(course), -sense * math.sin(course), 0.0), frequency, turns)
