@@ -16,6 +16,7 @@ from smolbot.errors import InputError, InterlockError, RigError
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise import NoiseModel
+from smolbot.localization.tails import CoilTails, Tail, learn_tail
 from smolbot.localization.transients import QUIET_AFTER, learn_time_constant
 from smolbot.noisewatch import NoiseWatch
 from smolbot.pilots import Pilot
@@ -145,6 +146,7 @@ class Loop:
         self.quiet = quiet
         self.events: list[Event] = []
         self.resonance = Resonance(localizer.device)
+        self.tails = CoilTails()
         self.noise_watch = NoiseWatch(len(localizer.sensors))
         self.listeners = listeners
         self.independent = independent
@@ -160,6 +162,7 @@ class Loop:
         try:
             self._learn_noise()
             self._learn_ring_down()
+            self._learn_tails()
             self._warm_up()
             run.begun = self._started = self.rig.now()
             while True:
@@ -211,6 +214,26 @@ class Loop:
         detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
         self.events.append(Event(self.rig.now(), "ring-down learned", detail))
 
+    def _learn_tails(self) -> None:
+        """Learn what a pull of each actuation coil leaves, where listening starts before it is over."""
+        if not self.quiet.learn_ring_down or isinstance(self.localizer, Sightings):
+            return
+        self.tails = CoilTails(tuple(self._tail(coil) for coil in range(len(self.scheduler.limits.coils))))
+        learned = [tail for tail in self.tails.tails if tail is not None]
+        if learned:
+            detail: dict[str, object] = {
+                "time_constants_ms": [None if t is None else 1e3 * t.time_constant for t in self.tails.tails],
+                "sizes_t_per_a": [None if t is None else t.size.tolist() for t in self.tails.tails],
+            }
+            self.events.append(Event(self.rig.now(), "coil tails learned", detail))
+
+    def _tail(self, coil: int) -> Tail | None:
+        for shot in self.scheduler.tail_shots(coil):
+            heard = self.rig.play(shot)
+            if heard is not None and not heard.saturated.any():
+                return learn_tail(shot, [heard], self.scheduler.device.frequency)
+        return None
+
     def _warm_up(self) -> None:
         """Use every compiled kernel once, on a made-up recording, so that the first cycles are as quick as the rest."""
         if isinstance(self.localizer, Sightings):
@@ -231,6 +254,7 @@ class Loop:
         planned = self._clock()
         recording = self.rig.play(shot)
         heard, ended = self._clock(), self.rig.now()
+        recording = None if recording is None else self.tails.removed(shot, recording)
         pose: Pose | None = None
         swing: Swing | SightedSwing | None = None
         if recording is not None:

@@ -23,6 +23,16 @@ from smolbot.shots import Actuate, Excite, Listen, Mode, RingDown, Shot, Window
 PROBE_HALF_PERIODS = 8
 """Length of the recordings from which the coils' ring-down is learned."""
 
+TAIL_CURRENTS = (0.025, 0.006, 0.0015)
+"""Shares of the highest current with which a coil pulls so that its decay can be heard: the next where sensors were
+saturated. None of them moves a robot by more than some micrometres."""
+
+TAIL_PULL = 15e-3
+"""Length of such a pull, in s."""
+
+TAIL_PAUSE = 8e-3
+"""Between it and listening, in s."""
+
 AUDIBLE_LEFT = 0.2
 """Share of a swing below which it is not minded when the next burst is made. A device in a capsule swings on for a
 second, and a burst against that swing would leave little of either; strong damping leaves nothing to mind."""
@@ -119,6 +129,15 @@ class Scheduler:
             excite = Excite(currents, frequency, self.cycle.excite_cycles)
             listen = Listen(PROBE_HALF_PERIODS, self.device.frequency)
             yield Shot((excite, RingDown(ring_down), listen), "quiet", self._clock())
+
+    def tail_shots(self, coil: int) -> Iterator[Shot]:
+        """Faint pulls of one actuation coil, fainter each time, that are listened to as soon as sensors can bear it."""
+        for share in TAIL_CURRENTS:
+            currents = [0.0] * len(self.limits.coils)
+            currents[coil] = share * self.limits.max_current
+            pull = Actuate(tuple(currents), min(TAIL_PULL, self.limits.max_actuation))
+            ring_down = RingDown(max(self.limits.min_ring_down, TAIL_PAUSE))
+            yield Shot((pull, ring_down, Listen(PROBE_HALF_PERIODS, self.device.frequency)), "quiet", self._clock())
 
     def next(self, command: Command, tracker: Believed) -> Shot:
         """The next shot, for a command and what the tracker believes."""

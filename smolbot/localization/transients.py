@@ -63,17 +63,37 @@ def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
     return float(np.exp(0.5 * (low + high)))
 
 
+def decay_sizes(probe: Recording, tau: float, frequency: float) -> FloatArray:
+    """Size (n_sensors,), in T, of a decay with time constant `tau` in s at the first sample of a recording.
+
+    `frequency` in Hz is that of a device that swings meanwhile, as for `learn_time_constant`.
+    """
+    time, blocks = _blocks(probe)
+    sizes: FloatArray = np.linalg.lstsq(_design(time, tau, frequency), blocks.T, rcond=None)[0][1]
+    return sizes
+
+
 def _left(probe: Recording, tau: float, frequency: float) -> float:
     """Squared residual of all usable channels for one time constant."""
+    time, blocks = _blocks(probe)
+    design = _design(time, tau, frequency)
+    heard = blocks[~probe.saturated]
+    solution = np.linalg.lstsq(design, heard.T, rcond=None)[0]
+    return float(np.sum((heard.T - design @ solution) ** 2))
+
+
+def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) in s from the first sample, and means (n_sensors, n) over blocks of 0.2 ms."""
     step = max(int(2e-4 * probe.sample_rate), 1)
     count = probe.field.shape[1] // step
-    time = (np.arange(count) + 0.5) * step / probe.sample_rate
     blocks = probe.field[:, : count * step].reshape(len(probe.field), count, step).mean(axis=2)
-    usable = ~probe.saturated
+    return (np.arange(count) + 0.5) * step / probe.sample_rate, blocks
+
+
+def _design(time: FloatArray, tau: float, frequency: float) -> FloatArray:
+    """Constant, decay, and the oscillations of device and mains, shape (n, 6)."""
     turns = 2.0 * np.pi * np.outer(time, [frequency, 50.0])
-    design = np.column_stack([np.ones(count), np.exp(-time / tau), np.cos(turns), np.sin(turns)])
-    solution = np.linalg.lstsq(design, blocks[usable].T, rcond=None)[0]
-    return float(np.sum((blocks[usable].T - design @ solution) ** 2))
+    return np.column_stack([np.ones(len(time)), np.exp(-time / tau), np.cos(turns), np.sin(turns)])
 
 
 def decay_columns(time: FloatArray, constants: tuple[float, ...]) -> FloatArray:
