@@ -151,7 +151,7 @@ def _fly_on(
     flown.summary["plant"] = str(drawn.get("plant", "full"))
     flown.summary["run"] = str(folder.path) if folder is not None else None
     if folder is not None:
-        if isinstance(mission, Mission) and loop.array_filter is not None and loop.array_filter.recordings:
+        if loop.array_filter is not None and loop.array_filter.recordings:
             write_sensors(folder.path / LEARNED, learned_sensors(mission, loop.array_filter))
         flown.folder = str(folder.path)
         folder.end(flown.summary)
@@ -188,11 +188,11 @@ def make_loop(rig: Rig, mission: AnyMission, listeners: tuple[Listener, ...] = (
     return Loop(
         rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
         independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
-        array_filter=make_array_filter(mission, locator) if isinstance(mission, Mission) else None,
+        array_filter=None if isinstance(tracker, Glimpse) else make_array_filter(mission, locator),
     )  # fmt: skip
 
 
-def make_array_filter(mission: Mission, locator: object) -> ArrayFilter | None:
+def make_array_filter(mission: MissionBase, locator: object) -> ArrayFilter | None:
     """What learns the sensors in flight, where the rig file says how far they may be off; None where it does not."""
     covariance = mission.rig.sensor_covariance
     if covariance is None or not isinstance(locator, Localizer) or locator.estimator != "whitened":
@@ -205,7 +205,7 @@ def make_array_filter(mission: Mission, locator: object) -> ArrayFilter | None:
     return ArrayFilter(ArrayBelief(locator.sensors, locator.device, deviations, frames))
 
 
-def learned_sensors(mission: Mission, learned: ArrayFilter) -> SensorsFile:
+def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
     """The array as a flight learned it, for the next one to start from."""
     rig, array = mission.rig, learned.belief.array(learned.deviations)
     gains = rig.sensor_gains * (1.0 if array.gains is None else array.gains)

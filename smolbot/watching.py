@@ -9,7 +9,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
 from smolbot.sensing import Device
 from smolbot.shots import Shot
 from smolbot.tracking import AMPLITUDE_WANDER, WANDER, Oscillation, State, Tracker
@@ -108,6 +108,9 @@ class LedTracker(Tracker):
         noise[:6] = WANDER**2 * wait
         noise[_A] = AMPLITUDE_WANDER**2
         led = self._carried(state, wait)
+        turned = rotation_error(led.orientation, state.orientation)
+        path = self._motion.spread(wait)[0] * np.repeat([self._motion.speed, self._motion.turn], 3) ** 2
+        self.motion = led.position - state.position, turned, noise[:6] + path
         self._state = replace(led, time=time, covariance=led.covariance + np.diag(noise))
 
     def _learn(self, change: FloatArray) -> None:

@@ -77,7 +77,7 @@ def test_a_mission_takes_as_long_as_its_path_asks_for_and_preview_says_so(law, s
 
 def test_bends_are_taken_more_slowly_where_a_limit_is_given():
     settings = {
-        "path.glyph": "S",
+        "path.glyph": "s",
         "path.width_mm": "10.0",
         "path.height_mm": "15.0",
         "path.speed_mm_s": "1.0",

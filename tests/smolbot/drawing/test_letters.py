@@ -95,8 +95,8 @@ def test_a_character_fills_its_box_around_the_origin(name, size):
     assert np.min(np.linalg.norm(np.diff(points, axis=0), axis=1)) > 1e-6
 
 
-def test_an_S_is_smooth_evenly_sampled_and_bends_over_once():
-    points = glyph("S", 20.0, 30.0)
+def test_an_s_of_the_font_is_smooth_evenly_sampled_and_bends_over_once():
+    points = glyph("s", 20.0, 30.0)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert steps == pytest.approx(steps.mean(), rel=0.01)
     assert np.degrees(turns(points).max()) < 4.5
@@ -130,7 +130,7 @@ def test_straight_legs_stay_straight_and_corners_exact():
 
 
 def test_own_letters_come_before_the_font():
-    assert set(GLYPHS) == {"I", "L", "R"}
+    assert set(GLYPHS) == {"I", "L", "R", "S"}
     assert glyph("L", 4.0, 6.0) == pytest.approx(np.array([[-2, 3], [-2, -3], [2, -3.0]]))
     assert glyph("I", 4.0, 6.0) == pytest.approx(np.array([[0, -3], [0, 3.0]]))
     angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, 49)
