@@ -116,7 +116,8 @@ class Helical:
                 None, note="path's end reached", progress=self._length, phase="follow", done=True, event=event
             )
         legs = self._recovery(state) if event == "step-out" else []
-        legs += self._plan(self.screwing.predict(state, legs), pose.covariance)
+        before = legs[-1].course if legs else math.nan
+        legs += self._plan(self.screwing.predict(state, legs), before, pose.covariance)
         self._flown = _Flown(state, legs, self.screwing.predict(state, legs))
         self._moving = True
         return self._say(self._windows(legs), self._state_note(legs), event)
@@ -166,13 +167,16 @@ class Helical:
             return []
         return [Leg(float(state[kernels.HEADING]), -1.0, self._back, self._frequency)]
 
-    def _plan(self, state: FloatArray, covariance: FloatArray) -> list[Leg]:
-        """Turns ahead, each with its own axis, while the place they lead to is sure enough and the path goes on."""
+    def _plan(self, state: FloatArray, before: float, covariance: FloatArray) -> list[Leg]:
+        """Turns ahead, each with its own axis, while the place they lead to is sure enough and the path goes on.
+
+        The magnet turned about `before` (rad) until now; nan where it comes anew, and may come at any axis.
+        """
         body, factors = self.setup.helix.body, self.screwing.factors
         reach = 0.98 * self.setup.limits.max_steering_rate / self._frequency
         legs: list[Leg] = []
         start, near = state.copy(), self._near
-        start[kernels.COURSE] = np.nan
+        start[kernels.COURSE] = before
         at = start
         while len(legs) < self._most:
             course = kernels.best_course(
@@ -180,7 +184,7 @@ class Helical:
                 self._points, self._arc, near, self._weight,
             )  # fmt: skip
             turns = self._last_turns(at, course, near)
-            if legs and turns < 1.0:  # less time to steer in
+            if turns < 1.0 and not math.isnan(at[kernels.COURSE]):  # less time to steer in
                 off = kernels.wrapped(course - at[kernels.COURSE])
                 course = at[kernels.COURSE] + min(max(off, -reach * turns), reach * turns)
             leg = Leg(float(course), 1.0, turns, self._frequency)

@@ -185,3 +185,22 @@ def test_a_maneuver_that_was_held_back_is_offered_again():
     assert asked.count == 1
     pilot.command(Shot(first.mechanical), Believed())
     assert asked.count == 2
+
+
+@pytest.mark.parametrize("aside_deg", [-60.0, -30.0, 45.0])
+@pytest.mark.parametrize("short_mm", [1.0, 1.5, 2.0, 2.1, 2.2, 3.0])
+def test_backing_off_and_going_on_again_keeps_the_axis_to_its_stages_rate(short_mm, aside_deg):
+    whole = MISSION.path
+    path = Curve(whole.at(np.linspace(whole.length - 7e-3, whole.length, 60)))
+    place, ahead = path.at(path.length - short_mm * 1e-3), path.tangent(np.array([path.length - short_mm * 1e-3]))[0]
+    place = place + 0.4e-3 * np.array([-ahead[1], ahead[0], 0.0])
+    stuck = pose_of([*place[:2], SETUP.helix.high], np.arctan2(ahead[1], ahead[0]) + np.radians(aside_deg))
+    controller = Helical(SETUP, {"listens": 1})
+    controller.reset(path, World(path).pose)
+    events = []
+    for _ in range(8):  # it never moves
+        command = controller.command(stuck)
+        events.append(command.event)
+        if command.mechanical:
+            assert SETUP.limits.faults(Shot(command.mechanical)) == []
+    assert "step-out" in events
