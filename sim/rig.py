@@ -64,7 +64,7 @@ class TankRig:
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
         self._last_drive: tuple[Excite, float] | None = None
         self._magnet_near = False
-        self._open = True
+        self._open, self._stopped = True, False
 
     def now(self) -> float:
         """Time on the tank's virtual clock, in s."""
@@ -90,12 +90,14 @@ class TankRig:
         for window in shot.windows:
             if isinstance(window, MoveMagnet):  # a move that is cut short leaves the magnet near
                 self._magnet_near = True
+        self._stopped, heard = False, None
         played = tank.advance(windows)
         if played:
             self._magnet_near = magnet_near_after(shot, near=self._magnet_near)
-        if not played:
+            heard = self._recording(shot, begin)
+        if self._stopped or not played:  # while it moved, or while its samples were made
             raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
-        return self._recording(shot, begin)
+        return heard
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
@@ -103,7 +105,7 @@ class TankRig:
 
     def stop(self) -> None:
         """Bring every output to zero now and end a shot under way. Safe from any thread, any number of times."""
-        self._tank.running = False
+        self._stopped, self._tank.running = True, False
         self._tank.silence()
 
     def close(self) -> None:
