@@ -13,8 +13,37 @@ from smolbot.arrays import FloatArray
 CLIP = 3.0  # standard deviations: a tank is not built with a coil 2 mm off
 
 
+class DrawnValues:
+    """Base of what was drawn: dataclasses of numbers and arrays."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """All drawn values as plain lists and numbers, for a run's provenance."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
+
+
+class Spreads:
+    """Draws mismatches about nominal values, none beyond `CLIP` standard deviations; the scale only multiplies them."""
+
+    def __init__(self, rng: np.random.Generator, scale: float) -> None:
+        self._rng = rng
+        self._scale = scale
+
+    def spread(self, deviation: float, *shape: int) -> FloatArray:
+        """Offsets with a standard deviation, of any unit."""
+        return self._scale * deviation * np.clip(self._rng.standard_normal(shape), -CLIP, CLIP)
+
+    def factor(self, percent: float, *shape: int) -> FloatArray:
+        """Factors about 1, all of them above 0."""
+        return np.maximum(1.0 + self.spread(0.01 * percent, *shape), 0.05)
+
+    def one(self, percent: float) -> float:
+        """A single factor."""
+        return float(self.factor(percent, 1)[0])
+
+
 @dataclass(frozen=True, eq=False)
-class Truth:
+class Truth(DrawnValues):
     """What was drawn. Places in m, tilts as rotation vectors in rad, everything else a factor on the nominal value.
 
     Attributes
@@ -55,11 +84,6 @@ class Truth:
     start_offset: FloatArray
     start_heading: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """All drawn values as plain lists and numbers, for a run's provenance."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
-
 
 @dataclass(frozen=True)
 class Streams:
@@ -83,18 +107,9 @@ def draw(settings: TankSettings, n_coils: int, n_sensors: int, streams: Streams,
     The order of draws is fixed, and the scale only multiplies them: the same seed at twice the scale is
     the same tank with every mismatch doubled. `ideal` is the scale 0.
     """
-    section, rng = settings.mismatch, streams.mismatch
-    scale = 0.0 if ideal else section.scale
-
-    def spread(deviation: float, *shape: int) -> FloatArray:
-        return scale * deviation * np.clip(rng.standard_normal(shape), -CLIP, CLIP)
-
-    def factor(percent: float, *shape: int) -> FloatArray:
-        return np.maximum(1.0 + spread(0.01 * percent, *shape), 0.05)
-
-    def one(percent: float) -> float:
-        return float(factor(percent, 1)[0])
-
+    section = settings.mismatch
+    spreads = Spreads(streams.mismatch, 0.0 if ideal else section.scale)
+    spread, factor, one = spreads.spread, spreads.factor, spreads.one
     return Truth(
         coil_places=spread(1e-3 * section.coil_place_mm, n_coils, 3),
         coil_tilts=spread(np.radians(section.coil_axis_deg), n_coils, 3),

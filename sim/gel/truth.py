@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from sim.gel import kernels
-from sim.mismatch import CLIP
+from sim.mismatch import CLIP, DrawnValues, Spreads
 from sim.settings import TankSettings
 from smolbot.arrays import FloatArray
 from smolbot.rigfile import RigConfig
@@ -21,7 +20,7 @@ STREAM = 5
 
 
 @dataclass(frozen=True, eq=False)
-class GelTruth:
+class GelTruth(DrawnValues):
     """What was drawn. Places in m, angles in rad, everything else a factor on the nominal value.
 
     Attributes
@@ -55,11 +54,6 @@ class GelTruth:
     start_roll: float
     start_height: float
 
-    def as_dict(self) -> dict[str, Any]:
-        """All drawn values as plain lists and numbers, for a run's provenance."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
-
 
 def gel_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
     """Streams of the mismatches and of the operator's hand, apart from all others of a tank."""
@@ -70,14 +64,8 @@ def gel_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]
 def draw_gel(settings: TankSettings, rng: np.random.Generator, *, ideal: bool = False) -> GelTruth:
     """Draw gel, helix and magnet; the order of draws is fixed, and the scale only multiplies them."""
     section = settings.gel.mismatch
-    scale = 0.0 if ideal else settings.mismatch.scale
-
-    def spread(deviation: float, *shape: int) -> FloatArray:
-        return scale * deviation * np.clip(rng.standard_normal(shape), -CLIP, CLIP)
-
-    def factor(percent: float) -> float:
-        return max(1.0 + float(spread(0.01 * percent, 1)[0]), 0.05)
-
+    spreads = Spreads(rng, 0.0 if ideal else settings.mismatch.scale)
+    spread, factor = spreads.spread, spreads.one
     return GelTruth(
         strength=factor(section.yield_percent),
         viscosity=factor(section.viscosity_percent),
