@@ -111,9 +111,7 @@ class Tank:
         driven = self.coils.n_actuation + self.coils.n_excitation
         self.coils.circuits[:driven, 1:3] = 0.0
 
-    def _run(
-        self, n: int, step: float, times: FloatArray, poses: FloatArray, commands: FloatArray = NO_SAMPLES
-    ) -> int:
+    def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray, commands: FloatArray = NO_SAMPLES) -> int:
         """Advance by `n` steps, as commanded for the window, or by a row of `commands` (in A) for each substep."""
         substeps = _substeps(step)
         device, earth, state = self.device, self.coils.earth, self._state

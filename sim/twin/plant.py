@@ -143,9 +143,7 @@ class Plant(Tank):
             return np.full((len(sensors.positions), n), sensors.sensor_range * self._volts_per_tesla)
         since = clock - 2 * sensors.lead
         begin = max(int(np.searchsorted(self._trace_times[: self._used], since)) - 1, 0)
-        end = min(
-            int(np.searchsorted(self._trace_times[: self._used], clock + n / self.rate)) + 2, self._used
-        )
+        end = min(int(np.searchsorted(self._trace_times[: self._used], clock + n / self.rate)) + 2, self._used)
         pose_times, poses = self.history.since(since)
         field = sensors.clean(
             clock, n, self.device, self.coils.coupling, self._trace_times[begin:end], self._trace[begin:end],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
 import socket
@@ -62,6 +63,8 @@ class TruthServer:
                 if not listener.full():
                     listener.put_nowait(None)
             self._listeners.clear()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts, which holds the port
         self._socket.close()
 
     def _accept(self) -> None:

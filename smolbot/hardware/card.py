@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 import time
 from collections.abc import Iterator
@@ -150,10 +151,10 @@ class Card:
         """Spans of samples to read one after the other; one ends where the outputs are through."""
         marks = sorted({0, min(over, waveform.samples), waveform.samples})
         longest = max(int(LONGEST_PIECE * self._rate), 1)
-        for begin, end in zip(marks, marks[1:], strict=False):
+        for begin, end in itertools.pairwise(marks):
             count = -(-(end - begin) // longest)
             edges = [begin + round(k * (end - begin) / count) for k in range(count + 1)]
-            yield from zip(edges, edges[1:], strict=False)
+            yield from itertools.pairwise(edges)
 
     def _read(self, heard: FloatArray, first: int, end: int) -> None:
         if self._stopped.is_set():
@@ -218,7 +219,9 @@ class Card:
         except self._driver.errors as error:
             if self._driver.is_lost_read(error):
                 raise LostWindow(self._driver.explain(error)) from error
-            raise RigError(f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}") from error
+            raise RigError(
+                f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}"
+            ) from error
 
 
 def read_lines(task: Any, lines: tuple[str, ...]) -> dict[str, bool]:

@@ -178,7 +178,8 @@ class BenchRig:
         self.close()
 
     def _electrical(self, shot: Shot) -> Recording | None:
-        assert self._card is not None and self._guard is not None
+        assert self._card is not None
+        assert self._guard is not None
         asked = time.monotonic()
         if self._magnet is not None:
             self._magnet.must_rest()

@@ -22,7 +22,7 @@ class BenchWorld:
         """Faults of the ``[bench]`` section: unknown channels, lines and ranges, two loads on one output."""
         data = document.data.get("bench")
         if not isinstance(data, dict):
-            return [Fault(("bench",), "world = \"bench\" needs a section, [bench], that says how it is wired.")]
+            return [Fault(("bench",), 'world = "bench" needs a section, [bench], that says how it is wired.')]
         section, faults = validate(BenchSection, data, ("bench",))
         if section is None:
             return faults
