@@ -9,8 +9,9 @@ START_UP = 3.0  # s, to find the server
 
 
 def open_channel(address: str, timeout: float) -> tuple[Any, Any]:
-    """A gRPC channel to `address` (host:port) whose every call ends within `timeout` s and what it asks for; and the bare
-    channel beneath, which is the one to close.
+    """A gRPC channel to `address` (host:port) whose every call ends in time, and the bare one beneath, to be closed.
+
+    A call may take `timeout` s, and as long as it asks for itself.
 
     Raises
     ------

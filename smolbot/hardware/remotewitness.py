@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import threading
@@ -121,10 +122,8 @@ class RemoteWitness:
 
     def close(self) -> None:
         """Let go of the connection."""
-        try:
+        with contextlib.suppress(OSError):  # it may have ended already
             self._socket.shutdown(socket.SHUT_RDWR)
-        except OSError:  # it ended already
-            pass
         self._socket.close()
 
 

@@ -61,7 +61,7 @@ class BenchRig:
         self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
         self._volts_per_tesla = rig.sections.sensors.sensitivity_v_per_ut * 1e6
         self._range = rig.sections.sensors.range_ut * 1e-6
-        self._compiler = WaveformCompiler(section, rig.coil_names, self._rate)
+        self._compiler = WaveformCompiler(section, rig.coil_names, self._rate, _time_constants(rig))
         self._excitation = NominalExcitation(rig)
         self._epoch = time.monotonic()
         self._preparing = 5e-3  # s, from asking for a shot to its start
@@ -189,7 +189,8 @@ class BenchRig:
             if waveform.outputs and not self._guard.relays_open():
                 self._halt(
                     f"{self._section.device}: a relay did not open after a shot "
-                    f"({self._section.relays.all_open} is low). Amplifiers are off; switch off the supply and look for it."
+                    f"({self._section.relays.all_open} is low). Amplifiers are off; "
+                    "switch off the supply and look for it."
                 )
                 self._refuse_if_stopped()
         except LostWindow as error:
@@ -234,3 +235,9 @@ class BenchRig:
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
             raise RigError(self._latched)
+
+
+def _time_constants(rig: RigConfig) -> dict[str, float]:
+    """Of every coil by its name, in s."""
+    actuation = {coil.name: 1e-3 * coil.time_constant_ms for coil in rig.sections.coils}
+    return actuation | {f"excitation {c.name}": 1e-3 * c.time_constant_ms for c in rig.sections.excitation}

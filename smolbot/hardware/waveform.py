@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smolbot.arrays import FloatArray
-from smolbot.errors import InputError
+from smolbot.errors import InputError, InterlockError
 from smolbot.hardware.wiring import BenchSection
 from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rotate, Shot, Window
 
@@ -73,9 +73,18 @@ class WaveformCompiler:
         Actuation coils in the order of every current vector.
     input_rate : float, in Hz
         Of each sensor.
+    constants : dict, in s
+        Time constant of each coil by its name (``+x``, ``excitation x``). A sine is made larger by what the coil's lag
+        takes from it, so that the current has the peak that was asked for.
     """
 
-    def __init__(self, section: BenchSection, coils: tuple[str, ...], input_rate: float) -> None:
+    def __init__(
+        self,
+        section: BenchSection,
+        coils: tuple[str, ...],
+        input_rate: float,
+        constants: dict[str, float] | None = None,
+    ) -> None:
         names = [load.name for load in section.loads]
         self._coils = [names.index(name) for name in coils]
         self._excitation = [names.index(n) for n in ("excitation x", "excitation y") if n in names]
@@ -83,6 +92,7 @@ class WaveformCompiler:
         self._output = [outputs.index(load.output) for load in section.loads]
         self._gain = [load.gain_a_per_v for load in section.loads]
         self._relay = [line_bit(load.relay) for load in section.loads]
+        self._constants = [(constants or {}).get(name, 0.0) for name in names]
         self._names, self._enable = names, line_bit(section.outputs.enable)
         self._close, self._open = 1e-3 * section.relays.close_ms, 1e-3 * section.relays.open_ms
         self._range, self._n_outputs = section.outputs.range_v, len(outputs)
@@ -93,8 +103,10 @@ class WaveformCompiler:
 
         Raises
         ------
+        InterlockError
+            For a current beyond an output's range.
         InputError
-            For a mechanical window, a current beyond an output's range, or a drive while it listens.
+            For a mechanical window.
         """
         drives = [drive for at, window in shot.timed() for drive in self._drives(at, window)]
         lead = self._close if drives else 0.0
@@ -144,9 +156,10 @@ class WaveformCompiler:
         return volts, lines
 
     def _wave(self, drive: _Drive, lead: float, first: int, end: int) -> FloatArray:
-        level = drive.current / self._gain[drive.load]
+        lag = 2 * math.pi * drive.frequency * self._constants[drive.load]
+        level = drive.current / self._gain[drive.load] * math.sqrt(1.0 + lag**2)
         if abs(level) > self._range * (1 + 1e-9):
-            raise InputError(
+            raise InterlockError(
                 f"{self._names[drive.load]}: {drive.current:.2f} A needs {level:.2f} V; the output gives "
                 f"±{self._range:g} V. Nothing was played."
             )

@@ -152,7 +152,8 @@ def _input_faults(section: BenchSection, product: Product, data: dict[str, Any])
         if name not in exist:
             yield (
                 ("inputs", "channels"),
-                f"'{name}' (sensor {number}) is no {inputs.terminal} input of a {section.product}; it has {_span(exist)}.",
+                f"'{name}' (sensor {number}) is no {inputs.terminal} input of a {section.product}; "
+                f"it has {_span(exist)}.",
             )
     yield from _twice(("inputs", "channels"), inputs.channels, "input")
     if inputs.range_v not in product.input_ranges:
@@ -209,7 +210,8 @@ def _load_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[
         if isinstance(most, float | int) and most > reach * (1 + 1e-9):
             yield (
                 ("loads", number, "gain_a_per_v"),
-                f"{load.name} can get at most {reach:g} A from ±{section.outputs.range_v:g} V; limits.{key} is {most:g}.",
+                f"{load.name} can get at most {reach:g} A from ±{section.outputs.range_v:g} V; "
+                f"limits.{key} is {most:g}.",
             )
 
 
