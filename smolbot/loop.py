@@ -29,6 +29,7 @@ from smolbot.scheduler import Scheduler
 from smolbot.sensing import Recording, SensorArray
 from smolbot.shots import Shot
 from smolbot.sightings import SightedSwing, Sightings
+from smolbot.signals import CTRL_C
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
@@ -191,7 +192,7 @@ class Loop:
             finally:
                 self.safety.end()
         except KeyboardInterrupt as stop:
-            run.status, run.stop_reason = "stopped", str(stop) or "stopped by the operator (Ctrl-C)"
+            run.status, run.stop_reason = "stopped", str(stop) or CTRL_C
         except (InterlockError, RigError, OutsideTableError) as error:
             run.status, run.stop_reason = "stopped" if isinstance(error, OperatorStopError) else "failed", str(error)
         except Exception as error:

@@ -219,6 +219,6 @@ class Safety:
 
 def unbounded(limits: Limits, n_sensors: int) -> Safety:
     """A safety that knows a rig's limits and nothing else of it."""
-    never = 1 << 62
     names = (*limits.coils, "excitation x", "excitation y")
-    return Safety(limits, Rules(), Duty(names, 1.0), CoilHeat((None,) * len(names), 20.0), SoundWatch(n_sensors, never))
+    sound = SoundWatch(n_sensors, patience=1 << 62)
+    return Safety(limits, Rules(), Duty(names, 1.0), CoilHeat((None,) * len(names), 20.0), sound)

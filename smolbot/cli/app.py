@@ -98,8 +98,8 @@ def main() -> None:
         if type(error).__module__.split(".")[0] != "lookup_tables":
             raise
         _fail(str(error), BAD_INPUT)
-    except KeyboardInterrupt:
-        _fail("stopped by the operator (Ctrl-C); nothing was moving", STOPPED)
+    except KeyboardInterrupt as stop:
+        _fail(f"{str(stop) or 'stopped by the operator (Ctrl-C)'}; nothing was moving", STOPPED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(VERDICT_FAILED)
