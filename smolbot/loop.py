@@ -185,7 +185,8 @@ class Loop:
 
         An error that nobody foresaw is raised once the outputs are at zero and `run` says what happened.
         """
-        run, begin = self.run, self._clock()
+        self.run, begin = Run(), self._clock()
+        run = self.run
         try:
             try:
                 self._cycle_on(run)
