@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ STOP_KEYS = (b"q", b"Q", b"\x1b")
 
 KEY = "stopped by the operator (key)"
 
+_SEQUENCE = rb"\x1b[\[O][0-9;]*[A-Za-z~]"  # of an arrow or function key
 _LOOK = 0.2  # s between two looks whether the terminal is still ours
 _FOLLOWS = 0.05  # s within which the rest of an arrow key's sequence has come
 
@@ -135,9 +137,21 @@ class Keyboard:
         keys = os.read(self._number, 64)
         if not keys:
             raise OSError("end of the terminal")
-        if keys == b"\x1b" and select.select([self._number], [], [], _FOLLOWS)[0]:
+        if keys.endswith(b"\x1b") and select.select([self._number], [], [], _FOLLOWS)[0]:
             keys += os.read(self._number, 64)
-        return keys == b"\x1b" or (not keys.startswith(b"\x1b") and any(key in keys for key in STOP_KEYS))
+        return stops(keys)
+
+
+def stops(keys: bytes) -> bool:
+    """Whether a stop key is among what was typed.
+
+    Examples
+    --------
+    >>> stops(b"xq"), stops(b"\\x1b"), stops(b"x\\x1b[A\\x1bOP\\x1b[15~"), stops(b"\\x1b[Aq")
+    (True, True, False, True)
+    """
+    typed = re.sub(_SEQUENCE, b"", keys)
+    return any(key in typed for key in STOP_KEYS)
 
 
 def _in_front(number: int) -> bool:

@@ -87,8 +87,8 @@ class TerminalOperator:
 
     def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
         """See `Operator.ask`. An answer that says neither is asked for again; the time-out is of them all."""
-        out = self._out or sys.stderr
         with self._alone():
+            out = self._out or sys.stderr  # a progress bar that steps aside gives it back
             lines = self._reader()
             lines.forget()
             end = time.monotonic() + timeout
