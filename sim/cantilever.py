@@ -176,6 +176,8 @@ def swing(
     used: int,
     step: float,
     substeps: int,
+    commands: FloatArray,
+    at: int,
 ) -> tuple[float, float, float, float, float, float]:
     """Advance currents and cantilever by one physics step and return what the field does to the robot.
 
@@ -200,6 +202,10 @@ def swing(
         Rows from `used` on receive deflection and currents at the end of each substep.
     step : float, in s
     substeps : int
+    commands : ndarray, shape (m, n), in A
+        Sampled commands of the first n coils, a row for each substep from row `at` on; no rows where the commands of
+        `circuits` count.
+    at : int
 
     Returns
     -------
@@ -232,12 +238,19 @@ def swing(
     n_live = n_idle = 0
     b, g = np.empty((n_coils + 1, 3)), np.empty((n_coils + 1, 3, 3))
     keep, gain = np.empty(n_coils), np.empty(n_coils)
+    n_sampled = commands.shape[1] if len(commands) > 0 else 0
     for c in range(n_coils):
+        sounding = False
+        if c < n_sampled:
+            for k in range(substeps):
+                if commands[at + k, c] != 0.0:
+                    sounding = True
+                    break
         keep[c], gain[c] = 0.0, 1.0
         if circuits[c, 3] > 0:
             keep[c] = math.exp(-h / circuits[c, 3])
             gain[c] = math.sqrt(1.0 + (state[3] * circuits[c, 3]) ** 2)  # the amplifier makes up for the coil's lag
-        if abs(circuits[c, 0]) > LIVE or circuits[c, 1] != 0.0 or circuits[c, 2] != 0.0:
+        if abs(circuits[c, 0]) > LIVE or circuits[c, 1] != 0.0 or circuits[c, 2] != 0.0 or sounding:
             coil_field(point, rows[c], table, rotation, b[n_live], g[n_live], work)
             live[n_live] = c
             n_live += 1
@@ -259,7 +272,7 @@ def swing(
         bx, bz, gxx, gxz, gzx, gzz = e[0], e[2], 0.0, 0.0, 0.0, 0.0
         for n in range(n_live):
             q = live[n]
-            command = circuits[q, 1] + circuits[q, 2] * gain[q] * wave
+            command = commands[at + k, q] if q < n_sampled else circuits[q, 1] + circuits[q, 2] * gain[q] * wave
             current = command + (circuits[q, 0] - command) * keep[q]
             circuits[q, 0] = current
             bx += current * b[n, 0]

@@ -32,6 +32,14 @@ class History:
         """Forget the last rows."""
         self._count -= rows
 
+    def forget_before(self, time: float) -> None:
+        """Forget the rows before `time` s, but for the last of them."""
+        first = max(int(np.searchsorted(self._times[: self._count], time)) - 1, 0)
+        left = self._count - first
+        self._times[:left] = self._times[first : self._count].copy()
+        self._poses[:left] = self._poses[first : self._count].copy()
+        self._count = left
+
     def since(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Times (p,) in s and poses (p, 7) from the last row before `time` on."""
         times = self._times[: self._count]

@@ -99,8 +99,19 @@ class TrueSensors:
         field = self.clean(clock, n, device, coupling, trace_times, trace, pose_times, poses)
         return field, self.measure(field, clock)
 
-    def measure(self, field: FloatArray, clock: float) -> BoolArray:
+    @property
+    def sensor_range(self) -> float:
+        """Largest field that a sensor reads, in T."""
+        return self._range
+
+    def draw_constants(self) -> FloatArray:
+        """What hand-nulling leaves in each channel (n_sensors,), in T, for one recording."""
+        return self._constant * self._constants.standard_normal(len(self.positions))
+
+    def measure(self, field: FloatArray, clock: float, constants: FloatArray | None = None) -> BoolArray:
         """Make readings of a clean `field` (n_sensors, n) in T, in place: noise, constants, range, converter.
+
+        `constants` (n_sensors,) in T are those of a recording that this is a piece of; without them it is a new one.
 
         Returns
         -------
@@ -109,7 +120,7 @@ class TrueSensors:
         """
         self.field_noise.add(field, clock, self.rate)
         self.sensor_noise.add(field, clock)
-        constants = self._constant * self._constants.standard_normal(len(field))
+        constants = self.draw_constants() if constants is None else constants
         return _convert(field, constants, self._range, self._full_scale, self._step)
 
     def clean(

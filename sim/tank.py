@@ -23,6 +23,7 @@ from smolbot.shots import Actuate, Excite, MoveMagnet, Rotate, Window
 
 STRIDES = 500  # of a mechanical window between two looks at whether to stop
 SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
+NO_SAMPLES = np.zeros((0, 1))
 
 
 class Tank:
@@ -110,7 +111,8 @@ class Tank:
         driven = self.coils.n_actuation + self.coils.n_excitation
         self.coils.circuits[:driven, 1:3] = 0.0
 
-    def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
+    def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray, commands: FloatArray = NO_SAMPLES) -> int:
+        """Advance by `n` steps, as commanded for the window, or by a row of `commands` (in A) for each substep."""
         substeps = _substeps(step)
         device, earth, state = self.device, self.coils.earth, self._state
         rows, table, circuits = self.coils.fields.rows, self.coils.fields.coefficients, self.coils.circuits
@@ -127,8 +129,9 @@ class Tank:
             if near is not None:
                 earth = steady + matrix_from_quaternion(np.array(body[1])) @ near
             magnetic = swing(
-                body[0], body[1], device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps
-            )
+                body[0], body[1], device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps,
+                commands, i * substeps,
+            )  # fmt: skip
             move(body, magnetic, start + i * step, step)
             used += substeps
             played += 1

@@ -96,6 +96,16 @@ class Embedded:
             self._state[kernels.STEER] = self._steer_to
             self._steered = True
 
+    def follow(self, turn: float, steering: float, near: bool, span: float) -> None:
+        """The stage stands at `turn` and `steering` (rad) once the next `span` s are over: a magnet that is measured
+        instead of commanded."""
+        if near and not self._near:
+            self._state[kernels.STEER], self._state[kernels.TURN] = steering, turn
+        self._near, self._steered = near, True
+        off = steering - float(self._state[kernels.STEER])
+        self._steer_to, self._steering_rate = steering, abs(off) / span
+        self._turn_rate = (turn - float(self._state[kernels.TURN])) / span
+
     def turn(self, step: float, poses: FloatArray) -> None:
         """As many steps of `step` s as `poses` (n, 7) has rows, which receive rotation centre and orientation."""
         if self._near:

@@ -9,6 +9,7 @@ from sim.cantilever import STATE_LENGTH, swing
 from sim.coilfields import pack
 from sim.coils import volume
 from sim.magnet import MAGNET_MASS, pack_device
+from sim.tank import NO_SAMPLES
 
 MOMENT, L0, THETA_MAX, FREQUENCY = 0.89e-3, 1.5e-3, np.radians(17.8), 103.5
 LEVEL = ((0.0, 0.0, 0.0595), (1.0, 0.0, 0.0, 0.0))
@@ -34,7 +35,7 @@ class Bench:
         for k in range(steps):
             swing(
                 *LEVEL, self.device, self.earth, self.rows, self.table, self.circuits, self.state,
-                np.empty((1, 7)), 0, trace, k * substeps, step, substeps,
+                np.empty((1, 7)), 0, trace, k * substeps, step, substeps, NO_SAMPLES, 0,
             )  # fmt: skip
         return trace
 

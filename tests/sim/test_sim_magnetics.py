@@ -15,6 +15,7 @@ from sim.magnet import pack_device
 from sim.mismatch import Streams, draw
 from sim.sensors import TrueSensors
 from sim.settings import TankSettings
+from sim.tank import NO_SAMPLES
 from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
 magpylib = pytest.importorskip("magpylib")
@@ -88,7 +89,7 @@ def test_force_and_torque_are_those_on_a_finite_magnet(rig, robot):
     middle = np.array([0.006, -0.004, 0.0595])
     felt = swing(
         tuple(middle), tuple(quaternion), packed, np.zeros(3), fields.rows, fields.coefficients, circuits,
-        np.zeros(STATE_LENGTH), np.empty((1, 7)), 0, np.empty((50, 5)), 0, 1e-3, 50,
+        np.zeros(STATE_LENGTH), np.empty((1, 7)), 0, np.empty((50, 5)), 0, 1e-3, 50, NO_SAMPLES, 0,
     )  # fmt: skip
     magnet_place = middle + rotation @ (np.array([0.0, 0.0, device.l0]) - np.array(robot.center))
     direction = rotation @ device.moment_in_body

@@ -1,0 +1,166 @@
+"""The tank behind the twin: commanded sample by sample, and heard piece by piece."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.gel.embedded import Embedded
+from sim.settings import TankSettings
+from sim.tank import SUBSTEP, Tank
+from smolbot.arrays import FloatArray
+from smolbot.errors import InputError, RigError
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+
+REMEMBERED = 6.0
+"""Seconds of currents, deflection and poses that are kept: the longest recording, and what a slow reader needs."""
+
+
+class Plant(Tank):
+    """A tank whose coils get a command for every sample of the card's clock.
+
+    Not to be shared between threads. One substep of the tank is one sample.
+
+    Attributes
+    ----------
+    rate : float, in Hz
+    loads : tuple of str
+        Driven coils: actuation coils in the rig file's order, then excitation coils as ``excitation x``.
+    played : int
+        Samples since the beginning.
+
+    Parameters
+    ----------
+    rig, robot, settings, start, seed, ideal
+        As `sim.tank.Tank` takes them.
+
+    Raises
+    ------
+    InputError
+        If the rig's sample rate is not the tank's own.
+    """
+
+    def __init__(
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
+        *, ideal: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__(rig, robot, settings, start, seed, ideal=ideal)
+        self.rate = self.sensors.rate
+        if abs(self.rate * SUBSTEP - 1.0) > 1e-9:
+            raise InputError(f"The twin samples at {1 / SUBSTEP:g} Hz; got sensors.sample_rate_hz = {self.rate:g}.")
+        self.loads = (*rig.coil_names, *(f"excitation {c.name}" for c in rig.sections.excitation))
+        self.played = 0
+        self._turned = self.carrier if isinstance(self.carrier, Embedded) else None
+        self._target: tuple[float, float, bool] | None = None
+        self._near = False
+        self._constants = self.sensors.draw_constants()
+        self._volts_per_tesla = rig.sections.sensors.sensitivity_v_per_ut * 1e6
+        size = 2 * round(REMEMBERED * self.rate)
+        times, trace = np.zeros(size), np.zeros((size, self._trace.shape[1]))
+        times[: self._used], trace[: self._used] = self._trace_times[: self._used], self._trace[: self._used]
+        self._trace_times, self._trace = times, trace
+        self._longest = max(round(self._step * self.rate), 1)
+        self.running = True
+
+    def advance(self, currents: FloatArray) -> None:  # type: ignore[override]
+        """Move on by as many samples as `currents`, shape (n_loads, n) in A, has columns.
+
+        Raises
+        ------
+        RigError
+            If the robot has left the container.
+        """
+        commands = np.ascontiguousarray(np.asarray(currents, dtype=np.float64).T)
+        count = len(commands)
+        if not count:
+            return
+        self._make_room(count)
+        if self._turned is not None and self._target is not None:
+            turn, steering, near = self._target
+            self._turned.follow(turn, steering, near, count / self.rate)
+            self._near = near
+        at = 0
+        while at < count:
+            whole = max((count - at) // self._longest, 0)
+            n, length = (whole, self._longest) if whole else (1, count - at)
+            self._steps(n, length, commands[at : at + n * length])
+            at += n * length
+            self.played += n * length
+            self.time = self.played / self.rate  # no drift by adding up
+        place = self.history.at(self.time)[:3]
+        if not (np.all(place > self._low) and np.all(place < self._high)):
+            raise RigError(f"The robot left the container, to {np.round(1e3 * place, 2)} mm, at {self.time:.3f} s.")
+
+    def _steps(self, n: int, length: int, commands: FloatArray) -> None:
+        self.history.drop_last()  # the first row repeats the closing row of the last steps
+        times, poses = self.history.reserve(n + 1)
+        step = length / self.rate
+        if self._near:
+            self._still(n, step, n * length, times, poses)
+        else:
+            self._run(n, step, times, poses, commands)
+        self._note_pose(times[n:], poses[n:])
+
+    def _still(self, n: int, step: float, samples: int, times: FloatArray, poses: FloatArray) -> None:
+        """The magnet is near: its field stills the swing."""
+        assert self._turned is not None
+        self._turned.turn(step, poses[:n])
+        times[:n] = self.time + step * np.arange(n)
+        self._state[:2] = 0.0
+        span = slice(self._used, self._used + samples)
+        self._trace_times[span] = self.time + np.arange(1, samples + 1) / self.rate
+        self._trace[span, 0] = 0.0
+        self._trace[span, 1:] = self.coils.circuits[:, 0]
+        self._used += samples
+        self.time += n * step
+
+    def magnet(self, turn: float, steering: float, near: bool | None) -> None:
+        """Where the stage stands now: angles in rad about the motor's axis and of that axis; None on its way.
+
+        The next `advance` takes it there.
+        """
+        self._target = (turn, steering, bool(near))
+
+    def begin_acquisition(self) -> None:
+        """A new recording begins: what hand-nulling left in each channel is another one."""
+        self._constants = self.sensors.draw_constants()
+
+    def volts(self, first: int, n: int) -> FloatArray:
+        """Converter readings (n_sensors, n) in V of plant samples `first` to ``first + n - 1``, which were played.
+
+        Pieces of one acquisition are asked for in order.
+
+        Raises
+        ------
+        InputError
+            For samples that were not played yet, or are forgotten.
+        """
+        clock, sensors = first / self.rate, self.sensors
+        oldest = max(self.played - round((REMEMBERED - 2 * sensors.lead) * self.rate), 0)
+        if not oldest <= first <= first + n <= self.played:
+            raise InputError(f"The plant knows samples {oldest} to {self.played}; got {first} to {first + n}.")
+        if self._near:
+            return np.full((len(sensors.positions), n), sensors.sensor_range * self._volts_per_tesla)
+        since = clock - 2 * sensors.lead
+        begin = max(int(np.searchsorted(self._trace_times[: self._used], since)) - 1, 0)
+        end = min(int(np.searchsorted(self._trace_times[: self._used], clock + n / self.rate)) + 2, self._used)
+        pose_times, poses = self.history.since(since)
+        field = sensors.clean(
+            clock, n, self.device, self.coils.coupling, self._trace_times[begin:end], self._trace[begin:end],
+            pose_times, poses,
+        )  # fmt: skip
+        sensors.measure(field, clock, self._constants)
+        return np.asarray(field * self._volts_per_tesla)
+
+    def _make_room(self, count: int) -> None:
+        """Forget what is older than `REMEMBERED`, whenever the room is used up."""
+        if self._used + count <= len(self._trace_times):
+            return
+        keep = round(REMEMBERED * self.rate)
+        if count > len(self._trace_times) - keep:
+            raise InputError(f"The plant moves on by at most {len(self._trace_times) - keep} samples; got {count}.")
+        first = self._used - keep
+        self._trace_times[:keep] = self._trace_times[first : self._used]
+        self._trace[:keep] = self._trace[first : self._used]
+        self._used = keep
+        self.history.forget_before(self.time - REMEMBERED)

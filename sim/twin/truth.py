@@ -1,0 +1,95 @@
+"""Tells the truth of a twin to whoever asks on this machine: a line of JSON, then a row for every physics step."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import queue
+import socket
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+from smolbot.errors import RigError
+
+BACKLOG = 4096
+"""Blocks of rows that wait for a slow listener, who is let go after that."""
+
+
+class TruthServer:
+    """Sends rows (time on the monotonic clock in s, position (3) in m, orientation (4)) to every listener.
+
+    Parameters
+    ----------
+    host, port
+        Where to listen; port 0 takes a free one, see `port`.
+    drawn : mapping
+        What the twin was drawn as; sent first.
+
+    Raises
+    ------
+    RigError
+        If the port is taken.
+    """
+
+    def __init__(self, host: str, port: int, drawn: Mapping[str, Any]) -> None:
+        try:
+            self._socket = socket.create_server((host, port))
+        except OSError as error:
+            raise RigError(f"The twin's truth cannot listen on {host}:{port}: {error.strerror or error}.") from error
+        self.port: int = self._socket.getsockname()[1]
+        self._greeting = (json.dumps(dict(drawn), default=_plain) + "\n").encode("utf-8")
+        self._listeners: list[queue.Queue[bytes | None]] = []
+        self._lock = threading.Lock()
+        threading.Thread(target=self._accept, name="truth", daemon=True).start()
+
+    def publish(self, rows: FloatArray) -> None:
+        """Send rows, shape (n, 8); never waits for a listener."""
+        data = np.ascontiguousarray(rows, dtype="<f8").tobytes()
+        with self._lock:
+            for listener in tuple(self._listeners):
+                try:
+                    listener.put_nowait(data)
+                except queue.Full:
+                    self._listeners.remove(listener)
+
+    def close(self) -> None:
+        """Let every listener go."""
+        with self._lock:
+            for listener in self._listeners:
+                if not listener.full():
+                    listener.put_nowait(None)
+            self._listeners.clear()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts, which holds the port
+        self._socket.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:  # closed
+                return
+            threading.Thread(target=self._send, args=(connection,), name="truth listener", daemon=True).start()
+
+    def _send(self, connection: socket.socket) -> None:
+        waiting: queue.Queue[bytes | None] = queue.Queue(BACKLOG)
+        with connection:
+            try:
+                connection.sendall(self._greeting)
+                with self._lock:
+                    self._listeners.append(waiting)
+                while (data := waiting.get()) is not None:
+                    connection.sendall(data)
+            except OSError:  # the listener is gone
+                pass
+            with self._lock:
+                if waiting in self._listeners:
+                    self._listeners.remove(waiting)
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -1,0 +1,1 @@
+"""Real devices: the converter card, the magnet stage and the power supply of a bench."""

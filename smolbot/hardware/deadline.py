@@ -1,0 +1,49 @@
+"""A channel to a device server on which no call waits for ever."""
+
+from __future__ import annotations
+
+from typing import Any
+
+MESSAGE_LIMIT = 64 * 2**20  # bytes; by default a long recording fails after it was taken from the card
+START_UP = 3.0  # s, to find the server
+
+
+def open_channel(address: str, timeout: float) -> tuple[Any, Any]:
+    """A gRPC channel to `address` (host:port) whose every call ends in time, and the bare one beneath, to be closed.
+
+    A call may take `timeout` s, and as long as it asks for itself.
+
+    Raises
+    ------
+    ConnectionError
+        If nothing answers there.
+    ModuleNotFoundError
+        If gRPC is not installed.
+    """
+    import grpc
+
+    options = [
+        ("grpc.max_receive_message_length", MESSAGE_LIMIT),
+        ("grpc.max_send_message_length", MESSAGE_LIMIT),
+        ("grpc.enable_http_proxy", 0),
+    ]
+    bare = grpc.insecure_channel(address, options)
+    try:
+        grpc.channel_ready_future(bare).result(START_UP)
+    except grpc.FutureTimeoutError as error:
+        bare.close()
+        raise ConnectionError(f"no device server answers at {address}") from error
+
+    class Details(grpc.ClientCallDetails):  # type: ignore[misc,unused-ignore]
+        def __init__(self, details: Any, timeout: float) -> None:
+            self.method, self.metadata, self.credentials = details.method, details.metadata, details.credentials
+            self.wait_for_ready, self.compression = None, None
+            self.timeout = timeout
+
+    class Deadline(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc,unused-ignore]
+        def intercept_unary_unary(self, continuation: Any, details: Any, request: Any) -> Any:
+            own = getattr(request, "timeout", 0.0)
+            allowed = timeout + (own if isinstance(own, float | int) and own > 0.0 else 0.0)
+            return continuation(Details(details, allowed), request)
+
+    return grpc.intercept_channel(bare, Deadline()), bare

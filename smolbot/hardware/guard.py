@@ -1,0 +1,119 @@
+"""Feeds the card's watchdog and watches the operator's button, in a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from smolbot.errors import RigError
+from smolbot.hardware.card import read_lines
+from smolbot.hardware.driver import Driver
+from smolbot.hardware.wiring import BenchSection
+
+
+class Guard:
+    """While it is fed, the watchdog keeps out of the way; when this program dies or hangs, it opens every relay.
+
+    Parameters
+    ----------
+    section : BenchSection
+    driver : Driver
+    trip : callable
+        Called once, from the guard's thread, with the reason, when the button is pressed or the card fails.
+    """
+
+    def __init__(self, section: BenchSection, driver: Driver, trip: Callable[[str], None]) -> None:
+        self._section, self._driver, self._trip = section, driver, trip
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="watchdog feeder", daemon=True)
+        self.lines: dict[str, bool] = {}
+        self.latest_feed = 0.0
+        self._inputs: Any = None
+        self._watchdog: Any = None
+
+    def open(self) -> None:
+        """Set the watchdog up, read the lines once, and start feeding.
+
+        Raises
+        ------
+        RigError
+            If the watchdog cannot be set up, or the operator's button is pressed.
+        """
+        from nidaqmx.constants import Level, LineGrouping
+        from nidaqmx.types import DOExpirationState
+
+        section, name = self._section, self._section.device
+        try:
+            if section.input_lines:
+                self._inputs = self._driver.task()
+                wired = ", ".join(f"{name}/{line}" for line in section.input_lines)
+                self._inputs.di_channels.add_di_chan(wired, line_grouping=LineGrouping.CHAN_PER_LINE)
+                self._look()
+            self._watchdog = self._driver.watchdog(name, 1e-3 * section.watchdog.timeout_ms)
+            states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
+            self._watchdog.cfg_watchdog_do_expir_states(states)
+            self._watchdog.start()
+        except self._driver.errors as error:
+            raise RigError(f"The watchdog of {name} cannot be set up: {self._driver.explain(error)}") from error
+        pressed = self.pressed()
+        if pressed:
+            raise RigError(pressed)
+        self._thread.start()
+
+    def pressed(self) -> str | None:
+        """Why the operator's button says no; None while it does not."""
+        line = self._section.operator.stop_line
+        if line is None or self.lines.get(line, True):
+            return None
+        return (
+            f"Stopped by the operator's button ({self._section.device}/{line} is low: pressed, or its cable is broken)."
+        )
+
+    def relays_open(self) -> bool:
+        """Whether the relays' contacts say that all are open, looked at now; True where they are not wired."""
+        line = self._section.relays.all_open
+        if line is None:
+            return True
+        self._look()
+        return self.lines[line]
+
+    def _look(self) -> None:
+        self.lines = read_lines(self._inputs, self._section.input_lines)
+
+    def _run(self) -> None:
+        pause = 1e-3 * self._section.watchdog.feed_ms
+        due = time.monotonic()
+        while not self._end.is_set():
+            try:
+                self._watchdog.reset_timer()
+                self.latest_feed = time.monotonic()
+                if self._inputs is not None:
+                    self._look()
+            except self._driver.errors as error:
+                if not self._end.is_set():
+                    self._trip(
+                        f"{self._section.device}: the watchdog cannot be fed: {self._driver.explain(error)} "
+                        f"{self._driver.remedy(error)}"
+                    )
+                return
+            pressed = self.pressed()
+            if pressed:
+                self._trip(pressed)
+                return
+            due = max(due + pause, time.monotonic())  # a late feed is not made up for
+            self._end.wait(max(due - time.monotonic(), 0.0))
+
+    def close(self) -> None:
+        """Stop feeding and let go; the watchdog is stopped, not left to expire."""
+        self._end.set()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(2.0)
+        for task in (self._watchdog, self._inputs):
+            if task is not None:
+                with self._driver.forgiven():
+                    task.stop()
+                with self._driver.forgiven():
+                    task.close()
+        self._watchdog = self._inputs = None

@@ -1,0 +1,63 @@
+"""What the converter cards that we know can do: their channels, ranges and clocked lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Product:
+    """One type of card.
+
+    Attributes
+    ----------
+    outputs : tuple of str
+        Analog outputs.
+    inputs : mapping-like tuple of (terminal, channels)
+        Analog inputs that exist with each way of wiring them.
+    input_ranges, output_ranges : tuple of float, in V
+        Half widths.
+    clocked_lines, lines : tuple of str
+        Digital lines that can follow a sample clock, and all of them.
+    max_output_rate, max_input_rate : float, in Hz
+        With all outputs in use; all inputs together.
+    """
+
+    outputs: tuple[str, ...]
+    inputs: tuple[tuple[str, tuple[str, ...]], ...]
+    input_ranges: tuple[float, ...]
+    output_ranges: tuple[float, ...]
+    clocked_lines: tuple[str, ...]
+    lines: tuple[str, ...]
+    max_output_rate: float
+    max_input_rate: float
+
+    def inputs_of(self, terminal: str) -> tuple[str, ...]:
+        """Inputs that exist with a way of wiring; empty for an unknown one."""
+        return dict(self.inputs).get(terminal, ())
+
+
+def _numbered(prefix: str, *spans: range) -> tuple[str, ...]:
+    return tuple(f"{prefix}{number}" for span in spans for number in span)
+
+
+_SINGLE = _numbered("ai", range(32))
+_PORT0 = _numbered("port0/line", range(32))
+
+PCIE_6363 = Product(
+    outputs=_numbered("ao", range(4)),
+    inputs=(
+        ("differential", _numbered("ai", range(8), range(16, 24))),
+        ("rse", _SINGLE),
+        ("nrse", _SINGLE),
+    ),
+    input_ranges=(0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
+    output_ranges=(5.0, 10.0),
+    clocked_lines=_PORT0,
+    lines=_PORT0 + _numbered("port1/line", range(8)) + _numbered("port2/line", range(8)),
+    max_output_rate=1.25e6,
+    max_input_rate=1.0e6,
+)
+
+PRODUCTS = {"PCIe-6363": PCIE_6363, "PXIe-6363": PCIE_6363, "USB-6363": PCIE_6363}
+"""By the product type that the driver reads back."""

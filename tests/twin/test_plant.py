@@ -1,0 +1,202 @@
+"""The plant of the twin is the tank: the same commands, sampled, move it and are heard in the same way."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+
+from sim.settings import TankSettings
+from sim.tank import Tank
+from sim.twin.plant import Plant
+from sim.twin.truth import TruthServer
+from smolbot.config import validate
+from smolbot.errors import InputError, RigError
+from smolbot.hardware.remotewitness import RemoteWitness
+from smolbot.rigfile import load_rig
+from smolbot.robotfile import load_robot
+from smolbot.shots import Actuate, Excite, Listen, RingDown, Shot
+
+SHOT = Shot((Actuate((8.0, 0.0, 3.0, 0.0), 0.03), Excite((6.0, -4.0), 100.0, 5), RingDown(0.02), Listen(4, 100.0)))
+
+
+def settings(rig):
+    return validate(TankSettings, rig.sections.tank, ("tank",))[0]
+
+
+def make(kind, rig_name="tank", robot="gradient", seed=5, ideal=False):
+    rig = load_rig(rig_name)
+    return kind(rig, load_robot(robot), settings(rig), np.zeros(2), seed, ideal=ideal)
+
+
+def sampled(plant, shot, constants):
+    """The commands of a shot at every sample's middle; the amplifier makes up for the coils' lag, as in the tank."""
+    n = round(shot.duration * plant.rate)
+    currents = np.zeros((len(plant.loads), n))
+    middle = (np.arange(n) + 0.5) / plant.rate
+    for at, window in shot.timed():
+        first, end = round(at * plant.rate), round((at + window.duration) * plant.rate)
+        if isinstance(window, Actuate):
+            currents[:4, first:end] = np.array(window.currents)[:, None]
+        elif isinstance(window, Excite):
+            omega = 2 * math.pi * window.frequency
+            gains = np.sqrt(1 + (omega * constants[4:]) ** 2)
+            wave = np.sin(omega * (middle[first:end] - at))
+            currents[4:, first:end] = (np.array(window.currents) * gains)[:, None] * wave
+    return currents
+
+
+@pytest.fixture(scope="module")
+def both():
+    tank, plant = make(Tank), make(Plant)
+    tank.advance(SHOT.windows)
+    constants = tank.coils.circuits[:6, 3]
+    currents = sampled(plant, SHOT, constants)
+    for piece in np.array_split(currents, 17, axis=1):
+        plant.advance(piece)
+    return tank, plant
+
+
+def test_sampled_commands_move_the_tank_as_windows_do(both):
+    tank, plant = both
+    assert plant.played == round(SHOT.duration * plant.rate)
+    for at in np.linspace(0.0, SHOT.duration, 9):
+        one, other = tank.history.at(at), plant.history.at(at)
+        assert np.linalg.norm(one[:3] - other[:3]) < 2e-7  # pieces end steps elsewhere; a pull moves it by 1e-4
+        assert abs(abs(one[3:] @ other[3:]) - 1) < 1e-6
+
+
+def test_sampled_commands_are_heard_as_windows_are(both):
+    tank, plant = both
+    clock, n = SHOT.duration - 0.02, 1000
+    heard, _ = tank.listen(clock, n)
+    volts = plant.volts(plant.played - n, n)
+    signal = heard - heard.mean(axis=1, keepdims=True)
+    field = volts * 1e-6
+    field -= field.mean(axis=1, keepdims=True)
+    assert np.ptp(signal) > 5e-8
+    # both have drawn the same noise: what differs is where the steps of motion end
+    assert np.abs(field - signal).max() < 0.01 * np.ptp(signal)
+
+
+def test_pieces_of_a_recording_fit_together():
+    one, other = make(Plant, seed=3), make(Plant, seed=3)
+    for plant in (one, other):
+        plant.advance(np.zeros((6, 3000)))
+        plant.begin_acquisition()
+    whole = one.volts(1000, 2000)
+    parts = np.hstack([other.volts(1000, 500), other.volts(1500, 700), other.volts(2200, 800)])
+    # mains and constants are the same; each sensor's own noise is of the size of some steps of the converter
+    assert np.abs(whole.mean(axis=1) - parts.mean(axis=1)).max() < 5e-4
+    steps = np.abs(np.diff(parts, axis=1))
+    assert steps[:, [499, 1199]].max() <= 1.5 * steps.max()
+    assert np.abs(whole - parts).max() < 5e-3
+    assert np.ptp(whole) > 0.02
+
+
+def test_volts_are_whole_steps_of_the_converter():
+    plant = make(Plant)
+    plant.advance(np.zeros((6, 500)))
+    plant.begin_acquisition()
+    step = 20.0 / 2**16
+    readings = plant.volts(0, 500) / step
+    assert np.abs(readings - np.round(readings)).max() < 1e-6
+
+
+def test_each_recording_has_constants_of_its_own():
+    plant = make(Plant)
+    plant.advance(np.zeros((6, 2000)))
+    means = []
+    for first in (0, 1000):
+        plant.begin_acquisition()
+        means.append(plant.volts(first, 1000).mean(axis=1))
+    assert np.abs(means[0] - means[1]).max() > 0.02
+
+
+def test_what_was_not_played_cannot_be_heard():
+    plant = make(Plant)
+    plant.advance(np.zeros((6, 100)))
+    with pytest.raises(InputError, match="knows samples 0 to 100"):
+        plant.volts(50, 100)
+
+
+def test_the_plant_forgets_what_is_long_past():
+    plant = make(Plant)
+    for _ in range(30):
+        plant.advance(np.zeros((6, 50_000)))
+    assert len(plant.history.since(0.0)[0]) < 15_000
+    with pytest.raises(InputError):
+        plant.volts(0, 10)
+    plant.volts(plant.played - 1000, 1000)
+
+
+def test_a_magnet_that_turns_near_a_helix_screws_it_forward():
+    plant = make(Plant, "gel", "helical")
+    plant.magnet(0.0, 0.0, near=False)
+    plant.advance(np.zeros((2, 5000)))
+    start = plant.history.at(plant.time)
+    heading = math.atan2(*(_axis(start)[1::-1]))
+    span = 250
+    for k in range(400):  # two seconds, half a turn
+        plant.magnet(math.pi * k / 400, heading, near=True)
+        plant.advance(np.zeros((2, span)))
+    end = plant.history.at(plant.time)
+    moved = end[:3] - start[:3]
+    assert abs(moved @ _axis(start)) > 1e-4
+    assert abs(moved @ _axis(start)) > 0.7 * np.linalg.norm(moved)
+
+
+def test_nothing_can_be_heard_while_the_magnet_is_near():
+    plant = make(Plant, "gel", "helical")
+    plant.magnet(0.0, 0.0, near=True)
+    plant.advance(np.zeros((2, 500)))
+    plant.begin_acquisition()
+    assert np.all(plant.volts(0, 500) >= 9.99)
+
+
+def _axis(pose):
+    w, x, y, z = pose[3:]
+    return np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+
+
+def rows(count, start):
+    out = np.zeros((count, 8))
+    out[:, 0] = start + 1e-3 * np.arange(count)
+    out[:, 1] = 1e-3 * np.arange(count)
+    out[:, 4] = 1.0
+    return out
+
+
+def test_truth_arrives_at_another_process_as_it_was_told():
+    server = TruthServer("127.0.0.1", 0, {"seed": 4, "truth": np.zeros(2)})
+    epoch = time.monotonic()
+    witness = RemoteWitness(f"127.0.0.1:{server.port}", epoch)
+    try:
+        assert witness.provenance()["seed"] == 4
+        json.dumps(witness.provenance())
+        for _ in range(200):  # until the listener is known
+            server.publish(rows(100, epoch))
+            if witness._count:
+                break
+            time.sleep(0.005)
+        pose = witness.truth(0.0405)
+        assert pose.position[0] == pytest.approx(0.0405, abs=1e-9)
+        assert pose.time == 0.0405
+        with pytest.raises(InputError, match="known from"):
+            witness.truth(-1.0)
+        server.close()
+        with pytest.raises(RigError, match="no longer tells"):
+            witness.truth(100.0)
+    finally:
+        witness.close()
+        server.close()
+
+
+def test_a_witness_without_a_twin_says_so():
+    server = TruthServer("127.0.0.1", 0, {})
+    server.close()
+    with pytest.raises(RigError, match="no twin tells the truth"):
+        RemoteWitness(f"127.0.0.1:{server.port}", 0.0)
