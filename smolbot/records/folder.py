@@ -60,8 +60,8 @@ class RunFolder:
             self._writer.writeheader()
         self._writer.writerow(line)
         self._rows += 1
-        if self._rows % 20 == 0 and self._file is not None:
-            self._file.flush()
+        assert self._file is not None
+        self._file.flush()
 
     def end(self, summary: dict[str, Any]) -> None:
         """Close the record and write the summary."""
