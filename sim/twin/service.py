@@ -10,7 +10,7 @@ from typing import Any
 import grpc
 import nidaqmx._stubs.nidaqmx_pb2 as messages
 import numpy as np
-from ni.grpcdevice.v1.session_pb2 import Session
+from session_pb2 import Session
 from nidaqmx._stubs.nidaqmx_pb2_grpc import NiDAQmxServicer, add_NiDAQmxServicer_to_server
 
 from sim.twin.cardmodel import CardError, CardModel
