@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim.twin.contacts import Contacts
 from sim.twin.faults import FaultBox
-from smolbot.arrays import FloatArray
+from smolbot.arrays import BoolArray, FloatArray
 from smolbot.hardware.wiring import BenchSection
 
 TICK = 2e-3
@@ -216,11 +216,9 @@ class CardModel:
     def _watch(self, first: int, currents: FloatArray, contacts: NDArray[np.bool_], enabled: NDArray[np.bool_]) -> None:
         """Write down when outputs began and ended to drive, and relays to be closed."""
         free = [k for k in range(len(contacts)) if k != self._contacts.stuck]
-        for name, now in (
-            ("driven", np.any(np.abs(currents) > 1e-9, axis=0)),
-            ("closed", contacts[free].any(axis=0)),
-            ("enabled", enabled),
-        ):
+        driven: BoolArray = np.abs(currents).max(axis=0) > 1e-9
+        closed: BoolArray = np.logical_or.reduce(contacts[free], axis=0)
+        for name, now in (("driven", driven), ("closed", closed), ("enabled", enabled)):
             before = getattr(self, f"_{name}")
             if now.any() and name != "enabled":
                 setattr(self, f"last_{name}", self.time_of(first + int(np.flatnonzero(now)[-1]) + 1))

@@ -82,11 +82,12 @@ def parse_fault(text: str) -> Fault:
     if lasting not in ("", "once", "good"):
         raise InputError(f"--fault {text}: lasts 'once' or for 'good'; got '{lasting}'.")
     seconds = found["seconds"]
+    after = None if seconds is None else float(seconds)
     return Fault(
         name,
         found["phase"] or "",
         int(found["shot"] or 0),
-        None if seconds is None else float(seconds),
+        after,
         lasting == "good",
     )
 
@@ -98,11 +99,15 @@ class FaultBox:
     """
 
     def __init__(self, happened: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
-        self._happened, self._clock = happened, clock
+        self._happened, self._clock = [happened], clock
         self._lock = threading.Lock()
         self._waiting: list[Fault] = []
         self._there: dict[str, tuple[bool, float]] = {}
         self._first_shot: float | None = None
+
+    def add_listener(self, happened: Callable[[str], None]) -> None:
+        """Let another hear of every fault as it comes."""
+        self._happened.append(happened)
 
     def add(self, fault: Fault) -> None:
         """Let a fault wait for its moment, or come now."""
@@ -136,7 +141,8 @@ class FaultBox:
     def _come(self, fault: Fault) -> None:
         with self._lock:
             self._there[fault.name] = (fault.good, self._clock())
-        self._happened(fault.name)
+        for listener in self._happened:
+            listener(fault.name)
 
     def takes(self, name: str) -> bool:
         """Whether an event such as a time-out is due; one that comes once is over with that."""

@@ -10,8 +10,8 @@ from typing import Any
 import grpc
 import nidaqmx._stubs.nidaqmx_pb2 as messages
 import numpy as np
-from session_pb2 import Session
 from nidaqmx._stubs.nidaqmx_pb2_grpc import NiDAQmxServicer, add_NiDAQmxServicer_to_server
+from session_pb2 import Session
 
 from sim.twin.cardmodel import CardError, CardModel
 from sim.twin.tasks import Tasks, TwinTask
