@@ -88,7 +88,7 @@ class CardModel:
         self.faults = FaultBox(lambda name: self.note("fault", name=name))
         self.log: deque[dict[str, Any]] = deque(maxlen=20000)
         self._contacts = Contacts(section, plant.loads)
-        self._changed = threading.Condition()
+        self._changed = threading.Condition(threading.RLock())
         self._held = np.zeros(len(section.used_outputs))
         self._lines = 0
         self.outputs: Generation | None = None
@@ -288,7 +288,7 @@ class CardModel:
                     -200279, "The application is not able to keep up with the hardware acquisition.", read=0
                 )
             if self.faults.takes("read_timeout"):
-                self._changed.wait(timeout)
+                self._changed.wait_for(lambda: self.inputs is not going or self._end, timeout)
                 raise CardError(-200284, "Some or all of the samples requested have not yet been acquired.", read=0)
             needed = going.start + going.taken + count
             self._awaited.append(needed)
@@ -311,6 +311,30 @@ class CardModel:
             if self.faults.holds("sensors_saturated"):
                 volts[:] = 10.0
             return volts
+
+    def acquired(self) -> int:
+        """Samples of each input since the acquisition began."""
+        with self._changed:
+            going = self.inputs
+            return 0 if going is None else min(max(self.plant.played - going.start, 0), going.count)
+
+    def available(self) -> int:
+        """Samples of each input that wait to be read."""
+        with self._changed:
+            return 0 if self.inputs is None else self.acquired() - self.inputs.taken
+
+    def wait(self, kind: str, timeout: float) -> bool:
+        """Whether what plays or is acquired ("ai", "ao", "do") has ended within `timeout` s."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._ended(kind) or self._end, timeout) and not self._end
+
+    def _ended(self, kind: str) -> bool:
+        if kind == "ai":
+            return self.inputs is None or self.plant.played >= self.inputs.start + self.inputs.count
+        playing = self.outputs if kind == "ao" else self.clocked
+        if playing is None:
+            return True
+        return playing.start is not None and self.plant.played >= playing.start + playing.samples.shape[1]
 
     def stop_inputs(self) -> None:
         """End the acquisition; the moment before the next shot has come."""
