@@ -1,5 +1,6 @@
 """The NI device server of the twin: what the unmodified client library calls, over gRPC."""
 
+# ruff: noqa: N802 - methods are named as the calls of the service
 from __future__ import annotations
 
 import threading
@@ -10,8 +11,8 @@ from typing import Any
 import grpc
 import nidaqmx._stubs.nidaqmx_pb2 as messages
 import numpy as np
-from session_pb2 import Session
 from nidaqmx._stubs.nidaqmx_pb2_grpc import add_NiDAQmxServicer_to_server
+from session_pb2 import Session
 
 from sim.twin.attributes import Attributes
 from sim.twin.cardmodel import CardError, CardModel
