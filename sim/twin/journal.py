@@ -1,4 +1,4 @@
-"""What the twin's card writes down, stamped by the monotonic clock: when outputs drove, relays were closed, faults came."""
+"""What the twin's card writes down, on the monotonic clock: when outputs drove, relays were closed, faults came."""
 
 from __future__ import annotations
 
