@@ -3,7 +3,7 @@
 # ruff: noqa: N802 - methods are named as the calls of the service
 from __future__ import annotations
 
-import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -23,8 +23,8 @@ from smolbot.hardware.deadline import MESSAGE_LIMIT
 THREADS = 32
 """Every read that waits holds one."""
 
-STALL = 30.0
-"""Seconds for which a stalled server keeps a call."""
+PATIENCE = 0.01
+"""Seconds between two looks at whether a stalled server goes on."""
 
 # Actions by their numbers in the driver
 ABORT, FOR_ALL_LINES = 6, 1
@@ -40,8 +40,10 @@ class TwinServicer(Attributes):
     def _call(self, context: Any, action: Callable[[], Any]) -> Any:
         """Carry out one call, unless the card is gone or the server stalls; errors as the server sends them."""
         faults = self.card.faults
-        if faults.holds("stalled"):
-            threading.Event().wait(STALL)
+        while faults.holds("stalled") and context.is_active():
+            time.sleep(PATIENCE)
+        if not context.is_active():  # its client has given up: nothing is done late
+            context.abort(grpc.StatusCode.CANCELLED, "the call is over")
         try:
             if faults.takes("device_gone"):
                 raise CardError(-201003, "Device cannot be accessed: it was disconnected, or the system was suspended.")
