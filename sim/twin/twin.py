@@ -140,8 +140,8 @@ class Twin:
         self.inject(parse_fault(str(asked["fault"])))
         return "waits"
 
-    def _log(self, _: Mapping[str, Any]) -> list[dict[str, Any]]:
-        return list(self.card.log)
+    def _log(self, asked: Mapping[str, Any]) -> list[dict[str, Any]]:
+        return self.card.journal.since(int(asked.get("since", 0)))
 
     def _state(self, _: Mapping[str, Any]) -> dict[str, Any]:
         found = dict(self.card.state()) | {"now": time.monotonic()}
