@@ -175,6 +175,12 @@ def _settle(
 ) -> None:
     """Sum up a flight, however it ended, and complete its folder."""
     flown = loop.run
+    if flown.status == "stopped":  # perhaps between a cycle and its record
+        for record in flown.cycles[len(trace.moments) :]:
+            trace(record)
+        if folder is not None:
+            for moment in trace.moments[folder.rows :]:
+                folder.record(moment)
     flown.true_trail = trace.true_positions() if trace.knows_truth else None
     if isinstance(mission, Observation):
         flown.summary = summarise_observation(mission, flown, trace)

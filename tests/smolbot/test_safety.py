@@ -363,6 +363,25 @@ def test_an_error_that_nobody_foresaw_comes_out_after_zero_outputs_and_a_whole_f
     assert len((folder / "cycles.csv").read_text().splitlines()) == 1 + summary["cycles"]
 
 
+@pytest.mark.parametrize("where", ["smolbot.records.trace.Trace.__call__", "smolbot.records.folder.RunFolder.record"])
+def test_a_stop_between_a_cycle_and_its_record_loses_no_cycle(brief, tmp_path, monkeypatch, where):
+    from pydoc import locate
+
+    owner, name = where.rsplit(".", 1)
+    real, calls = getattr(locate(owner), name), []
+
+    def interrupted(self, *arguments):
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        real(self, *arguments)
+
+    monkeypatch.setattr(where, interrupted)
+    run, _, _ = flown_on(brief, folder=RunFolder(tmp_path / "run"))
+    assert (run.status, len(run.cycles)) == ("stopped", 4)
+    assert len((tmp_path / "run/cycles.csv").read_text().splitlines()) == 1 + 4
+
+
 def test_every_cycle_stands_in_the_folder_as_soon_as_it_ended(brief, tmp_path):
     lines = []
 
