@@ -7,7 +7,7 @@ import itertools
 import threading
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from smolbot.errors import RigError
 from smolbot.hardware.driver import Driver
 from smolbot.hardware.waveform import Waveform
 from smolbot.hardware.wiring import BenchSection
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 LONGEST_PIECE = 0.05
 """Seconds of samples in one read: a stop is noticed that soon, and no message grows large."""
@@ -91,6 +88,10 @@ class Card:
         self._line_writer = DigitalSingleChannelWriter(self.lines.out_stream, auto_start=False)
         self._zero_output_writer = AnalogMultiChannelWriter(self._zero_outputs.out_stream, auto_start=True)
         self._zero_line_writer = DigitalSingleChannelWriter(self._zero_lines.out_stream, auto_start=True)
+        for stream in (
+            self._reader, self._output_writer, self._line_writer, self._zero_output_writer, self._zero_line_writer,
+        ):  # fmt: skip
+            stream.verify_array_shape = False  # it asks the server, with every call
         self._clock("outputs", 2)
         self.outputs.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{name}/ai/StartTrigger")
         self._clock("lines", 2)
@@ -222,10 +223,3 @@ class Card:
             raise RigError(
                 f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}"
             ) from error
-
-
-def read_lines(task: Any, lines: tuple[str, ...]) -> dict[str, bool]:
-    """Levels of the input lines of a task, by name; one line a channel, in that order."""
-    levels: NDArray[Any] | list[bool] | bool = task.read()
-    values = [levels] if isinstance(levels, bool) else list(levels)
-    return dict(zip(lines, (bool(v) for v in values), strict=True))

@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from smolbot.errors import RigError
-from smolbot.hardware.card import read_lines
 from smolbot.hardware.driver import Driver
 from smolbot.hardware.wiring import BenchSection
 
@@ -31,6 +32,7 @@ class Guard:
         self.lines: dict[str, bool] = {}
         self.latest_feed = 0.0
         self._inputs: Any = None
+        self._reader: Any = None
         self._watchdog: Any = None
 
     def open(self) -> None:
@@ -42,6 +44,7 @@ class Guard:
             If the watchdog cannot be set up, or the operator's button is pressed.
         """
         from nidaqmx.constants import Level, LineGrouping
+        from nidaqmx.stream_readers import DigitalMultiChannelReader
         from nidaqmx.types import DOExpirationState
 
         section, name = self._section, self._section.device
@@ -50,6 +53,8 @@ class Guard:
                 self._inputs = self._driver.task()
                 wired = ", ".join(f"{name}/{line}" for line in section.input_lines)
                 self._inputs.di_channels.add_di_chan(wired, line_grouping=LineGrouping.CHAN_PER_LINE)
+                self._reader = DigitalMultiChannelReader(self._inputs.in_stream)
+                self._reader.verify_array_shape = False  # it asks the server, with every read
                 self._look()
             self._watchdog = self._driver.watchdog(name, 1e-3 * section.watchdog.timeout_ms)
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
@@ -80,7 +85,9 @@ class Guard:
         return self.lines[line]
 
     def _look(self) -> None:
-        self.lines = read_lines(self._inputs, self._section.input_lines)
+        levels = np.zeros(len(self._section.input_lines), np.bool_)
+        self._reader.read_one_sample_one_line(levels, timeout=1e-3 * self._section.call_timeout_ms)
+        self.lines = dict(zip(self._section.input_lines, levels.tolist(), strict=True))
 
     def _run(self) -> None:
         pause = 1e-3 * self._section.watchdog.feed_ms
