@@ -82,11 +82,12 @@ def parse_fault(text: str) -> Fault:
     if lasting not in ("", "once", "good"):
         raise InputError(f"--fault {text}: lasts 'once' or for 'good'; got '{lasting}'.")
     seconds = found["seconds"]
+    after = None if seconds is None else float(seconds)
     return Fault(
         name,
         found["phase"] or "",
         int(found["shot"] or 0),
-        None if seconds is None else float(seconds),
+        after,
         lasting == "good",
     )
 

@@ -7,7 +7,7 @@ import itertools
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,6 +23,14 @@ LONGEST_PIECE = 0.05
 
 class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window that can be done without
     """What was to be heard is lost; the card is at zero and fit for the next shot."""
+
+
+class Guarding(Protocol):
+    """Watches over what is driven."""
+
+    def arm(self) -> None: ...
+
+    def disarm(self) -> None: ...
 
 
 class Card:
@@ -98,8 +106,10 @@ class Card:
         self._clock("inputs", 2)
         self._write_zeros()
 
-    def play(self, waveform: Waveform) -> tuple[FloatArray | None, float]:
+    def play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
         """Play one shot; what was heard in its listening window and the start of its first sample.
+
+        The `guard` is armed while anything is driven.
 
         Returns
         -------
@@ -116,12 +126,14 @@ class Card:
         """
         try:
             with self._naming("play a shot"):
-                return self._play(waveform)
+                return self._play(waveform, guard)
         except BaseException:
             self.silence()
+            with self._driver.forgiven():
+                guard.disarm()
             raise
 
-    def _play(self, waveform: Waveform) -> tuple[FloatArray | None, float]:
+    def _play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
         driven = waveform.outputs > 0
         self._clock("inputs", waveform.samples)
         if driven:
@@ -129,6 +141,7 @@ class Card:
             self._clock("lines", waveform.outputs)
             self._output_writer.write_many_sample(np.ascontiguousarray(waveform.volts), timeout=self._patience)
             self._line_writer.write_many_sample_port_uint32(waveform.lines, timeout=self._patience)
+            guard.arm()
             self.lines.start()
             self.outputs.start()
         before = time.monotonic()
@@ -141,6 +154,7 @@ class Card:
             if driven and end >= over:
                 self.outputs.stop()
                 self.lines.stop()
+                guard.disarm()
                 driven = False
         self.inputs.stop()
         if waveform.listen is None:

@@ -15,7 +15,9 @@ from smolbot.hardware.wiring import BenchSection
 
 
 class Guard:
-    """While it is fed, the watchdog keeps out of the way; when this program dies or hangs, it opens every relay.
+    """Runs the watchdog while anything is driven: if this program dies or hangs then, it opens every relay.
+
+    Between two drives nothing is energised, and computing may take what it takes. The button is looked at always.
 
     Parameters
     ----------
@@ -30,9 +32,10 @@ class Guard:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watchdog feeder", daemon=True)
         self.lines: dict[str, bool] = {}
-        self.latest_feed = 0.0
         self._inputs: Any = None
         self._reader: Any = None
+        self._armed = threading.Lock()
+        self._feeding = False
         self._watchdog: Any = None
 
     def open(self) -> None:
@@ -59,13 +62,25 @@ class Guard:
             self._watchdog = self._driver.watchdog(name, 1e-3 * section.watchdog.timeout_ms)
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
             self._watchdog.cfg_watchdog_do_expir_states(states)
-            self._watchdog.start()
         except self._driver.errors as error:
             raise RigError(f"The watchdog of {name} cannot be set up: {self._driver.explain(error)}") from error
         pressed = self.pressed()
         if pressed:
             raise RigError(pressed)
         self._thread.start()
+
+    def arm(self) -> None:
+        """Start the watchdog: something is about to be driven."""
+        with self._armed:
+            self._watchdog.start()
+            self._feeding = True
+
+    def disarm(self) -> None:
+        """Stop it: nothing is driven any more."""
+        with self._armed:
+            if self._feeding:
+                self._feeding = False
+                self._watchdog.stop()
 
     def pressed(self) -> str | None:
         """Why the operator's button says no; None while it does not."""
@@ -94,8 +109,9 @@ class Guard:
         due = time.monotonic()
         while not self._end.is_set():
             try:
-                self._watchdog.reset_timer()
-                self.latest_feed = time.monotonic()
+                with self._armed:
+                    if self._feeding:
+                        self._watchdog.reset_timer()
                 if self._inputs is not None:
                     self._look()
             except self._driver.errors as error:
