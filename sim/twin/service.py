@@ -1,6 +1,5 @@
 """The NI device server of the twin: what the unmodified client library calls, over gRPC."""
 
-# ruff: noqa: N802 - methods are named as the calls of the service
 from __future__ import annotations
 
 import time
