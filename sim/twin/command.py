@@ -37,6 +37,7 @@ def twin(
         return
     from sim.twin.twin import Twin
     from smolbot.anymission import load_mission
+    from smolbot.hardware.priority import ask_for_priority
     from smolbot.observationfile import Observation
 
     faults = [parse_fault(text) for text in fault or []]
@@ -45,6 +46,7 @@ def twin(
     end = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: end.set())
+    ask_for_priority()
     running = Twin(loaded.rig, loaded.robot, np.array(place), seed)
     try:
         for one in faults:

@@ -17,6 +17,7 @@ from smolbot.hardware.driver import Driver
 from smolbot.hardware.guard import Guard
 from smolbot.hardware.magnet import Magnet
 from smolbot.hardware.nominal import NominalExcitation
+from smolbot.hardware.priority import ask_for_priority
 from smolbot.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.hardware.wiring import BenchSection
 from smolbot.rigfile import RigConfig
@@ -77,6 +78,7 @@ class BenchRig:
 
     def _open_devices(self, operator: Operator) -> None:
         section, faults = self._section, []
+        ask_for_priority()
         try:
             self._driver = Driver(section.server, 1e-3 * section.call_timeout_ms)
             self._card = Card(section, self._rate, self._driver)
