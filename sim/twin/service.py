@@ -178,6 +178,20 @@ class TwinServicer(Attributes):
 
         return self._call(context, run)
 
+    def WriteDigitalScalarU32(self, request: Any, context: Any) -> Any:
+        levels = np.array([request.value], dtype=np.uint32)
+        return self._on(
+            request, context, messages.WriteDigitalScalarU32Response,
+            lambda task: self.tasks.write_lines(task, levels, request.auto_start),
+        )  # fmt: skip
+
+    def WriteAnalogScalarF64(self, request: Any, context: Any) -> Any:
+        values = np.array([[request.value]])
+        return self._on(
+            request, context, messages.WriteAnalogScalarF64Response,
+            lambda task: self.tasks.write(task, values, request.auto_start),
+        )  # fmt: skip
+
     def ReadDigitalLines(self, request: Any, context: Any) -> Any:
         def run() -> Any:
             task = self.tasks.get(request.task.name)
