@@ -13,10 +13,10 @@ import numpy as np
 from sim.settings import TankSettings
 from sim.twin.cardmodel import CardModel
 from sim.twin.control import ControlServer
+from sim.twin.deviceserver import DeviceServer
 from sim.twin.faults import Fault, parse_fault
 from sim.twin.hand import Hand
 from sim.twin.plant import Plant
-from sim.twin.service import serve
 from sim.twin.truth import TruthServer
 from smolbot.config import validate
 from smolbot.errors import InputError
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from smolbot.arrays import FloatArray
 
 CONTROL = "127.0.0.1:31765"
+
+LOOK = 0.02
+"""Seconds between two looks at whether a fault is over."""
 
 SERIAL_FAULTS = ("serial_unplugged", "serial_garbled", "serial_truncated", "firmware_reset", "firmware_hung")
 
@@ -79,10 +82,11 @@ class Twin:
             self.truth = TruthServer(*_split(section.truth), drawn)
             self._closing.append(self.truth)
             host, port = _split(control)
-            handlers = {"inject": self._inject, "log": self._log, "state": self._state}
+            handlers = {"inject": self._inject, "clear": self._clear, "log": self._log, "state": self._state}
             self.control = ControlServer(host, port, handlers)
             self._closing.append(self.control)
-            self.server, self.port = serve(self.card, section.server)
+            self.server = DeviceServer(self.card, section.server)
+            self._closing.append(self.server)
             if section.stage is not None:
                 self._open_stage(section.stage)
         except BaseException:
@@ -122,7 +126,10 @@ class Twin:
 
     def _fault(self, name: str) -> None:
         if name == "killed":
-            self.server.stop(None)
+            self.server.kill()
+            while self.card.faults.holds(name):
+                time.sleep(LOOK)
+            self.server.revive()
         elif name in SERIAL_FAULTS and self.stage is not None:
             {
                 "serial_unplugged": self.stage.unplug,
@@ -143,6 +150,10 @@ class Twin:
     def _log(self, asked: Mapping[str, Any]) -> list[dict[str, Any]]:
         return self.card.journal.since(int(asked.get("since", 0)))
 
+    def _clear(self, _: Mapping[str, Any]) -> str:
+        self.card.faults.clear()
+        return "cleared"
+
     def _state(self, _: Mapping[str, Any]) -> dict[str, Any]:
         found = dict(self.card.state()) | {"now": time.monotonic()}
         if self.stage is not None:
@@ -152,9 +163,8 @@ class Twin:
 
     def close(self) -> None:
         """End everything; harmless when repeated."""
+        self.card.faults.clear()
         self.card.close()
-        if hasattr(self, "server"):
-            self.server.stop(None)
         while self._closing:
             self._closing.pop().close()
         self.plant.carrier.close()
