@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import time
 from collections.abc import Mapping
@@ -92,6 +93,8 @@ class Twin:
         except BaseException:
             self.close()
             raise
+        gc.collect()
+        gc.freeze()  # a look through all that was imported would stop the card's thread for a tenth of a second
         self.card.start()
 
     def _warm_up(self) -> None:
