@@ -30,6 +30,14 @@ class RigError(SmolbotError, RuntimeError):
     """The world failed while it played a shot. Every output is at zero."""
 
 
+class SafetyError(RigError):
+    """The safety ended a run; the message names device or quantity, value and limit. Nothing more is played."""
+
+
+class OperatorStopError(RigError):
+    """A person ended a run: by a key, by a button of the bench, by saying so when asked."""
+
+
 class SignalLostError(SmolbotError, RuntimeError):
     """No signal that can be trusted, after every means of finding it was tried."""
 

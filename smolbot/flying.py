@@ -12,7 +12,11 @@ from typing import Any
 import numpy as np
 
 from smolbot.anymission import AnyMission, load_mission
+from smolbot.duty import Duty
 from smolbot.errors import InputError
+from smolbot.heat import CoilHeat
+from smolbot.heatmemory import HeatMemory
+from smolbot.latch import Latch
 from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_frames
 from smolbot.localization.array_terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
@@ -22,15 +26,19 @@ from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.motion.robot import magnet_inertia
 from smolbot.observationfile import Observation
+from smolbot.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.pilots import Follower, Measurer, Pilot, Watcher
 from smolbot.plugins import load, load_world
 from smolbot.records.folder import RunFolder
 from smolbot.records.observation_summary import summarise_observation
 from smolbot.records.summary import summarise
 from smolbot.records.trace import Trace
+from smolbot.safety import Rules, Safety
 from smolbot.scheduler import Scheduler
 from smolbot.sensorsfile import SensorsFile, UncertaintySection, write_sensors
 from smolbot.sightings import SightingRig
+from smolbot.signals import stop_signals
+from smolbot.soundwatch import SoundWatch
 from smolbot.tracking import Tracker
 from smolbot.watching import Glimpse, LedTracker
 from smolbot.worlds import Rig
@@ -47,6 +55,7 @@ def run(
     out: str | Path | None = None,
     gui: bool = False,
     witness: bool = True,
+    operator: Operator | None = None,
     **overrides: Any,
 ) -> Run:
     """Fly a mission, or carry out an observation; the same from a notebook as from the command line.
@@ -65,6 +74,8 @@ def run(
         Show the simulated world in a window, where there is a display.
     witness : bool
         Ask the simulated world for the truth; without it, poses and commands are the same.
+    operator : Operator, optional
+        Who moves what only a hand can move; by default, whoever sits at the terminal.
     **overrides
         Settings laid over the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
 
@@ -84,7 +95,12 @@ def run(
     elif rig is not None or settings:
         raise InputError("rig and overrides belong to loading: pass the mission's name, or load it with them.")
     folder = None if out is None else RunFolder(Path(out))
-    return fly(mission, seed, folder=folder, settings=settings, gui=gui, witness=witness)
+    latch = Latch()
+    with stop_signals(latch):
+        return fly(
+            mission, seed, folder=folder, settings=settings, gui=gui, witness=witness,
+            operator=operator or TerminalOperator(), latch=latch,
+        )  # fmt: skip
 
 
 def fly(
@@ -97,20 +113,27 @@ def fly(
     witness: bool = True,
     listeners: Callable[[AnyMission], tuple[Listener, ...]] | None = None,
     opener: Callable[[AnyMission, int], Rig] | None = None,
+    operator: Operator | None = None,
+    latch: Latch | None = None,
 ) -> Run:
     """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar.
 
     `opener` opens another rig than the world that the rig file names, from mission and seed; for example
-    ``sim.reduced.rig.open_reduced``.
+    ``sim.reduced.rig.open_reduced``. `operator` is handed to the world. Whoever holds the `latch` may end the run.
+
+    An error that nobody foresaw is raised once every output is at zero and the folder is written.
     """
+    latch = latch if latch is not None else Latch()
     if opener is not None:
         rig = opener(mission, seed)
     else:
         world = load_world(mission.rig.world, mission.rig.document)
         place = mission.start if isinstance(mission, Observation) else mission.put_down
-        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui)
+        asked = operator if operator is not None else SilentOperator()
+        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=asked)
     try:
-        return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners)
+        latch.bind(rig.stop)
+        return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners, latch)
     finally:
         rig.close()
 
@@ -123,6 +146,7 @@ def _fly_on(
     settings: Mapping[str, str],
     witness: bool,
     listeners: Callable[[AnyMission], tuple[Listener, ...]] | None,
+    latch: Latch,
 ) -> Run:
     drawn: dict[str, Any] = getattr(rig, "provenance", dict)()
     if folder is not None:
@@ -135,12 +159,28 @@ def _fly_on(
             folder.record(trace.moments[-1])
 
     extra = listeners(mission) if listeners else ()
-    loop = make_loop(rig, mission, (write, *extra))
+    real = rig.witness is None  # coils of a world that tells the truth are made anew each time
+    loop = make_loop(rig, mission, (write, *extra), latch, HeatMemory.of(mission.rig.name) if real else None)
     gc.freeze()  # what is there by now is not looked through again while the robot waits
     try:
-        flown = loop.fly()
+        loop.fly()
     finally:
         gc.unfreeze()
+        _settle(mission, loop, seed, drawn, folder, trace)
+    return loop.run
+
+
+def _settle(
+    mission: AnyMission, loop: Loop, seed: int, drawn: Mapping[str, Any], folder: RunFolder | None, trace: Trace
+) -> None:
+    """Sum up a flight, however it ended, and complete its folder."""
+    flown = loop.run
+    if flown.status == "stopped":  # perhaps between a cycle and its record
+        for record in flown.cycles[len(trace.moments) :]:
+            trace(record)
+        if folder is not None:
+            for moment in trace.moments[folder.rows :]:
+                folder.record(moment)
     flown.true_trail = trace.true_positions() if trace.knows_truth else None
     if isinstance(mission, Observation):
         flown.summary = summarise_observation(mission, flown, trace)
@@ -156,7 +196,6 @@ def _fly_on(
         flown.folder = str(folder.path)
         folder.end(flown.summary)
         _draw(mission, flown, trace, folder.path / "path.png")
-    return flown
 
 
 def _draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
@@ -170,7 +209,13 @@ def _draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
         draw_run(mission, run, trace, path)
 
 
-def make_loop(rig: Rig, mission: AnyMission, listeners: tuple[Listener, ...] = ()) -> Loop:
+def make_loop(
+    rig: Rig,
+    mission: AnyMission,
+    listeners: tuple[Listener, ...] = (),
+    latch: Latch | None = None,
+    memory: HeatMemory | None = None,
+) -> Loop:
     """The loop of a mission on an open rig, every part made from the mission's files."""
     device, cycle = mission.robot.device, mission.cycle
     tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
@@ -189,7 +234,39 @@ def make_loop(rig: Rig, mission: AnyMission, listeners: tuple[Listener, ...] = (
         rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
         independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
         array_filter=None if isinstance(tracker, Glimpse) else make_array_filter(mission, locator),
+        safety=make_safety(rig, mission, latch, memory),
     )  # fmt: skip
+
+
+def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memory: HeatMemory | None = None) -> Safety:
+    """The safety of a mission's run, as its rig file says."""
+    section = mission.rig.sections.safety
+    rules = Rules(
+        max_duty=section.max_duty,
+        max_sigma=1e-3 * section.max_sigma_mm,
+        uncertain_shots=section.uncertain_shots,
+        stale_shots=section.stale_shots,
+        max_age=1e-3 * section.max_age_ms + mission.rig.turnaround,
+        reach=None if isinstance(mission, Observation) else _reach(mission, 1e-3 * section.reach_margin_mm),
+    )
+    names = (*mission.rig.coil_names, *(f"excitation {coil.name}" for coil in mission.rig.sections.excitation))
+    return Safety(
+        rig.limits,
+        rules,
+        Duty(names, section.duty_window_s),
+        CoilHeat(mission.rig.thermal, section.ambient_c),
+        SoundWatch(len(rig.sensors), section.sensor_shots, section.broken_sensors),
+        latch,
+        memory,
+    )
+
+
+def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """The container, from its floor to the surface, and `margin` m more on every side."""
+    box = mission.rig.sections.container
+    center, half = 1e-3 * np.array(box.center_mm), 0.5e-3 * np.array(box.size_mm) + margin
+    (x, y), (right, back) = center - half, center + half
+    return (x, y, 1e-3 * box.floor_z_mm - margin), (right, back, 1e-3 * box.surface_z_mm + margin)
 
 
 def make_array_filter(mission: MissionBase, locator: object) -> ArrayFilter | None:

@@ -12,7 +12,7 @@ import numpy as np
 from lookup_tables.errors import OutsideTableError
 from smolbot.arrays import FloatArray
 from smolbot.control import Command
-from smolbot.errors import InputError, InterlockError, RigError
+from smolbot.errors import InputError, InterlockError, OperatorStopError, RigError
 from smolbot.localization.array_filter import ArrayFilter
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer, Swing
@@ -24,10 +24,12 @@ from smolbot.pilots import Pilot
 from smolbot.poses import Pose
 from smolbot.resonance import Resonance
 from smolbot.rotations import quaternion_from_axes
+from smolbot.safety import Safety, unbounded
 from smolbot.scheduler import Scheduler
 from smolbot.sensing import Recording, SensorArray
 from smolbot.shots import Shot
 from smolbot.sightings import SightedSwing, Sightings
+from smolbot.signals import CTRL_C
 from smolbot.tracking import Tracker
 from smolbot.worlds import Rig
 
@@ -42,7 +44,8 @@ LEARN_EVERY = 5
 class CycleRecord:
     """What happened in one cycle. `pose` is as located, `tracked` as believed; `compute` in s.
 
-    `ended` is when the rig had truly played the shot, in s: a hand that moves a magnet is not punctual.
+    `ended` is when the rig had truly played the shot, in s: a hand that moves a magnet is not punctual. `rig` is what
+    the rig says of itself in a line, if it says anything.
     """
 
     shot: Shot
@@ -51,6 +54,7 @@ class CycleRecord:
     command: Command
     compute: float
     ended: float = float("inf")
+    rig: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,7 @@ class Run:
     """A flown mission: how it ended, every cycle and event, and (once summarised) its figures and folder.
 
     `begun` is when the first cycle started, after the noise was learned; `duration` counts from the start.
+    `recovered` counts what went wrong and ended nothing, by kind; `safety` has duty and heat of the coils.
 
     `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only.
     """
@@ -81,6 +86,8 @@ class Run:
     summary: dict[str, object] = field(default_factory=dict)
     folder: str | None = None
     true_trail: FloatArray | None = None
+    recovered: dict[str, int] = field(default_factory=dict)
+    safety: dict[str, object] = field(default_factory=dict)
 
 
 class Listener(Protocol):
@@ -127,6 +134,12 @@ class Loop:
     In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
     Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
     A device that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
+    The `safety` is asked before every shot and told of every recording; without one, only the rig's limits count.
+
+    Attributes
+    ----------
+    run : Run
+        What has happened so far; whole once `fly` returned or raised.
     """
 
     def __init__(
@@ -144,6 +157,7 @@ class Loop:
         independent: bool = False,
         led: bool = False,
         array_filter: ArrayFilter | None = None,
+        safety: Safety | None = None,
     ) -> None:
         self.rig = rig
         self.scheduler = scheduler
@@ -160,49 +174,98 @@ class Loop:
         self.listeners = listeners
         self.independent = independent
         self.led = led
+        self.safety = safety if safety is not None else unbounded(rig.limits, len(localizer.sensors))
+        self.run = Run()
         self._clock = clock
         self._started = 0.0
         self._heard = 0
 
     def fly(self) -> Run:
-        """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards."""
-        run = Run()
-        begin, command = self._clock(), Command(None, note="no pose yet")
+        """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards.
+
+        An error that nobody foresaw is raised once the outputs are at zero and `run` says what happened.
+        """
+        self.run, begin = Run(), self._clock()
+        run = self.run
         try:
-            self._learn_noise()
-            self._learn_ring_down()
-            self._learn_tails()
-            self._warm_up()
-            run.begun = self._started = self.rig.now()
-            while True:
-                record = self._cycle(command)
-                run.cycles.append(record)
-                for listener in self.listeners:
-                    listener(record)
-                command = record.command
-                reason = self._ended(command)
-                if reason:
-                    run.status, run.stop_reason = reason
-                    break
-        except KeyboardInterrupt:
-            run.status, run.stop_reason = "stopped", "stopped by the operator (Ctrl-C)"
+            try:
+                self._cycle_on(run)
+            finally:
+                self.safety.end()
+        except KeyboardInterrupt as stop:
+            run.status, run.stop_reason = "stopped", str(stop) or CTRL_C
         except (InterlockError, RigError, OutsideTableError) as error:
-            run.status, run.stop_reason = "failed", str(error)
+            run.status, run.stop_reason = "stopped" if isinstance(error, OperatorStopError) else "failed", str(error)
+        except Exception as error:
+            run.status, run.stop_reason = "failed", f"{type(error).__name__}: {error}"
+            raise
         finally:
-            self.rig.stop()
-        run.duration = self.rig.now()
-        run.events = self.events
-        run.wall = self._clock() - begin
+            if (
+                run.status == "failed" and self.safety.latch.is_shut
+            ):  # what stopped the rig matters, not what it said then
+                run.status, run.stop_reason = self.safety.latch.ending, self.safety.latch.reason
+            self._silence(run)
+            run.duration = self.rig.now()
+            run.events = self.events
+            run.safety = self.safety.figures()
+            run.recovered = self._recovered()
+            run.wall = self._clock() - begin
         return run
+
+    def _cycle_on(self, run: Run) -> None:
+        """Learn what is to be learned, then cycle until there is a reason to end."""
+        self._learn_noise()
+        self._learn_ring_down()
+        self._learn_tails()
+        self._warm_up()
+        run.begun = self._started = self.rig.now()
+        command, reason = Command(None, note="no pose yet"), None
+        while reason is None:
+            record = self._cycle(command)
+            run.cycles.append(record)
+            for listener in self.listeners:
+                listener(record)
+            command = record.command
+            reason = self._ended(command)
+        run.status, run.stop_reason = reason
+
+    def _silence(self, run: Run) -> None:
+        try:
+            self.rig.stop()
+        except Exception as error:  # a device that is gone must not cost the record of the run
+            run.status = "failed"
+            run.stop_reason += f"; the outputs could not be set to zero: {error}"
+
+    def _recovered(self) -> dict[str, int]:
+        """What was borne, by the safety and by the rig; what both counted, once."""
+        found = dict(self.safety.recovered)
+        for kind, times in getattr(self.rig, "recovered", {}).items():
+            name = kind.replace(" ", "_")
+            found[name] = max(found.get(name, 0), times)
+        return found
+
+    def _played(self, shot: Shot) -> Recording | None:
+        """Play one shot of those from which something is learned, as the safety allows it."""
+        self.safety.before(shot, self.rig.now(), self.tracker.pose)
+        recording = self.rig.play(shot)
+        return self.safety.after(shot, recording, self.rig.now())
+
+    def _listened(self, shot: Shot) -> Recording | None:
+        """The same; a window that was lost is listened to once more."""
+        heard = self._played(shot)
+        return heard if heard is not None else self._played(replace(shot, start=self.rig.now()))
 
     def _learn_noise(self) -> None:
         """Listen to the noise alone, and let the localizer know it."""
         if self.quiet.duration <= 0.0:
             return
-        heard = [self.rig.play(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
+        heard = [self._played(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
         if isinstance(self.localizer, Sightings):
             return
-        noise = NoiseModel.learn([recording for recording in heard if recording is not None])
+        try:
+            noise = NoiseModel.learn([recording for recording in heard if recording is not None])
+        except InputError as error:
+            raise RigError(f"The noise cannot be learned from {len(heard)} quiet shots: {error}") from error
         self.localizer = self.localizer.with_noise(noise)
         lines = [round(float(f), 3) for f in noise.line_frequencies]
         self.events.append(Event(self.rig.now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines}))
@@ -211,12 +274,17 @@ class Loop:
         """Learn the excitation coils' decay, and listen as soon as it can be told from a signal."""
         if not self.quiet.learn_ring_down:
             return
-        heard = [self.rig.play(shot) for shot in self.scheduler.probe_shots()]
+        heard = [self._listened(shot) for shot in self.scheduler.probe_shots()]
         if isinstance(self.localizer, Sightings):
             constants = self.localizer.time_constants
         else:
             frequency = self.localizer.device.frequency
             constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
+            if len(constants) < len(heard):  # listening later, as the mission says, is right for any coil
+                self.events.append(
+                    Event(self.rig.now(), "ring-down not learned", {"lost": len(heard) - len(constants)})
+                )
+                return
             self.localizer = self.localizer.with_transients(constants)
         ring_down = max(QUIET_AFTER * max(constants), self.scheduler.limits.min_ring_down)
         self.scheduler.cycle = replace(self.scheduler.cycle, ring_down=ring_down)
@@ -238,7 +306,7 @@ class Loop:
 
     def _tail(self, coil: int) -> Tail | None:
         for shot in self.scheduler.tail_shots(coil):
-            heard = self.rig.play(shot)
+            heard = self._listened(shot)
             if heard is not None and not heard.saturated.any():
                 return learn_tail(shot, [heard], self.scheduler.device.frequency)
         return None
@@ -262,9 +330,11 @@ class Loop:
     def _cycle(self, command: Command) -> CycleRecord:
         begin = self._clock()
         shot = self.scheduler.next(command, self.tracker)
+        self.safety.before(shot, self.rig.now(), self.tracker.pose)
         planned = self._clock()
         recording = self.rig.play(shot)
         heard, ended = self._clock(), self.rig.now()
+        recording = self.safety.after(shot, recording, ended)
         recording = None if recording is None else self.tails.removed(shot, recording)
         pose: Pose | None = None
         swing: Swing | SightedSwing | None = None
@@ -292,7 +362,8 @@ class Loop:
         if answer.event:
             self.events.append(Event(shot.end, answer.event, {"note": answer.note}))
         done = self._clock()
-        return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended)
+        says = str(getattr(self.rig, "status_line", ""))
+        return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended, says)
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Swing) -> None:
         """Let the localizer know of sensors that do not stand where they were thought to."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,8 +13,10 @@ from pydantic import Field, field_validator, model_validator
 from smolbot.arrays import FloatArray, frozen
 from smolbot.config import Document, Fault, FileModel
 from smolbot.errors import ConfigError
+from smolbot.heat import FILM, Coil, wound_capacity
 from smolbot.library import find_file
 from smolbot.limits import Limits
+from smolbot.safetysection import SafetySection
 from smolbot.sensing import SensorArray
 from smolbot.sensorsfile import (
     CalibratedSensors,
@@ -49,6 +52,20 @@ class CoilSection(FileModel):
         if self.outer_radius_mm <= self.inner_radius_mm:
             raise ValueError("outer_radius_mm must exceed inner_radius_mm.")
         return self
+
+    def thermal(self, safety: SafetySection) -> Coil:
+        """Its thermal constants: as stated, else of its copper and of its surface in still air."""
+        stated, inner, outer = safety.coils, 1e-3 * self.inner_radius_mm, 1e-3 * self.outer_radius_mm
+        length, across = 1e-3 * self.length_mm, math.pi * (inner + outer)
+        surface = 2.0 * across * (length + outer - inner)
+        return Coil(
+            self.name,
+            self.resistance_ohm,
+            stated.heat_capacity_j_per_k
+            or wound_capacity(self.resistance_ohm, self.turns, across, (outer - inner) * length),
+            stated.thermal_resistance_k_per_w or 1.0 / (FILM * surface),
+            stated.max_temperature_c,
+        )
 
 
 class ExcitationSection(FileModel):
@@ -182,6 +199,7 @@ class RigFile(FileModel):
     medium: MediumSection
     noise: NoiseSection
     limits: LimitsSection
+    safety: SafetySection = SafetySection()
     tank: dict[str, Any] = Field(default_factory=dict)
     bench: dict[str, Any] = Field(default_factory=dict)
 
@@ -274,6 +292,13 @@ class RigConfig:
     def coil_resistances(self) -> FloatArray:
         """Of the actuation coils, shape (n_coils,), in ohm."""
         return np.array([coil.resistance_ohm for coil in self.sections.coils])
+
+    @property
+    def thermal(self) -> tuple[Coil | None, ...]:
+        """Thermal constants of actuation and excitation coils, in the rig's order; None where they are not known."""
+        safety = self.sections.safety
+        own = tuple(coil.thermal(safety) for coil in self.sections.coils)
+        return (*own, *(safety.excitation.thermal(f"excitation {c.name}") for c in self.sections.excitation))
 
     @property
     def surface_z(self) -> float:

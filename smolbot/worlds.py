@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 from smolbot.arrays import FloatArray
@@ -40,6 +41,9 @@ class Rig(Protocol):
     def play(self, shot: Shot) -> Recording | None:
         """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
 
+        None of a shot that listens means that the window was lost in a way that may pass, such as one time-out, and
+        that every output is at zero: the loop goes on, and ends the run when windows are lost one after another.
+
         Raises ``InterlockError`` before anything moves if the shot breaks a limit, ``RigError`` if the
         world fails under it. After either, every output is at zero and every relay open.
         """
@@ -52,3 +56,15 @@ class Rig(Protocol):
 
     def close(self) -> None:
         """Stop, then let go of every device."""
+
+
+class Telling(Protocol):
+    """What a rig may also offer; the loop asks for each where it is there."""
+
+    @property
+    def recovered(self) -> Mapping[str, int]:
+        """How often it recovered from what, by kind: ``{"read_timeouts": 1}``. Ends up in the summary."""
+
+    @property
+    def status_line(self) -> str:
+        """A few words of how it is, shown beside the progress; empty if there is nothing to say."""

@@ -14,7 +14,8 @@ from typer.core import TyperGroup
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import smolbot
-from smolbot.errors import InterlockError, PluginError, RigError, SmolbotError
+from smolbot.errors import InterlockError, OperatorStopError, PluginError, RigError, SmolbotError
+from smolbot.signals import CTRL_C
 
 DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3
 
@@ -25,6 +26,13 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
     def list_commands(self, ctx: Any) -> list[str]:
         own = super().list_commands(ctx)
         return own + sorted({p.name for p in entry_points(group="smolbot.commands")} - set(own))
+
+    def invoke(self, ctx: Any) -> Any:
+        """Carry out a command; Ctrl-C outside of a flight ends it with our message and code, not with typer's."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            raise OperatorStopError(f"{str(stop) or CTRL_C}; nothing was moving") from None
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         found = super().get_command(ctx, cmd_name)
@@ -98,8 +106,8 @@ def main() -> None:
         if type(error).__module__.split(".")[0] != "lookup_tables":
             raise
         _fail(str(error), BAD_INPUT)
-    except KeyboardInterrupt:
-        _fail("stopped by the operator (Ctrl-C); nothing was moving", STOPPED)
+    except KeyboardInterrupt as stop:  # before a command has begun, or after
+        _fail(f"{str(stop) or CTRL_C}; nothing was moving", STOPPED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(VERDICT_FAILED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -96,17 +97,28 @@ def run(
     from smolbot.anymission import load_mission
     from smolbot.cli.progress import shown_progress
     from smolbot.flying import fly, new_folder
+    from smolbot.keyboard import KEY, Keyboard
+    from smolbot.latch import Latch
+    from smolbot.operator import TerminalOperator
     from smolbot.records.folder import RunFolder
+    from smolbot.signals import stop_signals
 
     settings = settings_from(set_)
     loaded = load_mission(mission, rig, settings)
     folder = RunFolder(out) if out is not None else new_folder(loaded, seed)
-    with shown_progress(loaded) as progress:
+    latch, operator = Latch(), TerminalOperator()
+    keyboard = Keyboard(partial(latch.shut, KEY, "stopped"))
+    with stop_signals(latch), shown_progress(loaded) as progress, keyboard:
+        operator.pauses += [progress.paused, keyboard.paused]
+        if keyboard.active:
+            operator.say("q, Esc or Ctrl-C stops the run")
 
         def listeners(_: AnyMission) -> tuple[Listener, ...]:
             return (progress,)
 
-        flown = fly(loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners)
+        flown = fly(
+            loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator, latch=latch
+        )
     _show_run(loaded, flown, json)
     raise typer.Exit(_exit_code(flown))
 
@@ -148,11 +160,31 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         rows.append(("magnet", f"{s['turns']:g} turns, {s['pauses']} pauses, {s['step_outs']} step-outs"))
     elif "coil_energy_j" in s:
         rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
+    if s.get("duty_peak"):
+        rows.append(("coils", _coils(s)))
+    if told := _recovered(s):
+        rows.append(("recovered", told))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
     table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
     if json:
         echo_json(s)
+
+
+def _coils(summary: dict[str, Any]) -> str:
+    """How long and how hot: of all coils, the one that came nearest to its limit from 20 °C."""
+    duty: dict[str, float] = summary["duty_peak"]
+    busiest = max(duty, key=lambda name: duty[name])
+    told = f"driven for at most {100 * duty[busiest]:.0f} % of the time ({busiest})"
+    peaks, limits = summary["coil_temperature_peak_c"], summary["coil_temperature_limit_c"]
+    if not peaks:
+        return told
+    hottest = max(peaks, key=lambda name: (peaks[name] - 20.0) / (limits[name] - 20.0))
+    return f"{told}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
+
+
+def _recovered(summary: dict[str, Any]) -> str:
+    return ", ".join(f"{kind.replace('_', ' ')}: {times}" for kind, times in summary["recovered"].items() if times)
 
 
 def _texts(value: Any) -> list[str]:

@@ -48,6 +48,15 @@ class Shown:
         if self._terminal:
             self._bar.stop()
 
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Out of the way while the block asks or tells something."""
+        self.stop()
+        try:
+            yield
+        finally:
+            self.start()
+
     def __call__(self, record: CycleRecord) -> None:
         self._cycles += 1
         self.hear(record)
@@ -55,7 +64,7 @@ class Shown:
         if now - self._shown < self._every:
             return
         self._shown = now
-        state, done = self.describe(record), self.done(record)
+        state, done = "  ".join(filter(None, [self.describe(record), record.rig])), self.done(record)
         if self._terminal:
             self._bar.update(self._task, completed=done, state=state, refresh=True)
         else:

@@ -7,7 +7,7 @@ import itertools
 import threading
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,15 +17,20 @@ from smolbot.hardware.driver import Driver
 from smolbot.hardware.waveform import Waveform
 from smolbot.hardware.wiring import BenchSection
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 LONGEST_PIECE = 0.05
 """Seconds of samples in one read: a stop is noticed that soon, and no message grows large."""
 
 
 class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window that can be done without
     """What was to be heard is lost; the card is at zero and fit for the next shot."""
+
+
+class Guarding(Protocol):
+    """Watches over what is driven."""
+
+    def arm(self) -> None: ...
+
+    def disarm(self) -> None: ...
 
 
 class Card:
@@ -91,14 +96,20 @@ class Card:
         self._line_writer = DigitalSingleChannelWriter(self.lines.out_stream, auto_start=False)
         self._zero_output_writer = AnalogMultiChannelWriter(self._zero_outputs.out_stream, auto_start=True)
         self._zero_line_writer = DigitalSingleChannelWriter(self._zero_lines.out_stream, auto_start=True)
+        for stream in (
+            self._reader, self._output_writer, self._line_writer, self._zero_output_writer, self._zero_line_writer,
+        ):  # fmt: skip
+            stream.verify_array_shape = False  # it asks the server, with every call
         self._clock("outputs", 2)
         self.outputs.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{name}/ai/StartTrigger")
         self._clock("lines", 2)
         self._clock("inputs", 2)
         self._write_zeros()
 
-    def play(self, waveform: Waveform) -> tuple[FloatArray | None, float]:
+    def play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
         """Play one shot; what was heard in its listening window and the start of its first sample.
+
+        The `guard` is armed while anything is driven.
 
         Returns
         -------
@@ -115,12 +126,14 @@ class Card:
         """
         try:
             with self._naming("play a shot"):
-                return self._play(waveform)
+                return self._play(waveform, guard)
         except BaseException:
             self.silence()
+            with self._driver.forgiven():
+                guard.disarm()
             raise
 
-    def _play(self, waveform: Waveform) -> tuple[FloatArray | None, float]:
+    def _play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
         driven = waveform.outputs > 0
         self._clock("inputs", waveform.samples)
         if driven:
@@ -128,6 +141,7 @@ class Card:
             self._clock("lines", waveform.outputs)
             self._output_writer.write_many_sample(np.ascontiguousarray(waveform.volts), timeout=self._patience)
             self._line_writer.write_many_sample_port_uint32(waveform.lines, timeout=self._patience)
+            guard.arm()
             self.lines.start()
             self.outputs.start()
         before = time.monotonic()
@@ -140,6 +154,7 @@ class Card:
             if driven and end >= over:
                 self.outputs.stop()
                 self.lines.stop()
+                guard.disarm()
                 driven = False
         self.inputs.stop()
         if waveform.listen is None:
@@ -222,10 +237,3 @@ class Card:
             raise RigError(
                 f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}"
             ) from error
-
-
-def read_lines(task: Any, lines: tuple[str, ...]) -> dict[str, bool]:
-    """Levels of the input lines of a task, by name; one line a channel, in that order."""
-    levels: NDArray[Any] | list[bool] | bool = task.read()
-    values = [levels] if isinstance(levels, bool) else list(levels)
-    return dict(zip(lines, (bool(v) for v in values), strict=True))

@@ -7,14 +7,17 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from smolbot.errors import RigError
-from smolbot.hardware.card import read_lines
 from smolbot.hardware.driver import Driver
 from smolbot.hardware.wiring import BenchSection
 
 
 class Guard:
-    """While it is fed, the watchdog keeps out of the way; when this program dies or hangs, it opens every relay.
+    """Runs the watchdog while anything is driven: if this program dies or hangs then, it opens every relay.
+
+    Between two drives nothing is energised, and computing may take what it takes. The button is looked at always.
 
     Parameters
     ----------
@@ -29,8 +32,10 @@ class Guard:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watchdog feeder", daemon=True)
         self.lines: dict[str, bool] = {}
-        self.latest_feed = 0.0
         self._inputs: Any = None
+        self._reader: Any = None
+        self._armed = threading.Lock()
+        self._feeding = False
         self._watchdog: Any = None
 
     def open(self) -> None:
@@ -42,6 +47,7 @@ class Guard:
             If the watchdog cannot be set up, or the operator's button is pressed.
         """
         from nidaqmx.constants import Level, LineGrouping
+        from nidaqmx.stream_readers import DigitalMultiChannelReader
         from nidaqmx.types import DOExpirationState
 
         section, name = self._section, self._section.device
@@ -50,17 +56,31 @@ class Guard:
                 self._inputs = self._driver.task()
                 wired = ", ".join(f"{name}/{line}" for line in section.input_lines)
                 self._inputs.di_channels.add_di_chan(wired, line_grouping=LineGrouping.CHAN_PER_LINE)
+                self._reader = DigitalMultiChannelReader(self._inputs.in_stream)
+                self._reader.verify_array_shape = False  # it asks the server, with every read
                 self._look()
             self._watchdog = self._driver.watchdog(name, 1e-3 * section.watchdog.timeout_ms)
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
             self._watchdog.cfg_watchdog_do_expir_states(states)
-            self._watchdog.start()
         except self._driver.errors as error:
             raise RigError(f"The watchdog of {name} cannot be set up: {self._driver.explain(error)}") from error
         pressed = self.pressed()
         if pressed:
             raise RigError(pressed)
         self._thread.start()
+
+    def arm(self) -> None:
+        """Start the watchdog: something is about to be driven."""
+        with self._armed:
+            self._watchdog.start()
+            self._feeding = True
+
+    def disarm(self) -> None:
+        """Stop it: nothing is driven any more."""
+        with self._armed:
+            if self._feeding:
+                self._feeding = False
+                self._watchdog.stop()
 
     def pressed(self) -> str | None:
         """Why the operator's button says no; None while it does not."""
@@ -80,15 +100,18 @@ class Guard:
         return self.lines[line]
 
     def _look(self) -> None:
-        self.lines = read_lines(self._inputs, self._section.input_lines)
+        levels = np.zeros(len(self._section.input_lines), np.bool_)
+        self._reader.read_one_sample_one_line(levels, timeout=1e-3 * self._section.call_timeout_ms)
+        self.lines = dict(zip(self._section.input_lines, levels.tolist(), strict=True))
 
     def _run(self) -> None:
         pause = 1e-3 * self._section.watchdog.feed_ms
         due = time.monotonic()
         while not self._end.is_set():
             try:
-                self._watchdog.reset_timer()
-                self.latest_feed = time.monotonic()
+                with self._armed:
+                    if self._feeding:
+                        self._watchdog.reset_timer()
                 if self._inputs is not None:
                     self._look()
             except self._driver.errors as error:

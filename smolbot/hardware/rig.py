@@ -17,6 +17,7 @@ from smolbot.hardware.driver import Driver
 from smolbot.hardware.guard import Guard
 from smolbot.hardware.magnet import Magnet
 from smolbot.hardware.nominal import NominalExcitation
+from smolbot.hardware.priority import ask_for_priority
 from smolbot.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.hardware.wiring import BenchSection
 from smolbot.rigfile import RigConfig
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
 LOST_IN_A_ROW = 2
 """Windows lost one after the other that are no accident any more."""
-
-EASE = 0.2
-"""Share of a new figure in the average of how long it takes to get a shot going."""
 
 
 class BenchRig:
@@ -64,7 +62,6 @@ class BenchRig:
         self._compiler = WaveformCompiler(section, rig.coil_names, self._rate, _time_constants(rig))
         self._excitation = NominalExcitation(rig)
         self._epoch = time.monotonic()
-        self._preparing = 5e-3  # s, from asking for a shot to its start
         self._drive_end: float | None = None
         self._lost = 0
         self._latched: str | None = None
@@ -81,6 +78,7 @@ class BenchRig:
 
     def _open_devices(self, operator: Operator) -> None:
         section, faults = self._section, []
+        ask_for_priority()
         try:
             self._driver = Driver(section.server, 1e-3 * section.call_timeout_ms)
             self._card = Card(section, self._rate, self._driver)
@@ -104,8 +102,8 @@ class BenchRig:
             raise RigError("\n".join([*faults, f"'{self._rig.name}' was not opened; nothing was energised."]))
 
     def now(self) -> float:
-        """Earliest start of the next shot, in s since the bench was opened."""
-        return time.monotonic() - self._epoch + self._preparing
+        """Time in s since the bench was opened; a shot that is asked for now starts some milliseconds later."""
+        return time.monotonic() - self._epoch
 
     def play(self, shot: Shot) -> Recording | None:
         """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
@@ -180,12 +178,11 @@ class BenchRig:
     def _electrical(self, shot: Shot) -> Recording | None:
         assert self._card is not None
         assert self._guard is not None
-        asked = time.monotonic()
         if self._magnet is not None:
             self._magnet.must_rest()
         waveform = self._compiler.compile(shot)
         try:
-            volts, began = self._card.play(waveform)
+            volts, began = self._card.play(waveform, self._guard)
             if waveform.outputs and not self._guard.relays_open():
                 self._halt(
                     f"{self._section.device}: a relay did not open after a shot "
@@ -197,7 +194,6 @@ class BenchRig:
             self._count_lost(str(error))
             return None
         self._lost = 0
-        self._preparing += EASE * (began - asked + waveform.lead - self._preparing)
         return self._recording(shot, waveform, volts, began - self._epoch)
 
     def _count_lost(self, what: str) -> None:

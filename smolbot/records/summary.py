@@ -59,6 +59,8 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
         "compute_ms": _compute(run),
         "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
         "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles if c.shot.listen is not None),
+        **run.safety,
+        "recovered": run.recovered,
         "events": [{"time_s": e.time, "what": e.what, **e.detail} for e in run.events],
         "wall_s": run.wall,
         "realtime_factor": duration / run.wall if run.wall else 0.0,

@@ -1,0 +1,416 @@
+"""The converter card of the twin, in real time: outputs, clocked lines, inputs and a watchdog, with a plant behind."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.twin.contacts import Contacts
+from sim.twin.faults import FaultBox
+from sim.twin.journal import Journal, Watch
+from smolbot.arrays import FloatArray
+from smolbot.hardware.wiring import BenchSection
+
+TICK = 2e-3
+"""Seconds between two looks at the clock; a reader who waits for a sample is served when it is there."""
+
+BACKLOG = 0.5
+"""Seconds that the card makes up for in one go when its machine was busy; what is older is skipped by the clock."""
+
+ACTUATION_BEGINS = 0.010
+LISTENING_LEFT = 0.004
+"""Seconds into a shot, and before its end, at which faults of these phases come."""
+
+
+class CardError(Exception):
+    """An error of the card, by its number in the driver."""
+
+    def __init__(self, code: int, message: str, read: int | None = None, written: int | None = None) -> None:
+        super().__init__(message)
+        self.code, self.read, self.written = code, read, written
+
+
+class Behind(Protocol):
+    """What stands behind the card: the plant."""
+
+    rate: float
+    loads: tuple[str, ...]
+    played: int
+
+    def advance(self, currents: FloatArray) -> None: ...
+
+    def begin_acquisition(self) -> None: ...
+
+    def volts(self, first: int, n: int) -> FloatArray: ...
+
+
+@dataclass
+class Generation:
+    """A buffer that plays once from sample `start` on; None: armed, waiting for the trigger."""
+
+    samples: NDArray[Any]
+    start: int | None = None
+
+
+@dataclass
+class Acquisition:
+    """Samples `start` to ``start + count`` of the inputs; `taken` were read."""
+
+    start: int
+    count: int
+    taken: int = 0
+    shot: int = 0
+    phases: list[tuple[int, str]] = field(default_factory=list)
+
+
+class CardModel:
+    """One card. Its thread keeps it and the plant in step with the wall clock; every method is safe from any thread.
+
+    The watchdog lives in the same thread and needs no server.
+
+    Parameters
+    ----------
+    section : BenchSection
+    plant : Behind
+    between : callable
+        Called in the card's thread before every step, for what else moves: the magnet stage.
+    """
+
+    def __init__(self, section: BenchSection, plant: Behind, between: Callable[[float], None] | None = None) -> None:
+        self.section, self.plant = section, plant
+        self._between = between
+        self.journal = Journal()
+        self.faults = FaultBox(lambda name: self.journal.note("fault", name=name))
+        self.watch = Watch(self.journal, plant.rate)
+        self._contacts = Contacts(section, plant.loads)
+        self._changed = threading.Condition(threading.RLock())
+        self._held = np.zeros(len(section.used_outputs))
+        self._lines = 0
+        self.outputs: Generation | None = None
+        self.clocked: Generation | None = None
+        self.inputs: Acquisition | None = None
+        self._watchdog: tuple[float, float] | None = None  # time-out, latest feed
+        self._expired = False
+        self._safe_lines = 0xFFFFFFFF  # ands the lines once expired
+        self._awaited: list[int] = []
+        self._shots = 0
+        self._end = False
+        self.broken: str | None = None
+        self._epoch = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="card", daemon=True)
+
+    # what happens by itself
+
+    def start(self) -> None:
+        """Let time pass."""
+        self._epoch = time.monotonic() - self.plant.played / self.plant.rate
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the card's thread."""
+        self._end = True
+        with self._changed:
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+
+    def time_of(self, sample: int) -> float:
+        """When a sample is played, on the monotonic clock in s."""
+        return self._epoch + sample / self.plant.rate
+
+    def _run(self) -> None:
+        while not self._end:
+            with self._changed:
+                try:
+                    self._catch_up()
+                except Exception as error:  # the tank broke: say so to whoever reads, do not die in silence
+                    self.broken = f"{type(error).__name__}: {error}"
+                    self.journal.note("broken", error=self.broken)
+                    self._end = True
+                self._changed.notify_all()
+                wake = min([self.time_of(sample) for sample in self._awaited], default=np.inf)
+            self.faults.tick()
+            pause = min(TICK, wake - time.monotonic())
+            if pause > 0:
+                time.sleep(pause)
+
+    def _catch_up(self) -> None:
+        rate = self.plant.rate
+        target = int((time.monotonic() - self._epoch) * rate)
+        late = target - self.plant.played - int(BACKLOG * rate)
+        if late > 0:  # this machine stood still: time goes on from here, nothing is played in a burst
+            self._epoch += late / rate
+            target -= late
+            self.journal.note("stood still", seconds=late / rate)
+        while self.plant.played < target:
+            self._step(min(target - self.plant.played, 250))
+
+    def _step(self, n: int) -> None:
+        first = self.plant.played
+        if self._watchdog is not None and not self._expired:
+            timeout, fed = self._watchdog
+            if self.faults.takes("watchdog_expired") or self.time_of(first) - fed > timeout:
+                self._expired = True
+                self.journal.note("watchdog expired", self.time_of(first))
+        if self._between is not None:
+            self._between(self.time_of(first + n))
+        if self.faults.holds("outputs_frozen"):
+            volts, lines = np.repeat(self._held[:, None], n, axis=1), np.full(n, self._lines, np.uint32)
+            self.outputs = self.clocked = None
+        else:
+            volts, lines = self._volts(first, n), self._levels(first, n)
+        if self._expired:
+            lines = lines & np.uint32(self._safe_lines)
+        self._stick()
+        currents, contacts, enabled = self._contacts.pass_through(first, volts, lines)
+        free = [load for load in range(len(contacts)) if load != self._contacts.stuck]
+        self.watch.follow(first, self._epoch, currents, contacts[free], enabled)
+        self.plant.advance(currents)
+        self._phases(first + n)
+
+    def _volts(self, first: int, n: int) -> FloatArray:
+        volts = np.repeat(self._held[:, None], n, axis=1)
+        playing = self.outputs
+        if playing is not None and playing.start is not None:
+            self._overlay(volts, playing, first, n)
+            self._held = volts[:, -1].copy()
+        return volts
+
+    def _levels(self, first: int, n: int) -> NDArray[np.uint32]:
+        lines = np.full((1, n), self._lines, np.uint32)
+        playing = self.clocked
+        if playing is not None and playing.start is not None:
+            self._overlay(lines, playing, first, n)
+            self._lines = int(lines[0, -1])
+        return lines[0]
+
+    @staticmethod
+    def _overlay(out: NDArray[Any], playing: Generation, first: int, n: int) -> None:
+        """Put what is playing over what was held; after its end it holds its last sample."""
+        assert playing.start is not None
+        length = playing.samples.shape[1]
+        begin = max(playing.start, first)
+        if begin >= first + n:
+            return
+        indices = np.minimum(np.arange(begin, first + n) - playing.start, length - 1)
+        out[:, begin - first :] = playing.samples[:, indices]
+
+    def _stick(self) -> None:
+        contacts = self._contacts
+        if not self.faults.holds("relay_stuck"):
+            contacts.stuck = None
+        elif contacts.stuck is None and contacts.closed.any():
+            contacts.stuck = int(np.flatnonzero(contacts.closed)[0])
+            self.journal.note("relay stuck", load=self.plant.loads[contacts.stuck])
+
+    def _phases(self, reached: int) -> None:
+        going = self.inputs
+        while going is not None and going.phases and reached >= going.phases[0][0]:
+            _, phase = going.phases.pop(0)
+            self.journal.note("phase", phase=phase, shot=going.shot)
+            self.faults.moment(phase, going.shot)
+
+    # what a client asks for
+
+    def arm(self, outputs: FloatArray | None = None, lines: NDArray[np.uint32] | None = None) -> None:
+        """Let outputs, or lines on the outputs' clock, wait for the trigger."""
+        with self._changed:
+            if outputs is not None:
+                self.outputs = Generation(outputs)
+            if lines is not None:
+                self.clocked = Generation(lines[None, :])
+
+    def acquire(self, count: int) -> None:
+        """Start the inputs, and with them whatever is armed."""
+        with self._changed:
+            start = int((time.monotonic() - self._epoch) * self.plant.rate) + 1
+            start = max(start, self.plant.played)
+            driven = False
+            for waiting in (self.outputs, self.clocked):
+                if waiting is not None and waiting.start is None:
+                    waiting.start, driven = start, True
+            going = Acquisition(start, count)
+            if driven:
+                self._shots += 1
+                rate = self.plant.rate
+                going.shot = self._shots
+                going.phases = [
+                    (start + int(ACTUATION_BEGINS * rate), "actuation"),
+                    (start + count - int(LISTENING_LEFT * rate), "listening"),
+                ]
+            self.inputs = going
+            self.plant.begin_acquisition()
+            self.journal.note("shot" if driven else "quiet shot", self.time_of(start), shot=going.shot, samples=count)
+
+    def read(self, count: int, timeout: float) -> FloatArray:
+        """The next `count` samples (n_inputs, count) in V, as soon as they are there.
+
+        Raises
+        ------
+        CardError
+            If they do not come in time, or were lost.
+        """
+        with self._changed:
+            going = self.inputs
+            if going is None:
+                raise CardError(-200088, "The task is not running, so that no samples come.")
+            if going.taken + count > going.count:
+                raise CardError(-200278, "Attempted to read a sample beyond the final sample acquired.", read=0)
+            if self.faults.takes("overrun"):
+                raise CardError(
+                    -200279, "The application is not able to keep up with the hardware acquisition.", read=0
+                )
+            if self.faults.takes("read_timeout"):
+                self._changed.wait_for(lambda: self.inputs is not going or self._end, timeout)
+                raise CardError(-200284, "Some or all of the samples requested have not yet been acquired.", read=0)
+            needed = going.start + going.taken + count
+            self._awaited.append(needed)
+            try:
+                there = self._changed.wait_for(
+                    lambda: self.plant.played >= needed or self.inputs is not going or self._end, timeout
+                )
+            finally:
+                self._awaited.remove(needed)
+            if self.inputs is not going:
+                raise CardError(-88709, "The task was aborted.", read=0)
+            if self._end:
+                raise CardError(-201003, "Device cannot be accessed: the twin's tank has ended.", read=0)
+            if not there:
+                raise CardError(-200284, "Some or all of the samples requested have not yet been acquired.", read=0)
+            volts = self.plant.volts(going.start + going.taken, count)
+            going.taken += count
+            if self.faults.holds("sensor_dead"):
+                volts[0] = 0.0
+            if self.faults.holds("sensors_saturated"):
+                volts[:] = 10.0
+            return volts
+
+    def acquired(self) -> int:
+        """Samples of each input since the acquisition began."""
+        with self._changed:
+            going = self.inputs
+            return 0 if going is None else min(max(self.plant.played - going.start, 0), going.count)
+
+    def available(self) -> int:
+        """Samples of each input that wait to be read."""
+        with self._changed:
+            return 0 if self.inputs is None else self.acquired() - self.inputs.taken
+
+    def wait(self, kind: str, timeout: float) -> bool:
+        """Whether what plays or is acquired ("ai", "ao", "do") has ended within `timeout` s."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._ended(kind) or self._end, timeout) and not self._end
+
+    def _ended(self, kind: str) -> bool:
+        if kind == "ai":
+            return self.inputs is None or self.plant.played >= self.inputs.start + self.inputs.count
+        playing = self.outputs if kind == "ao" else self.clocked
+        if playing is None:
+            return True
+        return playing.start is not None and self.plant.played >= playing.start + playing.samples.shape[1]
+
+    def stop_inputs(self) -> None:
+        """End the acquisition; the moment before the next shot has come."""
+        with self._changed:
+            going, self.inputs = self.inputs, None
+        if going is not None and going.shot:
+            self.faults.moment("before", going.shot + 1)
+
+    def stop_outputs(self) -> None:
+        """End what plays: outputs hold the value that they have."""
+        with self._changed:
+            self._finish("outputs")
+
+    def stop_lines(self) -> None:
+        """End what plays on the clocked lines, which hold their level."""
+        with self._changed:
+            self._finish("clocked")
+
+    def _finish(self, which: str) -> None:
+        self._catch_up()
+        setattr(self, which, None)
+
+    def set_outputs(self, volts: FloatArray) -> None:
+        """Volts (n_outputs,) at once."""
+        with self._changed:
+            self._catch_up()
+            self._held = np.array(volts, dtype=float)
+
+    def set_lines(self, levels: int) -> None:
+        """Levels of the clocked port at once, a bit a line."""
+        with self._changed:
+            self._catch_up()
+            self._lines = levels
+
+    def line(self, name: str) -> bool:
+        """Level of an input line."""
+        if name == self.section.relays.all_open:
+            with self._changed:
+                self._catch_up()
+                return not bool(self._contacts.closed.any())
+        if name == self.section.operator.stop_line:
+            return not self.faults.holds("button")
+        return False
+
+    def set_watchdog(self, timeout: float | None, safe_lines: int = 0) -> None:
+        """Start the watchdog with the lines that it takes low, or stop it."""
+        with self._changed:
+            if timeout is not None and self._watchdog is None and not self._shots:
+                self.faults.moment("before", 1)
+            self._watchdog = None if timeout is None else (timeout, time.monotonic())
+            self._safe_lines = 0xFFFFFFFF & ~safe_lines
+            if timeout is None:
+                self._expired = False
+
+    def feed(self) -> None:
+        """Reset the watchdog's timer.
+
+        Raises
+        ------
+        CardError
+            If it has expired.
+        """
+        with self._changed:
+            if self._expired:
+                raise CardError(-200678, "Watchdog timer task has expired; the lines are in their expiration states.")
+            if self._watchdog is not None:
+                self._watchdog = (self._watchdog[0], time.monotonic())
+
+    @property
+    def expired(self) -> bool:
+        """Whether the watchdog has expired."""
+        return self._expired
+
+    def reset(self) -> None:
+        """As after power-up: nothing plays, outputs at zero, lines low, no watchdog."""
+        with self._changed:
+            self._catch_up()
+            self.outputs = self.clocked = self.inputs = None
+            self._held[:] = 0.0
+            self._lines = 0
+            self._watchdog, self._expired = None, False
+            self._shots = 0
+            self.faults.count_anew()
+            self.journal.note("reset")
+
+    def state(self) -> Mapping[str, Any]:
+        """What it does now, for whoever watches."""
+        with self._changed:
+            return {
+                "played_s": self.plant.played / self.plant.rate,
+                "shots": self._shots,
+                "driven": self.watch.driven.on,
+                "relays_closed": [name for name, on in zip(self.plant.loads, self._contacts.closed, strict=True) if on],
+                "enabled": self.watch.enabled.on,
+                "outputs_v": self._held.tolist(),
+                "last_driven": self.watch.driven.latest,
+                "last_closed": self.watch.closed.latest,
+                "watchdog_expired": self._expired,
+                "broken": self.broken,
+            }

@@ -1,0 +1,94 @@
+"""Relays and amplifiers between the card and the coils, sample by sample."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smolbot.arrays import BoolArray, FloatArray
+from smolbot.hardware.waveform import line_bit
+from smolbot.hardware.wiring import BenchSection
+
+
+class Contacts:
+    """Turns volts and line levels into the currents that the amplifiers drive through each load.
+
+    A relay follows its line after its closing or opening time. Loads whose relays are closed on one output share its
+    current. Amplifiers that are not enabled drive nothing.
+
+    Attributes
+    ----------
+    closed : ndarray of bool, shape (n_loads,)
+        Contacts as they are now.
+    stuck : int or None
+        A load whose contacts do not open any more.
+
+    Parameters
+    ----------
+    section : BenchSection
+    loads : tuple of str
+        Order of the currents that come out, by the loads' names.
+    """
+
+    def __init__(self, section: BenchSection, loads: tuple[str, ...]) -> None:
+        names = [load.name for load in section.loads]
+        order = [section.loads[names.index(name)] for name in loads]
+        outputs = section.used_outputs
+        self._output = np.array([outputs.index(load.output) for load in order])
+        self._gain = np.array([load.gain_a_per_v for load in order])
+        self._bits = np.array([line_bit(load.relay) for load in order])
+        self._enable = line_bit(section.outputs.enable)
+        rate = section.outputs.rate_hz
+        self._close = round(1e-3 * section.relays.close_ms * rate)
+        self._open = round(1e-3 * section.relays.open_ms * rate)
+        self.closed: BoolArray = np.zeros(len(order), np.bool_)
+        self._told: BoolArray = np.zeros(len(order), np.bool_)
+        self._due: list[tuple[int, int, bool]] = []  # sample, load, closes
+        self.stuck: int | None = None
+
+    def pass_through(
+        self, first: int, volts: FloatArray, lines: NDArray[np.uint32]
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Currents (n_loads, n) in A, contacts (n_loads, n) and enable (n,), of samples `first` on.
+
+        Parameters
+        ----------
+        first : int
+        volts : ndarray, shape (n_outputs, n)
+        lines : ndarray of uint32, shape (n,)
+        """
+        n = len(lines)
+        told = (lines[None, :] >> self._bits[:, None]) & 1 > 0
+        contacts = np.empty((len(self._bits), n), np.bool_)
+        for load in range(len(self._bits)):
+            contacts[load] = self._follow(load, first, told[load])
+        if self.stuck is not None:
+            contacts[self.stuck] = True
+        self.closed = contacts[:, -1].copy()
+        enabled = (lines >> self._enable) & 1 > 0
+        shared = np.zeros((len(volts), n))
+        for load, output in enumerate(self._output):
+            shared[output] += contacts[load]
+        currents = np.where(contacts, volts[self._output] * self._gain[:, None], 0.0)
+        currents /= np.maximum(shared[self._output], 1.0)
+        currents[:, ~enabled] = 0.0
+        return currents, contacts, enabled
+
+    def _follow(self, load: int, first: int, told: BoolArray) -> BoolArray:
+        """Contacts of one relay over the samples, told what to do at each."""
+        n = len(told)
+        if bool(told[0]) != bool(self._told[load]) or told.any() != told.all():
+            before = np.concatenate([[self._told[load]], told[:-1]])
+            for at in np.flatnonzero(told != before):
+                closes = bool(told[at])
+                self._due.append((first + int(at) + (self._close if closes else self._open), load, closes))
+            self._told[load] = told[-1]
+        out = np.full(n, self.closed[load] if load != self.stuck else True)
+        later = []
+        for sample, which, closes in self._due:
+            if which != load or sample >= first + n:
+                later.append((sample, which, closes))
+            else:
+                out[max(sample - first, 0) :] = closes
+        self._due = later
+        return out

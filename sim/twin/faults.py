@@ -1,0 +1,180 @@
+"""What can go wrong with a bench, by name: when it happens, and for how long."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from smolbot.errors import InputError
+
+FAULTS = {
+    "device_gone": "the card does not answer any more (-201003)",
+    "overrun": "samples were overwritten before they were read (-200279)",
+    "read_timeout": "samples do not come in time (-200284)",
+    "stalled": "the device server takes calls and does not answer them",
+    "killed": "the device server dies; the card lives on",
+    "watchdog_expired": "the card's watchdog opens every relay as if it had not been fed",
+    "value_out_of_range": "the card refuses what is written to its outputs (-200077)",
+    "relay_stuck": "the contacts of the relay that closed first stay closed",
+    "sensor_dead": "the first sensor reads 0 V",
+    "sensors_saturated": "every sensor reads its upper limit",
+    "outputs_frozen": "outputs and lines stay as they are, as when the host dies under its driver",
+    "button": "the operator's button is pressed",
+    "serial_unplugged": "the magnet stage's cable is pulled",
+    "serial_garbled": "a line to or from the magnet stage arrives garbled",
+    "serial_truncated": "a line to or from the magnet stage arrives cut short",
+    "firmware_reset": "the magnet stage's controller resets",
+    "firmware_hung": "the magnet stage's main loop hangs",
+}
+
+STATE_LASTS = 0.3
+"""Seconds for which a state such as a dead sensor lasts that comes once."""
+
+_MOMENT = re.compile(r"^(?:(?P<phase>before|actuation|listening)#(?P<shot>\d+)|(?P<seconds>\d+(?:\.\d+)?)s|now)$")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault that is to come.
+
+    Attributes
+    ----------
+    name : str
+        One of `FAULTS`.
+    phase, shot : str and int
+        In which phase of which electrical shot, counted from 1; or
+    seconds : float or None
+        how long after the first shot; None with an empty phase: at once.
+    good : bool
+        For good, instead of once.
+    """
+
+    name: str
+    phase: str = ""
+    shot: int = 0
+    seconds: float | None = None
+    good: bool = False
+
+
+def parse_fault(text: str) -> Fault:
+    """A fault as the command line spells it: ``NAME@MOMENT[:once|good]``.
+
+    Examples
+    --------
+    >>> parse_fault("overrun@actuation#30:good")
+    Fault(name='overrun', phase='actuation', shot=30, seconds=None, good=True)
+    >>> parse_fault("button@12.5s").seconds
+    12.5
+    """
+    name, _, rest = text.partition("@")
+    moment, _, lasting = rest.partition(":")
+    if name not in FAULTS:
+        raise InputError(f"--fault {text}: no fault is named '{name}'; there are {', '.join(FAULTS)}.")
+    found = _MOMENT.match(moment or "now")
+    if found is None:
+        raise InputError(
+            f"--fault {text}: '{moment}' is no moment; use now, 12.5s (after the first shot), or before#30, "
+            "actuation#30, listening#30 (of the 30th shot)."
+        )
+    if lasting not in ("", "once", "good"):
+        raise InputError(f"--fault {text}: lasts 'once' or for 'good'; got '{lasting}'.")
+    seconds = found["seconds"]
+    after = None if seconds is None else float(seconds)
+    return Fault(
+        name,
+        found["phase"] or "",
+        int(found["shot"] or 0),
+        after,
+        lasting == "good",
+    )
+
+
+class FaultBox:
+    """Faults that wait for their moment, and those that are there. Safe from any thread.
+
+    `happened` is called with the name of each fault as it comes; it must not wait. Listeners may: see `add_listener`.
+    """
+
+    def __init__(self, happened: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._happened, self._clock = happened, clock
+        self._listeners: list[Callable[[str], None]] = []
+        self._lock = threading.Lock()
+        self._waiting: list[Fault] = []
+        self._there: dict[str, tuple[bool, float]] = {}
+        self._first_shot: float | None = None
+
+    def add_listener(self, listener: Callable[[str], None]) -> None:
+        """Call `listener` with the name of each fault as it comes, in a thread of its own."""
+        self._listeners.append(listener)
+
+    def add(self, fault: Fault) -> None:
+        """Let a fault wait for its moment, or come now."""
+        with self._lock:
+            if fault.phase or fault.seconds is not None:
+                self._waiting.append(fault)
+                return
+        self._come(fault)
+
+    def clear(self) -> None:
+        """Nothing is wrong any more, and nothing is to come."""
+        with self._lock:
+            self._waiting.clear()
+            self._there.clear()
+
+    def count_anew(self) -> None:
+        """A client has opened the card: its first shot is still to come."""
+        self._first_shot = None
+
+    def moment(self, phase: str, shot: int) -> None:
+        """The card has reached a phase of a shot."""
+        if phase == "actuation" and self._first_shot is None:
+            self._first_shot = self._clock()
+        with self._lock:
+            due = [f for f in self._waiting if f.phase == phase and f.shot == shot]
+            self._waiting = [f for f in self._waiting if f not in due]
+        for fault in due:
+            self._come(fault)
+
+    def tick(self) -> None:
+        """Time has passed."""
+        if self._first_shot is None or not self._waiting:
+            return
+        since = self._clock() - self._first_shot
+        with self._lock:
+            due = [f for f in self._waiting if f.seconds is not None and since >= f.seconds]
+            self._waiting = [f for f in self._waiting if f not in due]
+        for fault in due:
+            self._come(fault)
+
+    def _come(self, fault: Fault) -> None:
+        with self._lock:
+            self._there[fault.name] = (fault.good, self._clock())
+        self._happened(fault.name)
+        for listener in self._listeners:
+            threading.Thread(target=listener, args=(fault.name,), name=f"fault {fault.name}", daemon=True).start()
+
+    def takes(self, name: str) -> bool:
+        """Whether an event such as a time-out is due; one that comes once is over with that."""
+        if name not in self._there:
+            return False
+        with self._lock:
+            found = self._there.get(name)
+            if found is None:
+                return False
+            if not found[0]:
+                del self._there[name]
+            return True
+
+    def holds(self, name: str) -> bool:
+        """Whether a state such as a dead sensor lasts."""
+        found = self._there.get(name)
+        if found is None:
+            return False
+        if not found[0] and self._clock() - found[1] > STATE_LASTS:
+            with self._lock:
+                self._there.pop(name, None)
+            return False
+        return True

@@ -1,0 +1,257 @@
+"""The NI device server of the twin: what the unmodified client library calls, over gRPC."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import grpc
+import nidaqmx._stubs.nidaqmx_pb2 as messages
+import numpy as np
+from nidaqmx._stubs.nidaqmx_pb2_grpc import add_NiDAQmxServicer_to_server
+from session_pb2 import Session
+
+from sim.twin.attributes import Attributes
+from sim.twin.cardmodel import CardError, CardModel
+from sim.twin.tasks import Tasks, TwinTask
+from smolbot.errors import RigError
+from smolbot.hardware.deadline import MESSAGE_LIMIT
+
+THREADS = 32
+"""Every read that waits holds one."""
+
+PATIENCE = 0.01
+"""Seconds between two looks at whether a stalled server goes on."""
+
+# Actions by their numbers in the driver
+ABORT, FOR_ALL_LINES = 6, 1
+RESET_TIMER, CLEAR_EXPIRATION = 0, 1
+
+
+class TwinServicer(Attributes):
+    """Answers for one card; calls that no bench needs stay unimplemented, as on an old server."""
+
+    def __init__(self, card: CardModel) -> None:
+        self.card, self.tasks = card, Tasks(card)
+
+    def _call(self, context: Any, action: Callable[[], Any]) -> Any:
+        """Carry out one call, unless the card is gone or the server stalls; errors as the server sends them."""
+        faults = self.card.faults
+        while faults.holds("stalled") and context.is_active():
+            time.sleep(PATIENCE)
+        if not context.is_active():  # its client has given up: nothing is done late
+            context.abort(grpc.StatusCode.CANCELLED, "the call is over")
+        try:
+            if faults.takes("device_gone"):
+                raise CardError(-201003, "Device cannot be accessed: it was disconnected, or the system was suspended.")
+            return action()
+        except CardError as error:
+            trailing = [("ni-error", str(error.code))]
+            if error.read is not None:
+                trailing.append(("ni-samps-per-chan-read", str(error.read)))
+            if error.written is not None:
+                trailing.append(("ni-samps-per-chan-written", str(error.written)))
+            context.set_trailing_metadata(tuple(trailing))
+            context.abort(grpc.StatusCode.UNKNOWN, str(error))
+
+    def _on(self, request: Any, context: Any, response: Any, action: Callable[[TwinTask], Any]) -> Any:
+        """The same for a call on a task, with an answer that says no more than that it went well."""
+
+        def run() -> Any:
+            action(self.tasks.get(request.task.name))
+            return response()
+
+        return self._call(context, run)
+
+    # tasks
+
+    def CreateTask(self, request: Any, context: Any) -> Any:
+        return self._call(context, lambda: self._created(messages.CreateTaskResponse, request.session_name))
+
+    def CreateWatchdogTimerTaskEx(self, request: Any, context: Any) -> Any:
+        def run() -> Any:
+            if request.device_name != self.tasks.device:
+                raise CardError(-200220, f"Device identifier is invalid: '{request.device_name}'.")
+            response = self._created(messages.CreateWatchdogTimerTaskExResponse, request.session_name, "watchdog")
+            self.tasks.get(response.task.name).timeout = request.timeout
+            return response
+
+        return self._call(context, run)
+
+    def _created(self, response: Any, wanted: str, kind: str = "") -> Any:
+        task = self.tasks.create(wanted, kind)
+        return response(task=Session(name=task.name), new_session_initialized=True)
+
+    def ClearTask(self, request: Any, context: Any) -> Any:
+        return self._on(request, context, messages.ClearTaskResponse, lambda task: self.tasks.clear(task.name))
+
+    def StartTask(self, request: Any, context: Any) -> Any:
+        return self._on(request, context, messages.StartTaskResponse, self.tasks.start)
+
+    def StopTask(self, request: Any, context: Any) -> Any:
+        return self._on(request, context, messages.StopTaskResponse, self.tasks.stop)
+
+    def TaskControl(self, request: Any, context: Any) -> Any:
+        def run(task: TwinTask) -> None:
+            action = request.action_raw or request.action
+            if action != ABORT:
+                raise CardError(-200077, f"The twin aborts tasks; it does not know action {action}.")
+            self.tasks.stop(task)
+            task.buffer = None
+
+        return self._on(request, context, messages.TaskControlResponse, run)
+
+    def IsTaskDone(self, request: Any, context: Any) -> Any:
+        return self._call(
+            context,
+            lambda: messages.IsTaskDoneResponse(is_task_done=self.tasks.wait(self.tasks.get(request.task.name), 0.0)),
+        )
+
+    def WaitUntilTaskDone(self, request: Any, context: Any) -> Any:
+        def run(task: TwinTask) -> None:
+            if not self.tasks.wait(task, max(request.time_to_wait, 0.0)):
+                raise CardError(-200560, "Wait Until Done did not indicate that the task was done within the timeout.")
+
+        return self._on(request, context, messages.WaitUntilTaskDoneResponse, run)
+
+    # channels and timing
+
+    def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:
+        span = (request.min_val, request.max_val)
+        return self._on(
+            request, context, messages.CreateAIVoltageChanResponse,
+            lambda task: self.tasks.add(task, "ai", request.physical_channel, span),
+        )  # fmt: skip
+
+    def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:
+        span = (request.min_val, request.max_val)
+        return self._on(
+            request, context, messages.CreateAOVoltageChanResponse,
+            lambda task: self.tasks.add(task, "ao", request.physical_channel, span),
+        )  # fmt: skip
+
+    def CreateDOChan(self, request: Any, context: Any) -> Any:
+        return self._on(request, context, messages.CreateDOChanResponse, lambda task: self._lines(task, "do", request))
+
+    def CreateDIChan(self, request: Any, context: Any) -> Any:
+        return self._on(request, context, messages.CreateDIChanResponse, lambda task: self._lines(task, "di", request))
+
+    def _lines(self, task: TwinTask, kind: str, request: Any) -> None:
+        self.tasks.add(task, kind, request.lines)
+        task.grouped = (request.line_grouping_raw or request.line_grouping) == FOR_ALL_LINES
+
+    def CfgSampClkTiming(self, request: Any, context: Any) -> Any:
+        return self._on(
+            request, context, messages.CfgSampClkTimingResponse,
+            lambda task: self.tasks.clock(task, request.rate, request.source, request.samps_per_chan),
+        )  # fmt: skip
+
+    def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> Any:
+        def run(task: TwinTask) -> None:
+            task.trigger = request.trigger_source
+
+        return self._on(request, context, messages.CfgDigEdgeStartTrigResponse, run)
+
+    # reading and writing
+
+    def ReadAnalogF64(self, request: Any, context: Any) -> Any:
+        def run() -> Any:
+            task = self.tasks.get(request.task.name)
+            if task.kind != "ai":
+                raise CardError(-200028, "Only a task of inputs can be read.", read=0)
+            volts = self.card.read(request.num_samps_per_chan, max(request.timeout, 0.0))
+            return messages.ReadAnalogF64Response(
+                read_array=np.ascontiguousarray(volts).ravel().tolist(), samps_per_chan_read=volts.shape[1]
+            )
+
+        return self._call(context, run)
+
+    def WriteAnalogF64(self, request: Any, context: Any) -> Any:
+        def run() -> Any:
+            task, n = self.tasks.get(request.task.name), request.num_samps_per_chan
+            values = np.array(request.write_array, dtype=np.float64).reshape(len(task.channels), n)
+            self.tasks.write(task, values, request.auto_start)
+            return messages.WriteAnalogF64Response(samps_per_chan_written=n)
+
+        return self._call(context, run)
+
+    def WriteDigitalU32(self, request: Any, context: Any) -> Any:
+        def run() -> Any:
+            levels = np.array(request.write_array, dtype=np.uint32)
+            self.tasks.write_lines(self.tasks.get(request.task.name), levels, request.auto_start)
+            return messages.WriteDigitalU32Response(samps_per_chan_written=len(levels))
+
+        return self._call(context, run)
+
+    def ReadDigitalLines(self, request: Any, context: Any) -> Any:
+        def run() -> Any:
+            task = self.tasks.get(request.task.name)
+            levels = bytes(self.card.line(line) for line in task.channels)
+            return messages.ReadDigitalLinesResponse(read_array=levels, samps_per_chan_read=1, num_bytes_per_samp=1)
+
+        return self._call(context, run)
+
+    # device and watchdog
+
+    def ResetDevice(self, request: Any, context: Any) -> Any:
+        def run() -> Any:
+            self.must_be_ours(request.device_name)
+            self.tasks.clear_all()
+            return messages.ResetDeviceResponse()
+
+        return self._call(context, run)
+
+    def SelfTestDevice(self, request: Any, context: Any) -> Any:
+        def run() -> Any:
+            self.must_be_ours(request.device_name)
+            return messages.SelfTestDeviceResponse()
+
+        return self._call(context, run)
+
+    def CfgWatchdogDOExpirStates(self, request: Any, context: Any) -> Any:
+        def run(task: TwinTask) -> None:
+            task.channels = []
+            self.tasks.add(task, "do", request.channel_names)
+            task.kind = "watchdog"
+
+        return self._on(request, context, messages.CfgWatchdogDOExpirStatesResponse, run)
+
+    def ControlWatchdogTask(self, request: Any, context: Any) -> Any:
+        def run(task: TwinTask) -> None:
+            action = request.action_raw or request.action
+            if action == RESET_TIMER:
+                self.card.feed()
+            else:
+                self.tasks.stop(task)
+                self.tasks.start(task)
+
+        return self._on(request, context, messages.ControlWatchdogTaskResponse, run)
+
+
+def serve(card: CardModel, address: str) -> tuple[grpc.Server, int]:
+    """A running server for `card` at host:port (port 0: a free one), and its port.
+
+    Raises
+    ------
+    RigError
+        If the port is taken.
+    """
+    options = [
+        ("grpc.max_receive_message_length", MESSAGE_LIMIT),
+        ("grpc.max_send_message_length", MESSAGE_LIMIT),
+        ("grpc.so_reuseport", 0),
+    ]
+    server = grpc.server(ThreadPoolExecutor(THREADS, thread_name_prefix="device server"), options=options)
+    add_NiDAQmxServicer_to_server(TwinServicer(card), server)
+    try:
+        port = server.add_insecure_port(address)
+    except RuntimeError as error:
+        port, reason = 0, str(error)
+    else:
+        reason = "the port is taken"
+    if not port:
+        raise RigError(f"The twin's device server cannot listen on {address}: {reason}. Does another twin run?")
+    server.start()
+    return server, port

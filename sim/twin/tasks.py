@@ -1,0 +1,251 @@
+"""Tasks of the twin's card: what a client has made, and what the card says to it."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sim.twin.cardmodel import CardError, CardModel
+from smolbot.arrays import FloatArray
+from smolbot.hardware.products import PRODUCTS, Product
+from smolbot.hardware.waveform import line_bit
+
+
+@dataclass
+class TwinTask:
+    """One task.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        "", "ai", "ao", "do", "di" or "watchdog".
+    channels : list of str
+        Without the device's name.
+    rate, count : float and int
+        Of its sample clock; 0 where it has none.
+    buffer : ndarray or None
+        What was written for the next start.
+    timeout : float, in s
+        Of a watchdog.
+    grouped : bool
+        Whether its lines are one channel.
+    """
+
+    name: str
+    kind: str = ""
+    channels: list[str] = field(default_factory=list)
+    rate: float = 0.0
+    count: int = 0
+    source: str = ""
+    trigger: str = ""
+    buffer: Any = None
+    running: bool = False
+    timeout: float = 0.0
+    grouped: bool = False
+
+
+class Tasks:
+    """All tasks of one card. Raises `CardError` as the driver would."""
+
+    def __init__(self, card: CardModel) -> None:
+        self.card, self.device = card, card.section.device
+        self.product: Product = PRODUCTS[card.section.product]
+        self._tasks: dict[str, TwinTask] = {}
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+
+    def create(self, wanted: str, kind: str = "") -> TwinTask:
+        """A new task."""
+        with self._lock:
+            name = wanted or f"_unnamedTask<{next(self._numbers)}>"
+            if name in self._tasks:
+                raise CardError(-200089, f"Task name '{name}' conflicts with an existing task name.")
+            self._tasks[name] = TwinTask(name, kind)
+            return self._tasks[name]
+
+    def get(self, name: str) -> TwinTask:
+        """A task by its session name."""
+        found = self._tasks.get(name)
+        if found is None:
+            raise CardError(-200088, f"Task specified is invalid or does not exist: '{name}'.")
+        return found
+
+    def clear(self, name: str) -> None:
+        """Stop and forget a task."""
+        task = self.get(name)
+        self.stop(task)
+        with self._lock:
+            self._tasks.pop(name, None)
+
+    def clear_all(self) -> None:
+        """The card was reset: every task is stopped."""
+        for task in tuple(self._tasks.values()):
+            task.running, task.buffer = False, None
+        self.card.reset()
+
+    def add(self, task: TwinTask, kind: str, names: str, span: tuple[float, float] | None = None) -> None:
+        """Give a task channels: ``Dev1/ai0, Dev1/ai1:3``."""
+        exist = {
+            "ai": sorted({name for _, inputs in self.product.inputs for name in inputs}),
+            "ao": self.product.outputs,
+            "do": self.product.lines,
+            "di": self.product.lines,
+        }[kind]
+        for name in expanded(names):
+            device, _, channel = name.partition("/")
+            if device != self.device:
+                raise CardError(-200220, f"Device identifier is invalid: '{device}'; this machine has '{self.device}'.")
+            if channel not in exist:
+                raise CardError(-200170, f"Physical channel specified does not exist on this device: '{name}'.")
+            if channel in task.channels:
+                raise CardError(-200489, f"Channel '{name}' is in the task twice.")
+            task.channels.append(channel)
+        ranges = self.product.input_ranges if kind == "ai" else self.product.output_ranges
+        if span is not None and max(abs(span[0]), abs(span[1])) > max(ranges):
+            raise CardError(-200077, f"Requested value is not supported: ±{max(ranges):g} V is the widest range.")
+        task.kind = kind
+
+    def clock(self, task: TwinTask, rate: float, source: str, count: int) -> None:
+        """Give a task a sample clock and a length."""
+        if task.kind in ("", "di"):
+            raise CardError(-200077, "This task cannot have a sample clock.")
+        if task.running:
+            raise CardError(-200557, "The task is running; its timing cannot be changed.")
+        if task.kind == "do" and not set(task.channels) <= set(self.product.clocked_lines):
+            raise CardError(-200077, "Only lines of port 0 follow a sample clock.")
+        most = (
+            self.product.max_input_rate / max(len(task.channels), 1)
+            if task.kind == "ai"
+            else self.product.max_output_rate
+        )
+        wanted = self.card.plant.rate if task.kind == "ai" else self.card.section.outputs.rate_hz
+        if not 0 < rate <= most:
+            raise CardError(-200077, f"Sample rate {rate:g} exceeds the {most:g} Hz that this task can have.")
+        if abs(rate - wanted) > 1e-6 * wanted:
+            raise CardError(-200077, f"The twin of this bench runs at {wanted:g} Hz; got {rate:g}.")
+        if count < 2:
+            raise CardError(-200077, "A finite task has at least 2 samples a channel.")
+        task.rate, task.count, task.source, task.buffer = rate, int(count), source, None
+
+    def write(self, task: TwinTask, values: FloatArray, auto_start: bool) -> None:
+        """Volts (n_channels, n) for a task's outputs."""
+        if self.card.faults.takes("value_out_of_range") or np.any(np.abs(values) > self.card.section.outputs.range_v):
+            raise CardError(
+                -200077,
+                "Requested value is not a supported value for this property: a voltage beyond the range.",
+                written=0,
+            )
+        if task.count:
+            if values.shape[1] != task.count:
+                raise CardError(-200524, f"Write {task.count} samples a channel; got {values.shape[1]}.", written=0)
+            task.buffer = values
+        elif not auto_start:
+            raise CardError(-200547, "An on-demand write starts the task by itself.", written=0)
+        else:
+            self._must_be_free("ao")
+            self.card.set_outputs(self._spread(task, values[:, -1]))
+
+    def write_lines(self, task: TwinTask, levels: Any, auto_start: bool) -> None:
+        """Levels (n,) of a task's port, a bit a line."""
+        mask = np.uint32(sum(1 << line_bit(line) for line in task.channels))
+        if task.count:
+            if len(levels) != task.count:
+                raise CardError(-200524, f"Write {task.count} samples; got {len(levels)}.", written=0)
+            task.buffer = levels & mask
+        elif not auto_start:
+            raise CardError(-200547, "An on-demand write starts the task by itself.", written=0)
+        else:
+            self._must_be_free("do")
+            self.card.set_lines(int(levels[-1] & mask))
+
+    def start(self, task: TwinTask) -> None:
+        """Start, or arm what waits for a trigger."""
+        if task.kind == "watchdog":
+            mask = sum(1 << line_bit(line) for line in task.channels)
+            self.card.set_watchdog(task.timeout, mask)
+        elif task.kind == "ai":
+            self._must_be_free("ai")
+            self.card.acquire(task.count)
+        elif task.kind in ("ao", "do") and task.count:
+            self._must_be_free(task.kind)
+            if task.buffer is None:
+                raise CardError(-200462, "Write samples before the task is started.")
+            if task.kind == "ao":
+                if task.trigger != f"/{self.device}/ai/StartTrigger":
+                    raise CardError(
+                        -200040, f"The twin's outputs wait for /{self.device}/ai/StartTrigger; got '{task.trigger}'."
+                    )
+                self.card.arm(outputs=self._ordered(task))
+            else:
+                if task.source != f"/{self.device}/ao/SampleClock":
+                    raise CardError(
+                        -200040, f"The twin's lines follow /{self.device}/ao/SampleClock; got '{task.source}'."
+                    )
+                self.card.arm(lines=task.buffer)
+        task.running = True
+
+    def stop(self, task: TwinTask) -> None:
+        """Stop: what plays holds its value."""
+        if not task.running:
+            return
+        task.running = False
+        if task.kind == "watchdog":
+            self.card.set_watchdog(None)
+        elif task.kind == "ai":
+            self.card.stop_inputs()
+        elif task.kind == "ao" and task.count:
+            self.card.stop_outputs()
+        elif task.kind == "do" and task.count:
+            self.card.stop_lines()
+
+    def wait(self, task: TwinTask, timeout: float) -> bool:
+        """Whether a task is done within `timeout` s."""
+        if task.kind not in ("ai", "ao", "do") or not task.count or not task.running:
+            return True
+        return self.card.wait(task.kind, timeout)
+
+    def _must_be_free(self, kind: str) -> None:
+        if any(t.kind == kind and t.running and t.count for t in self._tasks.values()):
+            raise CardError(-50103, "The specified resource is reserved: one hardware-timed task of a kind at a time.")
+
+    def _spread(self, task: TwinTask, values: FloatArray) -> FloatArray:
+        used = self.card.section.used_outputs
+        out = np.array(self.card.state()["outputs_v"])
+        for channel, value in zip(task.channels, values, strict=True):
+            if channel in used:
+                out[used.index(channel)] = value
+        return out
+
+    def _ordered(self, task: TwinTask) -> FloatArray:
+        used = self.card.section.used_outputs
+        out = np.zeros((len(used), task.count))
+        for channel, row in zip(task.channels, task.buffer, strict=True):
+            if channel in used:
+                out[used.index(channel)] = row
+        return out
+
+
+def expanded(names: str) -> list[str]:
+    """Channel names of a list in the driver's spelling.
+
+    Examples
+    --------
+    >>> expanded("Dev1/ai0:2, Dev1/port0/line6")
+    ['Dev1/ai0', 'Dev1/ai1', 'Dev1/ai2', 'Dev1/port0/line6']
+    """
+    out = []
+    for part in names.split(","):
+        name, _, last = part.strip().partition(":")
+        if not last:
+            out.append(name)
+            continue
+        stem = name.rstrip("0123456789")
+        out += [
+            f"{stem}{k}" for k in range(int(name[len(stem) :]), int(last.lstrip("abcdefghijklmnopqrstuvwxyz/")) + 1)
+        ]
+    return out

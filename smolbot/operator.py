@@ -1,0 +1,218 @@
+"""The person at the bench, who does what no stage does: asked in the terminal, and waited for."""
+
+from __future__ import annotations
+
+import io
+import os
+import queue
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Any, Protocol, TextIO
+
+from smolbot.errors import RigError
+
+DONE = ("", "y", "yes", "done", "ok")
+ABORT = ("q", "quit", "n", "no", "abort")
+_POLL = 0.05  # s
+
+
+class Operator(Protocol):
+    """Somebody who can be asked for a deed."""
+
+    def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
+        """Ask for something to be done; True once it was, False if the operator aborts.
+
+        Parameters
+        ----------
+        question : str
+            What is to be done, such as ``Bring the magnet near``.
+        timeout : float, in s
+        until : callable, optional
+            Asked over and over while waiting: True says that it was done, as an end switch can tell, and no answer
+            is needed. It may raise, which ends the asking.
+
+        Raises
+        ------
+        RigError
+            When nobody answers in time, or nobody can be asked.
+        """
+
+    def say(self, text: str) -> None:
+        """Tell the operator something that needs no answer."""
+
+
+class SilentOperator:
+    """Nobody: what can only be done by hand, and no switch tells of, cannot be done."""
+
+    def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
+        """Waits for `until`, if there is one."""
+        if until is None:
+            raise RigError(
+                f"There is nobody to ask: '{question}'. Use smolbot run in a terminal, or pass "
+                "operator=TerminalOperator()."
+            )
+        end = time.monotonic() + timeout
+        while not until():
+            if time.monotonic() >= end:
+                raise RigError(f"Nothing happened within {timeout:g} s of: '{question}'.")
+            time.sleep(_POLL)
+        return True
+
+    def say(self, text: str) -> None:
+        """Says nothing."""
+
+
+class TerminalOperator:
+    """Asks on standard error and reads lines of standard input, a terminal or not. Enter: done; q: abort.
+
+    Parameters
+    ----------
+    source, out : text streams, optional
+        Standard input and error unless given.
+
+    Attributes
+    ----------
+    pauses : list of callables
+        Each makes a context in which the terminal is free for a question: a progress bar that steps aside, a thread
+        that reads keys and waits.
+    """
+
+    def __init__(self, source: TextIO | None = None, out: TextIO | None = None) -> None:
+        self.pauses: list[Callable[[], AbstractContextManager[Any]]] = []
+        self._source, self._out = source, out
+        self._lines: _Lines | None = None
+
+    def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
+        """See `Operator.ask`. An answer that says neither is asked for again; the time-out is of them all."""
+        with self._alone():
+            out = self._out or sys.stderr  # a progress bar that steps aside gives it back
+            lines = self._reader()
+            lines.forget()
+            end = time.monotonic() + timeout
+            print(f"{question}  [Enter: done, q: abort, {timeout:g} s] ", end="", file=out, flush=True)
+            while True:
+                answer = self._answer(lines, end, until, question, timeout)
+                if answer in DONE or answer in ABORT:
+                    return answer in DONE
+                print(f"'{answer}' is neither: Enter when it is done, q to abort ", end="", file=out, flush=True)
+
+    def say(self, text: str) -> None:
+        """One line on standard error."""
+        with self._alone():
+            print(text, file=self._out or sys.stderr, flush=True)
+
+    def _answer(
+        self, lines: _Lines, end: float, until: Callable[[], bool] | None, question: str, timeout: float
+    ) -> str:
+        ended = False
+        while True:
+            if until is not None and until():
+                print("done", file=self._out or sys.stderr, flush=True)
+                return ""
+            left = end - time.monotonic()
+            if left <= 0.0:
+                raise RigError(f"The operator did not answer within {timeout:g} s: '{question}'.")
+            if ended:  # only `until` can tell now
+                time.sleep(min(left, _POLL))
+                continue
+            try:
+                line = lines.next(min(left, _POLL))
+            except EOFError:
+                if until is None:
+                    raise RigError(
+                        f"Nobody can answer '{question}': standard input has ended. Run it in a terminal, or give one "
+                        "line for each question."
+                    ) from None
+                ended = True
+                continue
+            if line is not None:
+                return line.strip().lower()
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        with ExitStack() as stack:
+            for pause in self.pauses:
+                stack.enter_context(pause())
+            yield
+
+    def _reader(self) -> _Lines:
+        if self._lines is None:
+            source = self._source or sys.stdin
+            try:
+                number = source.fileno()
+            except (AttributeError, OSError, io.UnsupportedOperation):
+                number = -1
+            self._lines = _ThreadLines(source) if number < 0 or os.name == "nt" else _DescriptorLines(number)
+        return self._lines
+
+
+class _Lines(Protocol):
+    def next(self, timeout: float) -> str | None:
+        """The next line, or None if none came within `timeout` s; raises EOFError at the end."""
+
+    def forget(self) -> None:
+        """Drop what a person typed before being asked."""
+
+
+class _DescriptorLines:
+    """Lines of a file descriptor, read without a thread that would go on reading after the question."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._held = b""
+
+    def next(self, timeout: float) -> str | None:
+        import select
+
+        end = time.monotonic() + timeout
+        while b"\n" not in self._held:
+            ready, _, _ = select.select([self._number], [], [], max(end - time.monotonic(), 0.0))
+            if not ready:
+                return None
+            read = os.read(self._number, 1024)
+            if not read:
+                if not self._held:
+                    raise EOFError
+                self._held += b"\n"  # a last line without its end
+                break
+            self._held += read
+        line, _, self._held = self._held.partition(b"\n")
+        return line.decode(errors="replace")
+
+    def forget(self) -> None:
+        if os.isatty(self._number):
+            import termios
+
+            self._held = b""
+            termios.tcflush(self._number, termios.TCIFLUSH)
+
+
+class _ThreadLines:
+    """Lines of a stream that cannot be waited for: a notebook's, or Windows'."""
+
+    def __init__(self, source: TextIO) -> None:
+        self._queue: queue.Queue[str | None] = queue.Queue()
+        threading.Thread(target=self._read, args=(source,), daemon=True).start()
+
+    def _read(self, source: TextIO) -> None:
+        try:
+            for line in iter(source.readline, ""):
+                self._queue.put(line)
+        finally:
+            self._queue.put(None)
+
+    def next(self, timeout: float) -> str | None:
+        try:
+            line = self._queue.get(timeout=timeout)
+        except queue.Empty:
+            return None
+        if line is None:
+            self._queue.put(None)
+            raise EOFError
+        return line
+
+    def forget(self) -> None:
+        """A stream that is no terminal holds answers, not what was typed too early."""
