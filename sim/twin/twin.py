@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,6 +34,9 @@ CONTROL = "127.0.0.1:31765"
 
 LOOK = 0.02
 """Seconds between two looks at whether a fault is over."""
+
+SWITCH = 5e-4
+"""Seconds after which one thread lets another go on: a reader must not wait for the card's thread, nor it for him."""
 
 SERIAL_FAULTS = ("serial_unplugged", "serial_garbled", "serial_truncated", "firmware_reset", "firmware_hung")
 
@@ -93,6 +97,7 @@ class Twin:
         except BaseException:
             self.close()
             raise
+        sys.setswitchinterval(SWITCH)
         gc.collect()
         gc.freeze()  # a look through all that was imported would stop the card's thread for a tenth of a second
         self.card.start()

@@ -64,7 +64,7 @@ class BenchRig:
         self._epoch = time.monotonic()
         self._drive_end: float | None = None
         self._lost = 0
-        self._latched: str | None = None
+        self._latched: RigError | None = None
         self._driver: Driver | None = None
         self._card: Card | None = None
         self._guard: Guard | None = None
@@ -128,7 +128,8 @@ class BenchRig:
                 return None
             return self._electrical(shot)
         except RigError as error:
-            raise RigError(self._latched or str(error)) from error
+            self._halt(error)
+            raise self._latched or error from error
         finally:
             if self._magnet is not None and not self._magnet.switched:
                 self._magnet.near = magnet_near_after(shot, near=near)
@@ -139,7 +140,7 @@ class BenchRig:
 
     def stop(self) -> None:
         """Bring every output to zero now and play nothing more. Safe from any thread, any number of times."""
-        self._halt("Stopped; every output is at zero, and this bench has to be opened anew.")
+        self._halt(RigError("This bench was stopped; open it anew. Every output is at zero."))
 
     def close(self) -> None:
         """Stop, then let go of every device; harmless when repeated."""
@@ -183,13 +184,6 @@ class BenchRig:
         waveform = self._compiler.compile(shot)
         try:
             volts, began = self._card.play(waveform, self._guard)
-            if waveform.outputs and not self._guard.relays_open():
-                self._halt(
-                    f"{self._section.device}: a relay did not open after a shot "
-                    f"({self._section.relays.all_open} is low). Amplifiers are off; "
-                    "switch off the supply and look for it."
-                )
-                self._refuse_if_stopped()
         except LostWindow as error:
             self._count_lost(str(error))
             return None
@@ -216,21 +210,22 @@ class BenchRig:
         saturated = np.abs(field).max(axis=1) >= full * (1.0 - 2.0**-14)
         return Recording(field / self._gains, self._rate, since, saturated, drive, clock)
 
-    def _trip(self, reason: str) -> None:
+    def _trip(self, reason: RigError) -> None:
         """The guard, from its own thread, says why nothing may go on."""
         self._halt(reason)
 
-    def _halt(self, reason: str) -> None:
+    def _halt(self, reason: RigError) -> None:
+        """Latch the first reason and bring everything to zero; what the card does not do, its watchdog does."""
         if self._latched is None:
             self._latched = reason
-        if self._card is not None:
-            self._card.stop()
+        if self._card is not None and not self._card.stop() and self._guard is not None:
+            self._guard.abandon()
         if self._magnet is not None:
             self._magnet.stop()
 
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
-            raise RigError(self._latched)
+            raise self._latched
 
 
 def _time_constants(rig: RigConfig) -> dict[str, float]:
