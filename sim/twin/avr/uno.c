@@ -204,7 +204,9 @@ static void hang(void)
 
 static void pin(char port, int number, int high)
 {
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), number), high);
+    avr_irq_t *irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), number);
+    avr_raise_irq(irq, !high); /* a level that it believes to be there already is not passed on */
+    avr_raise_irq(irq, high);
 }
 
 static void set_switches(void)
