@@ -49,7 +49,7 @@ class Magnet:
         self._operator, self._patience = operator, patience.answer_timeout_s
         self._steering_rate = math.radians(magnet.max_steering_deg_per_s)
         self.switched = section.switches
-        self._stage = MagnetStage(section)
+        self._stage = MagnetStage(section, self._steering_rate)
         self._stage.open()
         try:
             self.identity = str(self._stage.identity)
