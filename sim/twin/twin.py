@@ -78,7 +78,7 @@ class Twin:
         self._warm_up()
         self.card = CardModel(section, self.plant, self._between)
         self.card.faults.add_listener(self._fault)
-        drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, "truth": self.plant.truth.as_dict()}
+        drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.drawn()}
         self._hand = Hand(rig.magnet.move_s, np.random.default_rng([seed, 5])) if section.stage else None
         self._told = -math.inf
         self._closing: list[Any] = []
