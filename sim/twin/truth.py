@@ -77,11 +77,11 @@ class TruthServer:
 
     def _send(self, connection: socket.socket) -> None:
         listener = _Listener(connection)
+        listener.waiting.put_nowait(self._greeting)
+        with self._lock:  # whoever has read the greeting misses no row
+            self._listeners.append(listener)
         with connection:
             try:
-                connection.sendall(self._greeting)
-                with self._lock:
-                    self._listeners.append(listener)
                 while (data := listener.waiting.get()) is not None:
                     connection.sendall(data)
             except OSError:  # the listener is gone

@@ -176,7 +176,7 @@ def test_a_robot_outside_the_container_is_an_error_that_says_where_and_when():
     plant = make(Plant)
     plant.advance(np.zeros((6, 250)))
     plant.carrier.bodies.place(np.array([0.0, 0.0, 0.4]), np.array([1.0, 0.0, 0.0, 0.0]))
-    with pytest.raises(RigError, match=r"left the container, to .*400.* mm, at 0\.010 s"):
+    with pytest.raises(RigError, match=r"left the container, to .* 399\.\d+\] mm, at 0\.010 s"):
         plant.advance(np.zeros((6, 250)))
 
 
@@ -205,11 +205,7 @@ def test_truth_arrives_at_another_process_as_it_was_told():
     try:
         assert witness.provenance()["seed"] == 4
         json.dumps(witness.provenance())
-        for _ in range(200):  # until the listener is known
-            server.publish(rows(100, epoch))
-            if witness._count:
-                break
-            time.sleep(0.005)
+        server.publish(rows(100, epoch))
         pose = witness.truth(0.0405)
         assert pose.position[0] == pytest.approx(0.0405, abs=1e-9)
         assert pose.time == 0.0405
