@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import math
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,9 @@ LOOK = 0.02
 
 SWITCH = 5e-4
 """Seconds after which one thread lets another go on: a reader must not wait for the card's thread, nor it for him."""
+
+FOR_GOOD = 1_000_000
+"""Lines of the serial port: more than any mission sends."""
 
 SERIAL_FAULTS = ("serial_unplugged", "serial_garbled", "serial_truncated", "firmware_reset", "firmware_hung")
 
@@ -81,13 +85,19 @@ class Twin:
         drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.drawn()}
         self._hand = Hand(rig.magnet.move_s, np.random.default_rng([seed, 5])) if section.stage else None
         self._told = -math.inf
+        self._seen = 0
         self._closing: list[Any] = []
         self.stage: SimulatedUno | None = None
         try:
             self.truth = TruthServer(*_split(section.truth), drawn)
             self._closing.append(self.truth)
             host, port = _split(control)
-            handlers = {"inject": self._inject, "clear": self._clear, "log": self._log, "state": self._state}
+            handlers = {
+                "inject": self._inject,
+                "clear": self._clear,
+                "log": self._log,
+                "state": self._state,
+            }
             self.control = ControlServer(host, port, handlers)
             self._closing.append(self.control)
             self.server = DeviceServer(self.card, section.server)
@@ -139,13 +149,15 @@ class Twin:
                 time.sleep(LOOK)
             self.server.revive()
         elif name in SERIAL_FAULTS and self.stage is not None:
-            {
-                "serial_unplugged": self.stage.unplug,
-                "serial_garbled": lambda: self.stage and self.stage.garble(1),
-                "serial_truncated": lambda: self.stage and self.stage.truncate(1),
-                "firmware_reset": self.stage.reset,
-                "firmware_hung": self.stage.hang,
-            }[name]()
+            stage, lines = self.stage, FOR_GOOD if self.card.faults.lasts(name) else 1
+            actions: dict[str, Callable[[], None]] = {
+                "serial_unplugged": stage.unplug,
+                "serial_garbled": functools.partial(stage.garble, lines),
+                "serial_truncated": functools.partial(stage.truncate, lines),
+                "firmware_reset": stage.reset,
+                "firmware_hung": stage.hang,
+            }
+            actions[name]()
 
     def inject(self, fault: Fault) -> None:
         """Let a fault come."""
@@ -160,6 +172,9 @@ class Twin:
 
     def _clear(self, _: Mapping[str, Any]) -> str:
         self.card.faults.clear()
+        if self.stage is not None:
+            self.stage.plug()
+            self.stage.reset()
         return "cleared"
 
     def _state(self, _: Mapping[str, Any]) -> dict[str, Any]:
@@ -167,6 +182,7 @@ class Twin:
         if self.stage is not None:
             turn, steering = self.stage.steps
             found |= {"motors_on": self.stage.enabled, "steps": [turn, steering], "lamp": self.stage.lamp}
+            found["turning"], self._seen = turn != self._seen, turn
         return found
 
     def close(self) -> None:

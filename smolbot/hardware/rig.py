@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from smolbot.operator import Operator
 
 LOST_IN_A_ROW = 2
-"""Windows lost one after the other that are no accident any more."""
+"""Windows lost one after the other that are no accident any more: a card that fails twice fails for good."""
 
 
 class BenchRig:
