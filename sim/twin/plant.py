@@ -8,7 +8,7 @@ from sim.gel.embedded import Embedded
 from sim.settings import TankSettings
 from sim.tank import SUBSTEP, Tank
 from sim.twin.overhead import Overhead
-from smolbot.arrays import FloatArray
+from smolbot.arrays import FloatArray, as_floats
 from smolbot.errors import InputError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
@@ -70,10 +70,12 @@ class Plant(Tank):
 
         Raises
         ------
+        InputError
+            For another shape, for what is not finite, or for more than is remembered.
         RigError
             If the robot has left the container.
         """
-        commands = np.ascontiguousarray(np.asarray(currents, dtype=np.float64).T)
+        commands = np.ascontiguousarray(as_floats(currents, (len(self.loads), None), "currents").T)
         count = len(commands)
         if not count:
             return

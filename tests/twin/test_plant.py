@@ -123,6 +123,14 @@ def test_what_was_not_played_cannot_be_heard():
         plant.volts(50, 100)
 
 
+def test_commands_that_no_card_can_give_change_nothing():
+    plant = make(Plant)
+    for bad, message in ((np.zeros((5, 10)), "must have shape"), (np.full((6, 10), np.nan), "finite")):
+        with pytest.raises(InputError, match=message):
+            plant.advance(bad)
+    assert plant.played == 0
+
+
 def test_the_plant_forgets_what_is_long_past():
     plant = make(Plant)
     for _ in range(30):
