@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import tempfile
 import time
@@ -120,10 +121,8 @@ class SimulatedUno:
         process, self._process = self._process, None
         if process is not None:
             assert process.stdin is not None
-            try:
+            with contextlib.suppress(BrokenPipeError):  # it had ended by itself, and its last order with it
                 process.stdin.close()
-            except BrokenPipeError:
-                pass  # it had ended by itself, and its last word with it
             try:
                 process.wait(PATIENCE)
             except subprocess.TimeoutExpired:
