@@ -126,16 +126,26 @@ def _run_up(uno: SimulatedUno, wire: Wire) -> None:
         raise SystemExit(f"the board does not move: {wire.heard!r}")
 
 
+def _board_time(uno: SimulatedUno) -> float:
+    """Seconds since power-up by the board's own clock, which a busy machine may hold up; known to a millisecond."""
+    return uno.state.number("cycles") * CYCLE
+
+
 def _off_after(uno: SimulatedUno, since: float) -> float:
-    """Seconds from `since` until the drivers were switched off, and no step came after."""
-    time.sleep(1.2)
+    """Seconds of the board from `since` until its drivers were switched off, and no step came after."""
+    while uno.enabled and _board_time(uno) < since + 3.0:
+        time.sleep(0.01)
+    off = _board_time(uno)
+    while _board_time(uno) < off + 0.1:
+        time.sleep(0.01)
     edges = uno.take_edges()
-    off = edges[(edges["pin"] == PINS.index("drivers on")) & (edges["level"] == 0)]
-    last = float(off["time"][-1])
-    late = np.isin(edges["pin"], (0, 2)) & (edges["level"] == 1) & (edges["time"] > last + 1e-3)
-    if late.any() or uno.enabled:
+    drivers = edges[(edges["pin"] == PINS.index("drivers on")) & (edges["level"] == 0)]
+    if not drivers.size or uno.enabled:
+        raise SystemExit("the drivers were not switched off")
+    late = np.isin(edges["pin"], (0, 2)) & (edges["level"] == 1) & (edges["cycle"] > drivers["cycle"][-1] + 16000)
+    if late.any():
         raise SystemExit("steps came after the drivers were off")
-    return last - since
+    return float(drivers["cycle"][-1]) * CYCLE - since
 
 
 def jitter(uno: SimulatedUno, wire: Wire, seconds: float = 3.0) -> dict[str, tuple[float, float, float]]:
@@ -160,14 +170,14 @@ def heartbeat_loss(uno: SimulatedUno, wire: Wire) -> float:
     """Seconds from the last heartbeat to motors off, while both turn."""
     _run_up(uno, wire)
     wire.ask(line(6, "BEAT"), b"6 OK")
-    return _off_after(uno, time.monotonic())
+    return _off_after(uno, _board_time(uno))
 
 
 def hung_loop(uno: SimulatedUno, wire: Wire) -> float:
     """Seconds from a main loop that hangs, while its interrupts still step, to motors off."""
     _run_up(uno, wire)
     wire.ask(line(6, "BEAT"), b"6 OK")
-    since = time.monotonic()
+    since = _board_time(uno)
     uno.hang()
     return _off_after(uno, since)
 

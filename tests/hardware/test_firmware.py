@@ -45,8 +45,8 @@ def test_both_axes_make_the_steps_they_are_told_with_ramps_and_at_their_rates(un
         assert gaps.size == count - 1
         assert 1.0 / np.median(gaps) == pytest.approx(rate, rel=1e-3)
         assert 1.0 / gaps.min() == pytest.approx(rate, rel=0.03)
-        assert gaps[0] > 0.015
-        assert gaps[-1] > 0.01
+        assert gaps[0] > 0.0075  # 133 steps a second: reached 4.4 steps from rest
+        assert gaps[-1] > 0.0075
         rates = 1.0 / gaps
         change = np.abs(np.diff(rates)) / gaps[1:]
         assert np.median(change[rates[1:] < 0.9 * rate]) == pytest.approx(2000.0, rel=0.3)
@@ -128,6 +128,7 @@ def test_ten_thousand_spoiled_lines_move_nothing_and_reset_nothing(uno, wire):
     assert (found.steps, found.resets) == (0, 0)
 
 
+@pytest.mark.slow
 def test_steps_come_on_time_while_both_axes_and_the_line_are_busy(uno, wire):
     for mean, spread, most in figures.jitter(uno, wire, 1.0).values():
         assert spread < 0.005 * mean

@@ -49,7 +49,8 @@ def test_states_are_read_and_others_are_not():
     [
         (("smolbot-magnet-stage", "1.0"), True), (("smolbot-magnet-stage", "1.7"), True),
         (("smolbot-magnet-stage", "2.0"), False), (("smolbot-magnet-stage", "0.9"), False),
-        (("grbl", "1.1"), False), (("smolbot-magnet-stage",), False), (("smolbot-magnet-stage", "x"), False), ((), False),
+        (("grbl", "1.1"), False), (("smolbot-magnet-stage",), False),
+        (("smolbot-magnet-stage", "x"), False), ((), False),
     ],
 )  # fmt: skip
 def test_only_firmware_of_the_same_major_version_is_taken(identity, good):
