@@ -10,9 +10,10 @@ from sim.carriers import Drawn
 from sim.coils import NominalExcitation
 from sim.history import TankWitness
 from sim.settings import TankSettings
-from sim.tank import Tank
+from sim.tank import Step, Tank
 from smolbot.arrays import FloatArray, as_floats
 from smolbot.errors import RigError
+from smolbot.probing import AFTER, BEFORE, HELD, Probe, probe_shot
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 from smolbot.sensing import Recording
@@ -59,6 +60,7 @@ class TankRig:
         self._tank = Tank(rig, robot, settings, start, seed, gui=gui, ideal=ideal)
         self.witness: Witness | None = TankWitness(self._tank.history)
         self._excitation = NominalExcitation(rig)
+        self._driven = (*rig.coil_names, *(f"excitation {coil.name}" for coil in rig.sections.excitation))
         self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
         self._turnaround = rig.turnaround
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
@@ -98,6 +100,29 @@ class TankRig:
         if self._stopped or not played:  # while it moved, or while its samples were made
             raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
         return heard
+
+    def probe(self, coil: str, current: float) -> Probe:
+        """What the sensors hear while one coil (``+x``, ``excitation x``) is held at a small current, in A.
+
+        Raises
+        ------
+        InterlockError
+            Before anything is driven, if the current breaks a limit.
+        RigError
+            If the tank is closed, or was stopped meanwhile.
+        """
+        if not self._open:
+            raise RigError("This tank is closed; nothing was driven.")
+        self.limits.check(probe_shot(self.limits, coil, current), magnet_near=self._magnet_near)
+        tank, begin = self._tank, self._tank.time
+        self._stopped = False
+        step = Step(HELD, self._driven.index(coil), current)
+        played = tank.advance((Rest(BEFORE), step, Rest(AFTER), Rest(max(self._turnaround, 1e-3))))
+        if self._stopped or not played:
+            raise RigError(f"Stopped at {tank.time:.3f} s, while {coil} was probed; every output is at zero.")
+        field, saturated = tank.listen(begin, round((BEFORE + HELD + AFTER) * self._rate))
+        heard = Recording(field / self._gains, self._rate, math.inf, saturated, None, begin)
+        return Probe(heard, BEFORE, BEFORE + HELD)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""

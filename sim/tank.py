@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,11 +20,19 @@ from smolbot.errors import RigError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 from smolbot.rotations import matrix_from_quaternion
-from smolbot.shots import Actuate, Excite, MoveMagnet, Rotate, Window
+from smolbot.shots import Actuate, Excite, MoveMagnet, Rest, Rotate, Window
 
 STRIDES = 500  # of a mechanical window between two looks at whether to stop
 SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
 NO_SAMPLES = np.zeros((0, 1))
+
+
+@dataclass(frozen=True)
+class Step(Rest):
+    """One coil held at a constant current; actuation coils are counted first, then excitation coils."""
+
+    coil: int = 0
+    current: float = 0.0
 
 
 class Tank:
@@ -168,7 +177,9 @@ class Tank:
         self.carrier.begin(window, self.time)
         self._state[2:4] = 0.0
         actuation = self.coils.n_actuation
-        if isinstance(window, Actuate):
+        if isinstance(window, Step):
+            self.coils.circuits[window.coil, 1] = window.current
+        elif isinstance(window, Actuate):
             self.coils.circuits[:actuation, 1] = window.currents
         elif isinstance(window, Excite):
             n = self.coils.n_excitation

@@ -15,6 +15,7 @@ from smolbot.anymission import AnyMission, load_mission
 from smolbot.duty import Duty
 from smolbot.errors import InputError
 from smolbot.heat import CoilHeat
+from smolbot.heatmemory import HeatMemory
 from smolbot.latch import Latch
 from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_frames
 from smolbot.localization.array_terms import OF_DEVICE
@@ -158,7 +159,8 @@ def _fly_on(
             folder.record(trace.moments[-1])
 
     extra = listeners(mission) if listeners else ()
-    loop = make_loop(rig, mission, (write, *extra), latch)
+    real = rig.witness is None  # coils of a world that tells the truth are made anew each time
+    loop = make_loop(rig, mission, (write, *extra), latch, HeatMemory.of(mission.rig.name) if real else None)
     gc.freeze()  # what is there by now is not looked through again while the robot waits
     try:
         loop.fly()
@@ -173,6 +175,12 @@ def _settle(
 ) -> None:
     """Sum up a flight, however it ended, and complete its folder."""
     flown = loop.run
+    if flown.status == "stopped":  # perhaps between a cycle and its record
+        for record in flown.cycles[len(trace.moments) :]:
+            trace(record)
+        if folder is not None:
+            for moment in trace.moments[folder.rows :]:
+                folder.record(moment)
     flown.true_trail = trace.true_positions() if trace.knows_truth else None
     if isinstance(mission, Observation):
         flown.summary = summarise_observation(mission, flown, trace)
@@ -201,7 +209,13 @@ def _draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
         draw_run(mission, run, trace, path)
 
 
-def make_loop(rig: Rig, mission: AnyMission, listeners: tuple[Listener, ...] = (), latch: Latch | None = None) -> Loop:
+def make_loop(
+    rig: Rig,
+    mission: AnyMission,
+    listeners: tuple[Listener, ...] = (),
+    latch: Latch | None = None,
+    memory: HeatMemory | None = None,
+) -> Loop:
     """The loop of a mission on an open rig, every part made from the mission's files."""
     device, cycle = mission.robot.device, mission.cycle
     tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
@@ -220,11 +234,11 @@ def make_loop(rig: Rig, mission: AnyMission, listeners: tuple[Listener, ...] = (
         rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
         independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
         array_filter=None if isinstance(tracker, Glimpse) else make_array_filter(mission, locator),
-        safety=make_safety(rig, mission, latch),
+        safety=make_safety(rig, mission, latch, memory),
     )  # fmt: skip
 
 
-def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None) -> Safety:
+def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memory: HeatMemory | None = None) -> Safety:
     """The safety of a mission's run, as its rig file says."""
     section = mission.rig.sections.safety
     rules = Rules(
@@ -243,6 +257,7 @@ def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None) -> Sa
         CoilHeat(mission.rig.thermal, section.ambient_c),
         SoundWatch(len(rig.sensors), section.sensor_shots, section.broken_sensors),
         latch,
+        memory,
     )
 
 

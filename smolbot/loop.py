@@ -208,7 +208,7 @@ class Loop:
             run.duration = self.rig.now()
             run.events = self.events
             run.safety = self.safety.figures()
-            run.recovered = {**self.safety.recovered, **getattr(self.rig, "recovered", {})}
+            run.recovered = self._recovered()
             run.wall = self._clock() - begin
         return run
 
@@ -235,6 +235,14 @@ class Loop:
         except Exception as error:  # a device that is gone must not cost the record of the run
             run.status = "failed"
             run.stop_reason += f"; the outputs could not be set to zero: {error}"
+
+    def _recovered(self) -> dict[str, int]:
+        """What was borne, by the safety and by the rig; what both counted, once."""
+        found = dict(self.safety.recovered)
+        for kind, times in getattr(self.rig, "recovered", {}).items():
+            name = kind.replace(" ", "_")
+            found[name] = max(found.get(name, 0), times)
+        return found
 
     def _played(self, shot: Shot) -> Recording | None:
         """Play one shot of those from which something is learned, as the safety allows it."""

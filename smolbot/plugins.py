@@ -30,7 +30,10 @@ class World(Protocol):
 
     @staticmethod
     def open(rig: RigConfig, robot: RobotConfig, start: Any, seed: int, **options: Any) -> Rig:
-        """Open the rig with the robot at `start` (x, y in m), ready to play shots."""
+        """Open the rig with the robot at `start` (x, y in m), ready to play shots.
+
+        `options` are `gui` and `operator` (see `smolbot.operator`); a world passes over what it has no need of.
+        """
 
 
 def names(group: str) -> list[str]:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from smolbot.duty import Duty
 from smolbot.errors import SafetyError
 from smolbot.heat import CoilHeat, mean_squares
+from smolbot.heatmemory import HeatMemory
 from smolbot.latch import Latch
 from smolbot.limits import Limits
 from smolbot.poses import Pose
 from smolbot.sensing import Recording
-from smolbot.shots import Actuate, Rotate, Shot, magnet_near_after
+from smolbot.shots import Actuate, Listen, Rotate, Shot, magnet_near_after
 from smolbot.soundwatch import SoundWatch
 
 LOST_WINDOWS = "lost_windows"
@@ -21,7 +22,7 @@ LOST_WINDOWS = "lost_windows"
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 _SIGMAS = 3.0  # by which a pose must lie outside what is allowed before it is believed
-_EARLY = 1e-3  # s: a recording may begin before its shot by what clocks differ
+_EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one heard is earlier by a whole shot
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,19 @@ class Rules:
 class Safety:
     """Ends a run before harm is done. Every stop has a reason, and latches.
 
-    Duty and heat are those of commanded currents: each shot is reckoned to its end before it is played.
+    Duty and heat are those of commanded currents: each shot is reckoned to its end before it is played. With a
+    `memory`, coils begin as hot as the run before has left them.
     """
 
     def __init__(
-        self, limits: Limits, rules: Rules, duty: Duty, heat: CoilHeat, sound: SoundWatch, latch: Latch | None = None
+        self,
+        limits: Limits,
+        rules: Rules,
+        duty: Duty,
+        heat: CoilHeat,
+        sound: SoundWatch,
+        latch: Latch | None = None,
+        memory: HeatMemory | None = None,
     ) -> None:
         self.limits = limits
         self.rules = rules
@@ -67,6 +76,10 @@ class Safety:
         self.heat = heat
         self.latch = latch if latch is not None else Latch()
         self.recovered = {LOST_WINDOWS: 0}
+        self._memory = memory
+        if memory is not None:
+            memory.recall(heat)
+        self._begin = list(heat.temperatures)
         self._sound = sound
         self._time = 0.0
         self._near = False
@@ -133,14 +146,17 @@ class Safety:
     def end(self) -> None:
         """The run is over: nothing more is played."""
         self.latch.end()
+        if self._memory is not None:
+            self._memory.keep(self.heat, now=True)
 
     def figures(self) -> dict[str, object]:
         """Peak duty and, where thermal constants are known, peak temperature in degrees Celsius, by coil."""
-        hot = [(c.name, peak) for c, peak in zip(self.heat.coils, self.heat.peaks, strict=True) if c is not None]
+        known = [(i, c) for i, c in enumerate(self.heat.coils) if c is not None]
         return {
             "duty_peak": dict(zip(self.duty.names, self.duty.peaks, strict=True)),
-            "coil_temperature_peak_c": dict(hot),
-            "coil_temperature_limit_c": {c.name: c.limit for c in self.heat.coils if c is not None},
+            "coil_temperature_begin_c": {c.name: self._begin[i] for i, c in known},
+            "coil_temperature_peak_c": {c.name: self.heat.peaks[i] for i, c in known},
+            "coil_temperature_limit_c": {c.name: c.limit for _, c in known},
         }
 
     def _stop(self, reason: str) -> None:
@@ -189,6 +205,8 @@ class Safety:
                 self._watch_heat()
             at = end
         self._time = max(at, self._time)
+        if self._memory is not None:
+            self._memory.keep(self.heat)
 
     def _watch_duty(self, coil: int, start: float, end: float) -> None:
         share = self.duty.drive(coil, start, end)
@@ -209,9 +227,10 @@ class Safety:
 
     def _late(self, shot: Shot, recording: Recording, now: float) -> str:
         """Why a recording is none of this shot, or too old; empty if it is neither."""
-        early, age = shot.start - recording.clock, now - recording.clock - recording.duration
-        if early > _EARLY:
-            return f"the recording began {early:.3f} s before its shot"
+        asked = next(at for at, window in shot.timed() if isinstance(window, Listen))
+        early, age = shot.start + asked - recording.clock, now - recording.clock - recording.duration
+        if early > max(_EARLY, 0.5 * shot.duration):
+            return f"the recording began {early:.3f} s before it was asked for"
         if age > self.rules.max_age:
             return f"the recording was {age:.2f} s old when it came (max_age_ms = {1e3 * self.rules.max_age:g})"
         return ""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from smolbot.arrays import FloatArray
@@ -68,3 +69,35 @@ class Telling(Protocol):
     @property
     def status_line(self) -> str:
         """A few words of how it is, shown beside the progress; empty if there is nothing to say."""
+
+
+@dataclass(frozen=True)
+class CheckItem:
+    """One thing that a device says of itself, held against what the rig file says.
+
+    Attributes
+    ----------
+    device : str
+        As its maker or the rig file calls it: ``card Dev1``, ``magnet stage``, ``power supply``.
+    what : str
+        What was read back: ``product``, ``operator's button``.
+    found : str
+        In words or figures, with the unit.
+    ok : bool
+    limit : str
+        What it should be; empty where anything will do.
+    """
+
+    device: str
+    what: str
+    found: str
+    ok: bool = True
+    limit: str = ""
+
+
+@runtime_checkable
+class Checkable(Protocol):
+    """A rig with devices that can be asked what they are and how they are; ``smolbot check`` asks."""
+
+    def checks(self) -> Iterator[CheckItem]:
+        """Read back every device, nothing driven. A device that does not answer is an item that is not ok."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,16 @@ settings.register_profile("smolbot", deadline=None, derandomize=True, database=N
 settings.load_profile("smolbot")
 
 RATE = 50_000.0
+_NUMBERS = count()
 UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(autouse=True)
+def cold_coils(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """No test begins with coils that another one has warmed; the folder where their heat is kept instead."""
+    folder = tmp_path_factory.getbasetemp() / "heat" / str(next(_NUMBERS))
+    monkeypatch.setattr("smolbot.heatmemory.kept_at", lambda rig: folder / f"{rig}.json")
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim.twin.contacts import Contacts
 from sim.twin.faults import FaultBox
+from sim.twin.journal import Journal, Watch
 from smolbot.arrays import FloatArray
 from smolbot.hardware.wiring import BenchSection
 
@@ -85,22 +85,22 @@ class CardModel:
     def __init__(self, section: BenchSection, plant: Behind, between: Callable[[float], None] | None = None) -> None:
         self.section, self.plant = section, plant
         self._between = between
-        self.faults = FaultBox(lambda name: self.note("fault", name=name))
-        self.log: deque[dict[str, Any]] = deque(maxlen=20000)
+        self.journal = Journal()
+        self.faults = FaultBox(lambda name: self.journal.note("fault", name=name))
+        self.watch = Watch(self.journal, plant.rate)
         self._contacts = Contacts(section, plant.loads)
-        self._changed = threading.Condition()
+        self._changed = threading.Condition(threading.RLock())
         self._held = np.zeros(len(section.used_outputs))
         self._lines = 0
         self.outputs: Generation | None = None
         self.clocked: Generation | None = None
         self.inputs: Acquisition | None = None
-        self._watchdog: tuple[float, float] | None = None  # time-out, latest feed
+        self._watchdog: float | None = None  # its time-out
+        self._fed = 0.0
         self._expired = False
         self._safe_lines = 0xFFFFFFFF  # ands the lines once expired
         self._awaited: list[int] = []
         self._shots = 0
-        self._driven = self._closed = self._enabled = False
-        self.last_driven = self.last_closed = 0.0
         self._end = False
         self.broken: str | None = None
         self._epoch = time.monotonic()
@@ -125,10 +125,6 @@ class CardModel:
         """When a sample is played, on the monotonic clock in s."""
         return self._epoch + sample / self.plant.rate
 
-    def note(self, what: str, at: float | None = None, **detail: Any) -> None:
-        """Write into the log."""
-        self.log.append({"time": time.monotonic() if at is None else at, "what": what, **detail})
-
     def _run(self) -> None:
         while not self._end:
             with self._changed:
@@ -136,7 +132,7 @@ class CardModel:
                     self._catch_up()
                 except Exception as error:  # the tank broke: say so to whoever reads, do not die in silence
                     self.broken = f"{type(error).__name__}: {error}"
-                    self.note("broken", error=self.broken)
+                    self.journal.note("broken", error=self.broken)
                     self._end = True
                 self._changed.notify_all()
                 wake = min([self.time_of(sample) for sample in self._awaited], default=np.inf)
@@ -152,17 +148,17 @@ class CardModel:
         if late > 0:  # this machine stood still: time goes on from here, nothing is played in a burst
             self._epoch += late / rate
             target -= late
-            self.note("stood still", seconds=late / rate)
+            self.journal.note("stood still", seconds=late / rate)
         while self.plant.played < target:
             self._step(min(target - self.plant.played, 250))
 
     def _step(self, n: int) -> None:
         first = self.plant.played
         if self._watchdog is not None and not self._expired:
-            timeout, fed = self._watchdog
-            if self.faults.takes("watchdog_expired") or self.time_of(first) - fed > timeout:
+            late = self.time_of(first) - self._fed > self._watchdog
+            if late or self.faults.takes("watchdog_expired"):
                 self._expired = True
-                self.note("watchdog expired", self.time_of(first))
+                self.journal.note("watchdog expired", self.time_of(first))
         if self._between is not None:
             self._between(self.time_of(first + n))
         if self.faults.holds("outputs_frozen"):
@@ -174,7 +170,8 @@ class CardModel:
             lines = lines & np.uint32(self._safe_lines)
         self._stick()
         currents, contacts, enabled = self._contacts.pass_through(first, volts, lines)
-        self._watch(first, currents, contacts, enabled)
+        free = [load for load in range(len(contacts)) if load != self._contacts.stuck]
+        self.watch.follow(first, self._epoch, currents, contacts[free], enabled)
         self.plant.advance(currents)
         self._phases(first + n)
 
@@ -211,30 +208,13 @@ class CardModel:
             contacts.stuck = None
         elif contacts.stuck is None and contacts.closed.any():
             contacts.stuck = int(np.flatnonzero(contacts.closed)[0])
-            self.note("relay stuck", load=self.plant.loads[contacts.stuck])
-
-    def _watch(self, first: int, currents: FloatArray, contacts: NDArray[np.bool_], enabled: NDArray[np.bool_]) -> None:
-        """Write down when outputs began and ended to drive, and relays to be closed."""
-        free = [k for k in range(len(contacts)) if k != self._contacts.stuck]
-        for name, now in (
-            ("driven", np.any(np.abs(currents) > 1e-9, axis=0)),
-            ("closed", contacts[free].any(axis=0)),
-            ("enabled", enabled),
-        ):
-            before = getattr(self, f"_{name}")
-            if now.any() and name != "enabled":
-                setattr(self, f"last_{name}", self.time_of(first + int(np.flatnonzero(now)[-1]) + 1))
-            if bool(now[0]) != before or now.any() != now.all():
-                levels = np.concatenate([[before], now])
-                for at in np.flatnonzero(levels[1:] != levels[:-1]):
-                    self.note(name, self.time_of(first + int(at)), on=bool(now[at]))
-            setattr(self, f"_{name}", bool(now[-1]))
+            self.journal.note("relay stuck", load=self.plant.loads[contacts.stuck])
 
     def _phases(self, reached: int) -> None:
         going = self.inputs
         while going is not None and going.phases and reached >= going.phases[0][0]:
             _, phase = going.phases.pop(0)
-            self.note("phase", phase=phase, shot=going.shot)
+            self.journal.note("phase", phase=phase, shot=going.shot)
             self.faults.moment(phase, going.shot)
 
     # what a client asks for
@@ -267,7 +247,7 @@ class CardModel:
                 ]
             self.inputs = going
             self.plant.begin_acquisition()
-            self.note("shot" if driven else "quiet shot", self.time_of(start), number=going.shot, samples=count)
+            self.journal.note("shot" if driven else "quiet shot", self.time_of(start), shot=going.shot, samples=count)
 
     def read(self, count: int, timeout: float) -> FloatArray:
         """The next `count` samples (n_inputs, count) in V, as soon as they are there.
@@ -288,7 +268,7 @@ class CardModel:
                     -200279, "The application is not able to keep up with the hardware acquisition.", read=0
                 )
             if self.faults.takes("read_timeout"):
-                self._changed.wait(timeout)
+                self._changed.wait_for(lambda: self.inputs is not going or self._end, timeout)
                 raise CardError(-200284, "Some or all of the samples requested have not yet been acquired.", read=0)
             needed = going.start + going.taken + count
             self._awaited.append(needed)
@@ -311,6 +291,30 @@ class CardModel:
             if self.faults.holds("sensors_saturated"):
                 volts[:] = 10.0
             return volts
+
+    def acquired(self) -> int:
+        """Samples of each input since the acquisition began."""
+        with self._changed:
+            going = self.inputs
+            return 0 if going is None else min(max(self.plant.played - going.start, 0), going.count)
+
+    def available(self) -> int:
+        """Samples of each input that wait to be read."""
+        with self._changed:
+            return 0 if self.inputs is None else self.acquired() - self.inputs.taken
+
+    def wait(self, kind: str, timeout: float) -> bool:
+        """Whether what plays or is acquired ("ai", "ao", "do") has ended within `timeout` s."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._ended(kind) or self._end, timeout) and not self._end
+
+    def _ended(self, kind: str) -> bool:
+        if kind == "ai":
+            return self.inputs is None or self.plant.played >= self.inputs.start + self.inputs.count
+        playing = self.outputs if kind == "ao" else self.clocked
+        if playing is None:
+            return True
+        return playing.start is not None and self.plant.played >= playing.start + playing.samples.shape[1]
 
     def stop_inputs(self) -> None:
         """End the acquisition; the moment before the next shot has come."""
@@ -358,7 +362,9 @@ class CardModel:
     def set_watchdog(self, timeout: float | None, safe_lines: int = 0) -> None:
         """Start the watchdog with the lines that it takes low, or stop it."""
         with self._changed:
-            self._watchdog = None if timeout is None else (timeout, time.monotonic())
+            if timeout is not None and self._watchdog is None and not self._shots:
+                self.faults.moment("before", 1)
+            self._watchdog, self._fed = timeout, time.monotonic()
             self._safe_lines = 0xFFFFFFFF & ~safe_lines
             if timeout is None:
                 self._expired = False
@@ -371,11 +377,12 @@ class CardModel:
         CardError
             If it has expired.
         """
+        fed = time.monotonic()  # when it came, not when the card has time to look
+        if not self._expired:
+            self._fed = fed
         with self._changed:
             if self._expired:
                 raise CardError(-200678, "Watchdog timer task has expired; the lines are in their expiration states.")
-            if self._watchdog is not None:
-                self._watchdog = (self._watchdog[0], time.monotonic())
 
     @property
     def expired(self) -> bool:
@@ -390,6 +397,15 @@ class CardModel:
             self._held[:] = 0.0
             self._lines = 0
             self._watchdog, self._expired = None, False
+            self._shots = 0
+            self.faults.count_anew()
+            self.journal.note("reset")
+
+    def rests(self, within: float = 0.0) -> bool:
+        """Whether, within so many s, nothing is driven, amplifiers are off, and every relay is open that can be."""
+        lines = self.watch.driven, self.watch.closed, self.watch.enabled
+        with self._changed:
+            return self._changed.wait_for(lambda: not any(line.on for line in lines), within)
 
     def state(self) -> Mapping[str, Any]:
         """What it does now, for whoever watches."""
@@ -397,12 +413,12 @@ class CardModel:
             return {
                 "played_s": self.plant.played / self.plant.rate,
                 "shots": self._shots,
-                "driven": self._driven,
+                "driven": self.watch.driven.on,
                 "relays_closed": [name for name, on in zip(self.plant.loads, self._contacts.closed, strict=True) if on],
-                "enabled": self._enabled,
+                "enabled": self.watch.enabled.on,
                 "outputs_v": self._held.tolist(),
-                "last_driven": self.last_driven,
-                "last_closed": self.last_closed,
+                "last_driven": self.watch.driven.latest,
+                "last_closed": self.watch.closed.latest,
                 "watchdog_expired": self._expired,
                 "broken": self.broken,
             }

@@ -82,11 +82,12 @@ def parse_fault(text: str) -> Fault:
     if lasting not in ("", "once", "good"):
         raise InputError(f"--fault {text}: lasts 'once' or for 'good'; got '{lasting}'.")
     seconds = found["seconds"]
+    after = None if seconds is None else float(seconds)
     return Fault(
         name,
         found["phase"] or "",
         int(found["shot"] or 0),
-        None if seconds is None else float(seconds),
+        after,
         lasting == "good",
     )
 
@@ -94,15 +95,20 @@ def parse_fault(text: str) -> Fault:
 class FaultBox:
     """Faults that wait for their moment, and those that are there. Safe from any thread.
 
-    `happened` is called with the name of each fault as it comes; it must not wait.
+    `happened` is called with the name of each fault as it comes; it must not wait. Listeners may: see `add_listener`.
     """
 
     def __init__(self, happened: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._happened, self._clock = happened, clock
+        self._listeners: list[Callable[[str], None]] = []
         self._lock = threading.Lock()
         self._waiting: list[Fault] = []
         self._there: dict[str, tuple[bool, float]] = {}
         self._first_shot: float | None = None
+
+    def add_listener(self, listener: Callable[[str], None]) -> None:
+        """Call `listener` with the name of each fault as it comes, in a thread of its own."""
+        self._listeners.append(listener)
 
     def add(self, fault: Fault) -> None:
         """Let a fault wait for its moment, or come now."""
@@ -111,6 +117,16 @@ class FaultBox:
                 self._waiting.append(fault)
                 return
         self._come(fault)
+
+    def clear(self) -> None:
+        """Nothing is wrong any more, and nothing is to come."""
+        with self._lock:
+            self._waiting.clear()
+            self._there.clear()
+
+    def count_anew(self) -> None:
+        """A client has opened the card: its first shot is still to come."""
+        self._first_shot = None
 
     def moment(self, phase: str, shot: int) -> None:
         """The card has reached a phase of a shot."""
@@ -137,6 +153,8 @@ class FaultBox:
         with self._lock:
             self._there[fault.name] = (fault.good, self._clock())
         self._happened(fault.name)
+        for listener in self._listeners:
+            threading.Thread(target=listener, args=(fault.name,), name=f"fault {fault.name}", daemon=True).start()
 
     def takes(self, name: str) -> bool:
         """Whether an event such as a time-out is due; one that comes once is over with that."""

@@ -12,7 +12,7 @@ from smolbot.errors import InputError, RigError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 
-REMEMBERED = 6.0
+REMEMBERED = 4.0
 """Seconds of currents, deflection and poses that are kept: the longest recording, and what a slow reader needs."""
 
 
@@ -55,7 +55,8 @@ class Plant(Tank):
         self._near = False
         self._constants = self.sensors.draw_constants()
         self._volts_per_tesla = rig.sections.sensors.sensitivity_v_per_ut * 1e6
-        size = 2 * round(REMEMBERED * self.rate)
+        self._keep = round(REMEMBERED * self.rate)
+        size = 2 * self._keep
         times, trace = np.zeros(size), np.zeros((size, self._trace.shape[1]))
         times[: self._used], trace[: self._used] = self._trace_times[: self._used], self._trace[: self._used]
         self._trace_times, self._trace = times, trace
@@ -84,6 +85,7 @@ class Plant(Tank):
             whole = max((count - at) // self._longest, 0)
             n, length = (whole, self._longest) if whole else (1, count - at)
             self._steps(n, length, commands[at : at + n * length])
+            self._mirror(n * length)
             at += n * length
             self.played += n * length
             self.time = self.played / self.rate  # no drift by adding up
@@ -152,15 +154,18 @@ class Plant(Tank):
         sensors.measure(field, clock, self._constants)
         return np.asarray(field * self._volts_per_tesla)
 
+    def _mirror(self, count: int) -> None:
+        """Lay the last `count` rows down once more in the first half, so that no large copy is ever due."""
+        first = max(self._used - count, self._keep)
+        if first < self._used:
+            to = slice(first - self._keep, self._used - self._keep)
+            self._trace_times[to] = self._trace_times[first : self._used]
+            self._trace[to] = self._trace[first : self._used]
+
     def _make_room(self, count: int) -> None:
-        """Forget what is older than `REMEMBERED`, whenever the room is used up."""
-        if self._used + count <= len(self._trace_times):
-            return
-        keep = round(REMEMBERED * self.rate)
-        if count > len(self._trace_times) - keep:
-            raise InputError(f"The plant moves on by at most {len(self._trace_times) - keep} samples; got {count}.")
-        first = self._used - keep
-        self._trace_times[:keep] = self._trace_times[first : self._used]
-        self._trace[:keep] = self._trace[first : self._used]
-        self._used = keep
-        self.history.forget_before(self.time - REMEMBERED)
+        """At the end of the room go on in its first half, which holds the same rows."""
+        if count > self._keep:
+            raise InputError(f"The plant moves on by at most {self._keep} samples at once; got {count}.")
+        if self._used + count > len(self._trace_times):
+            self._used -= self._keep
+            self.history.forget_before(self.time - REMEMBERED)

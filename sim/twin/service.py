@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import threading
+import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import grpc
 import nidaqmx._stubs.nidaqmx_pb2 as messages
 import numpy as np
 from session_pb2 import Session
-from nidaqmx._stubs.nidaqmx_pb2_grpc import NiDAQmxServicer, add_NiDAQmxServicer_to_server
 
+from sim.twin.attributes import Attributes
 from sim.twin.cardmodel import CardError, CardModel
 from sim.twin.tasks import Tasks, TwinTask
-from smolbot.errors import RigError
-from smolbot.hardware.deadline import MESSAGE_LIMIT
 
-THREADS = 32
-"""Every read that waits holds one."""
+PATIENCE = 0.01
+"""Seconds between two looks at whether a stalled server goes on."""
 
-STALL = 30.0
-"""Seconds for which a stalled server keeps a call."""
-
-# Attributes and actions by their numbers in the driver
-TASK_NAME, PRODUCT_TYPE, SERIAL, WATCHDOG_EXPIRED, ABORT = 0x1276, 0x0631, 0x0632, 0x21A8, 6
+# Actions by their numbers in the driver
+ABORT, FOR_ALL_LINES = 6, 1
 RESET_TIMER, CLEAR_EXPIRATION = 0, 1
-SERIAL_NUMBER = 0x0000_7013
-DRIVER_VERSION = {0x1272: 23, 0x1923: 3, 0x2F22: 0}
 
 
-class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
+class TwinServicer(Attributes):
     """Answers for one card; calls that no bench needs stay unimplemented, as on an old server."""
 
     def __init__(self, card: CardModel) -> None:
@@ -40,8 +32,10 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
     def _call(self, context: Any, action: Callable[[], Any]) -> Any:
         """Carry out one call, unless the card is gone or the server stalls; errors as the server sends them."""
         faults = self.card.faults
-        if faults.holds("stalled"):
-            threading.Event().wait(STALL)
+        while faults.holds("stalled") and context.is_active():
+            time.sleep(PATIENCE)
+        if not context.is_active():  # its client has given up: nothing is done late
+            context.abort(grpc.StatusCode.CANCELLED, "the call is over")
         try:
             if faults.takes("device_gone"):
                 raise CardError(-201003, "Device cannot be accessed: it was disconnected, or the system was suspended.")
@@ -86,14 +80,6 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
     def ClearTask(self, request: Any, context: Any) -> Any:
         return self._on(request, context, messages.ClearTaskResponse, lambda task: self.tasks.clear(task.name))
 
-    def GetTaskAttributeString(self, request: Any, context: Any) -> Any:
-        def run() -> Any:
-            task = self.tasks.get(request.task.name)
-            _known(request.attribute_raw or request.attribute, TASK_NAME)
-            return messages.GetTaskAttributeStringResponse(value=task.name)
-
-        return self._call(context, run)
-
     def StartTask(self, request: Any, context: Any) -> Any:
         return self._on(request, context, messages.StartTaskResponse, self.tasks.start)
 
@@ -109,6 +95,19 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
             task.buffer = None
 
         return self._on(request, context, messages.TaskControlResponse, run)
+
+    def IsTaskDone(self, request: Any, context: Any) -> Any:
+        return self._call(
+            context,
+            lambda: messages.IsTaskDoneResponse(is_task_done=self.tasks.wait(self.tasks.get(request.task.name), 0.0)),
+        )
+
+    def WaitUntilTaskDone(self, request: Any, context: Any) -> Any:
+        def run(task: TwinTask) -> None:
+            if not self.tasks.wait(task, max(request.time_to_wait, 0.0)):
+                raise CardError(-200560, "Wait Until Done did not indicate that the task was done within the timeout.")
+
+        return self._on(request, context, messages.WaitUntilTaskDoneResponse, run)
 
     # channels and timing
 
@@ -127,14 +126,14 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         )  # fmt: skip
 
     def CreateDOChan(self, request: Any, context: Any) -> Any:
-        return self._on(
-            request, context, messages.CreateDOChanResponse, lambda task: self.tasks.add(task, "do", request.lines)
-        )
+        return self._on(request, context, messages.CreateDOChanResponse, lambda task: self._lines(task, "do", request))
 
     def CreateDIChan(self, request: Any, context: Any) -> Any:
-        return self._on(
-            request, context, messages.CreateDIChanResponse, lambda task: self.tasks.add(task, "di", request.lines)
-        )
+        return self._on(request, context, messages.CreateDIChanResponse, lambda task: self._lines(task, "di", request))
+
+    def _lines(self, task: TwinTask, kind: str, request: Any) -> None:
+        self.tasks.add(task, kind, request.lines)
+        task.grouped = (request.line_grouping_raw or request.line_grouping) == FOR_ALL_LINES
 
     def CfgSampClkTiming(self, request: Any, context: Any) -> Any:
         return self._on(
@@ -179,6 +178,20 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
 
         return self._call(context, run)
 
+    def WriteDigitalScalarU32(self, request: Any, context: Any) -> Any:
+        levels = np.array([request.value], dtype=np.uint32)
+        return self._on(
+            request, context, messages.WriteDigitalScalarU32Response,
+            lambda task: self.tasks.write_lines(task, levels, request.auto_start),
+        )  # fmt: skip
+
+    def WriteAnalogScalarF64(self, request: Any, context: Any) -> Any:
+        values = np.array([[request.value]])
+        return self._on(
+            request, context, messages.WriteAnalogScalarF64Response,
+            lambda task: self.tasks.write(task, values, request.auto_start),
+        )  # fmt: skip
+
     def ReadDigitalLines(self, request: Any, context: Any) -> Any:
         def run() -> Any:
             task = self.tasks.get(request.task.name)
@@ -189,33 +202,9 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
 
     # device and watchdog
 
-    def GetDeviceAttributeString(self, request: Any, context: Any) -> Any:
-        def run() -> Any:
-            self._must_be_ours(request.device_name)
-            _known(request.attribute_raw or request.attribute, PRODUCT_TYPE)
-            return messages.GetDeviceAttributeStringResponse(value=self.card.section.product)
-
-        return self._call(context, run)
-
-    def GetDeviceAttributeUInt32(self, request: Any, context: Any) -> Any:
-        def run() -> Any:
-            self._must_be_ours(request.device_name)
-            _known(request.attribute_raw or request.attribute, SERIAL)
-            return messages.GetDeviceAttributeUInt32Response(value=SERIAL_NUMBER)
-
-        return self._call(context, run)
-
-    def GetSystemInfoAttributeUInt32(self, request: Any, context: Any) -> Any:
-        def run() -> Any:
-            attribute = request.attribute_raw or request.attribute
-            _known(attribute, *DRIVER_VERSION)
-            return messages.GetSystemInfoAttributeUInt32Response(value=DRIVER_VERSION[attribute])
-
-        return self._call(context, run)
-
     def ResetDevice(self, request: Any, context: Any) -> Any:
         def run() -> Any:
-            self._must_be_ours(request.device_name)
+            self.must_be_ours(request.device_name)
             self.tasks.clear_all()
             return messages.ResetDeviceResponse()
 
@@ -223,7 +212,7 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
 
     def SelfTestDevice(self, request: Any, context: Any) -> Any:
         def run() -> Any:
-            self._must_be_ours(request.device_name)
+            self.must_be_ours(request.device_name)
             return messages.SelfTestDeviceResponse()
 
         return self._call(context, run)
@@ -246,46 +235,3 @@ class TwinServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
                 self.tasks.start(task)
 
         return self._on(request, context, messages.ControlWatchdogTaskResponse, run)
-
-    def GetWatchdogAttributeBool(self, request: Any, context: Any) -> Any:
-        def run() -> Any:
-            _known(request.attribute_raw or request.attribute, WATCHDOG_EXPIRED)
-            return messages.GetWatchdogAttributeBoolResponse(value=self.card.expired)
-
-        return self._call(context, run)
-
-    def _must_be_ours(self, name: str) -> None:
-        if name != self.tasks.device:
-            raise CardError(-200220, f"Device identifier is invalid: '{name}'; this machine has '{self.tasks.device}'.")
-
-
-def _known(attribute: int, *numbers: int) -> None:
-    if attribute not in numbers:
-        raise CardError(-200233, f"The twin does not know attribute 0x{attribute:04X}.")
-
-
-def serve(card: CardModel, address: str) -> tuple[grpc.Server, int]:
-    """A running server for `card` at host:port (port 0: a free one), and its port.
-
-    Raises
-    ------
-    RigError
-        If the port is taken.
-    """
-    options = [
-        ("grpc.max_receive_message_length", MESSAGE_LIMIT),
-        ("grpc.max_send_message_length", MESSAGE_LIMIT),
-        ("grpc.so_reuseport", 0),
-    ]
-    server = grpc.server(ThreadPoolExecutor(THREADS, thread_name_prefix="device server"), options=options)
-    add_NiDAQmxServicer_to_server(TwinServicer(card), server)
-    try:
-        port = server.add_insecure_port(address)
-    except RuntimeError as error:
-        port, reason = 0, str(error)
-    else:
-        reason = "the port is taken"
-    if not port:
-        raise RigError(f"The twin's device server cannot listen on {address}: {reason}. Does another twin run?")
-    server.start()
-    return server, port

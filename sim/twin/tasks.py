@@ -30,6 +30,10 @@ class TwinTask:
         Of its sample clock; 0 where it has none.
     buffer : ndarray or None
         What was written for the next start.
+    timeout : float, in s
+        Of a watchdog.
+    grouped : bool
+        Whether its lines are one channel.
     """
 
     name: str
@@ -42,6 +46,7 @@ class TwinTask:
     buffer: Any = None
     running: bool = False
     timeout: float = 0.0
+    grouped: bool = False
 
 
 class Tasks:
@@ -197,6 +202,12 @@ class Tasks:
             self.card.stop_outputs()
         elif task.kind == "do" and task.count:
             self.card.stop_lines()
+
+    def wait(self, task: TwinTask, timeout: float) -> bool:
+        """Whether a task is done within `timeout` s."""
+        if task.kind not in ("ai", "ao", "do") or not task.count or not task.running:
+            return True
+        return self.card.wait(task.kind, timeout)
 
     def _must_be_free(self, kind: str) -> None:
         if any(t.kind == kind and t.running and t.count for t in self._tasks.values()):

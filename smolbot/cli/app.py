@@ -93,9 +93,10 @@ def _root(
 
 def main() -> None:
     """Entry point of the console script; every error on purpose is one message and an exit code."""
-    from smolbot.cli import missions
+    from smolbot.cli import check, missions
 
     missions.register(app)
+    check.register(app)
     try:
         app()
     except (InterlockError, RigError) as error:

@@ -172,14 +172,14 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
 
 
 def _coils(summary: dict[str, Any]) -> str:
-    """How long and how hot: of all coils, the one that came nearest to its limit."""
+    """How long and how hot: of all coils, the one that came nearest to its limit from 20 °C."""
     duty: dict[str, float] = summary["duty_peak"]
     busiest = max(duty, key=lambda name: duty[name])
     told = f"driven for at most {100 * duty[busiest]:.0f} % of the time ({busiest})"
     peaks, limits = summary["coil_temperature_peak_c"], summary["coil_temperature_limit_c"]
     if not peaks:
         return told
-    hottest = max(peaks, key=lambda name: peaks[name] - limits[name])
+    hottest = max(peaks, key=lambda name: (peaks[name] - 20.0) / (limits[name] - 20.0))
     return f"{told}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
 
 

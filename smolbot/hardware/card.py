@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,8 +22,28 @@ LONGEST_PIECE = 0.05
 """Seconds of samples in one read: a stop is noticed that soon, and no message grows large."""
 
 
+LAST_PIECE = 4e-3
+"""Seconds of the last one, which the loop waits for."""
+
+
 class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window that can be done without
     """What was to be heard is lost; the card is at zero and fit for the next shot."""
+
+
+class Guarding(Protocol):
+    """Watches over what is driven."""
+
+    def arm(self) -> None:
+        """Something is about to be driven."""
+
+    def disarm(self) -> None:
+        """Nothing is driven any more."""
+
+    def abandon(self) -> None:
+        """Something may still be driven: let the watchdog expire."""
+
+    def must_be_open(self) -> None:
+        """Raise `RigError` unless every relay is open."""
 
 
 class Card:
@@ -98,8 +119,10 @@ class Card:
         self._clock("inputs", 2)
         self._write_zeros()
 
-    def play(self, waveform: Waveform) -> tuple[FloatArray | None, float]:
+    def play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
         """Play one shot; what was heard in its listening window and the start of its first sample.
+
+        The `guard` is armed while anything is driven.
 
         Returns
         -------
@@ -116,12 +139,15 @@ class Card:
         """
         try:
             with self._naming("play a shot"):
-                return self._play(waveform)
+                return self._play(waveform, guard)
         except BaseException:
-            self.silence()
+            if self.silence():
+                guard.disarm()
+            else:
+                guard.abandon()
             raise
 
-    def _play(self, waveform: Waveform) -> tuple[FloatArray | None, float]:
+    def _play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
         driven = waveform.outputs > 0
         self._clock("inputs", waveform.samples)
         if driven:
@@ -129,18 +155,20 @@ class Card:
             self._clock("lines", waveform.outputs)
             self._output_writer.write_many_sample(np.ascontiguousarray(waveform.volts), timeout=self._patience)
             self._line_writer.write_many_sample_port_uint32(waveform.lines, timeout=self._patience)
+            guard.arm()
             self.lines.start()
             self.outputs.start()
         before = time.monotonic()
         self.inputs.start()
         began = 0.5 * (before + time.monotonic())
         heard = np.zeros((len(self._section.inputs.channels), waveform.samples))
-        over = round((waveform.outputs / self._section.outputs.rate_hz) * self._rate) + 1 if driven else 0
-        for first, end in self._pieces(waveform, over):
+        for first, end in self._pieces(waveform):
             self._read(heard, first, end)
-            if driven and end >= over:
+            if driven and end >= waveform.settled:
                 self.outputs.stop()
                 self.lines.stop()
+                guard.must_be_open()
+                guard.disarm()
                 driven = False
         self.inputs.stop()
         if waveform.listen is None:
@@ -148,9 +176,10 @@ class Card:
         first, count = waveform.listen
         return heard[:, first : first + count], began
 
-    def _pieces(self, waveform: Waveform, over: int) -> Iterator[tuple[int, int]]:
-        """Spans of samples to read one after the other; one ends where the outputs are through."""
-        marks = sorted({0, min(over, waveform.samples), waveform.samples})
+    def _pieces(self, waveform: Waveform) -> Iterator[tuple[int, int]]:
+        """Spans of samples to read one after the other; one ends where the relays are open, and the last is short."""
+        last = waveform.samples - max(round(LAST_PIECE * self._rate), 1)
+        marks = sorted({0, waveform.settled, max(last, waveform.settled), waveform.samples})
         longest = max(int(LONGEST_PIECE * self._rate), 1)
         for begin, end in itertools.pairwise(marks):
             count = -(-(end - begin) // longest)
@@ -166,35 +195,44 @@ class Card:
             raise LostWindow(f"{got} of {end - first} samples came")
         heard[:, first:end] = piece
 
-    def stop(self) -> None:
+    def stop(self) -> bool:
         """As `silence`, and for good: this card plays nothing any more."""
         self._stopped.set()
-        self.silence()
+        return self.silence()
 
-    def silence(self) -> None:
-        """Abort what plays; outputs to zero, amplifiers off, relays open. Safe from any thread, never raises."""
+    def silence(self) -> bool:
+        """Abort what plays; outputs to zero, amplifiers off, relays open. Safe from any thread, never raises.
+
+        Returns
+        -------
+        bool
+            Whether the card did so; if not, its watchdog is what opens the relays.
+        """
         from nidaqmx.constants import TaskMode
 
         for task in (self.lines, self.outputs, self.inputs):
-            with self._driver.forgiven():
-                task.control(TaskMode.TASK_ABORT)
+            self._driver.attempt(functools.partial(task.control, TaskMode.TASK_ABORT))
         self._lengths.clear()
-        self._write_zeros()
+        return self._write_zeros()
 
-    def _write_zeros(self) -> None:
-        """Relays first, for that is what stops a current; then the outputs behind them."""
-        with self._driver.forgiven():
+    def _write_zeros(self) -> bool:
+        """Relays first, for that is what stops a current; then the outputs behind them. Whether both went well."""
+
+        def lines() -> None:
             self._zero_line_writer.write_one_sample_port_uint32(0)
             self._zero_lines.stop()
-        with self._driver.forgiven():
+
+        def outputs() -> None:
             self._zero_output_writer.write_one_sample(np.zeros(len(self._section.used_outputs)))
             self._zero_outputs.stop()
+
+        done = self._driver.attempt(lines)
+        return self._driver.attempt(outputs) and done
 
     def close(self) -> None:
         """Let go of every task; outputs are as they were left, so silence first."""
         for task in self._tasks:
-            with self._driver.forgiven():
-                task.close()
+            self._driver.attempt(task.close)
         self._tasks.clear()
 
     def _task(self) -> Any:
@@ -218,6 +256,7 @@ class Card:
         try:
             yield
         except self._driver.errors as error:
+            self._driver.note(error)
             if self._driver.is_lost_read(error):
                 raise LostWindow(self._driver.explain(error)) from error
             raise RigError(

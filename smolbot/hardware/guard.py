@@ -9,30 +9,33 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.errors import RigError
+from smolbot.errors import OperatorStopError, RigError
 from smolbot.hardware.driver import Driver
 from smolbot.hardware.wiring import BenchSection
 
 
 class Guard:
-    """While it is fed, the watchdog keeps out of the way; when this program dies or hangs, it opens every relay.
+    """Runs the watchdog while anything is driven: if this program dies or hangs then, it opens every relay.
+
+    Between two drives nothing is energised, and computing may take what it takes. The button is looked at always.
 
     Parameters
     ----------
     section : BenchSection
     driver : Driver
     trip : callable
-        Called once, from the guard's thread, with the reason, when the button is pressed or the card fails.
+        Called once, from the guard's thread, with an error that says why, when the button is pressed or the card fails.
     """
 
-    def __init__(self, section: BenchSection, driver: Driver, trip: Callable[[str], None]) -> None:
+    def __init__(self, section: BenchSection, driver: Driver, trip: Callable[[RigError], None]) -> None:
         self._section, self._driver, self._trip = section, driver, trip
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watchdog feeder", daemon=True)
         self.lines: dict[str, bool] = {}
-        self.latest_feed = 0.0
         self._inputs: Any = None
         self._reader: Any = None
+        self._armed = threading.Lock()
+        self._feeding = False
         self._watchdog: Any = None
 
     def open(self) -> None:
@@ -59,13 +62,29 @@ class Guard:
             self._watchdog = self._driver.watchdog(name, 1e-3 * section.watchdog.timeout_ms)
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
             self._watchdog.cfg_watchdog_do_expir_states(states)
-            self._watchdog.start()
         except self._driver.errors as error:
             raise RigError(f"The watchdog of {name} cannot be set up: {self._driver.explain(error)}") from error
         pressed = self.pressed()
         if pressed:
             raise RigError(pressed)
         self._thread.start()
+
+    def arm(self) -> None:
+        """Start the watchdog: something is about to be driven."""
+        with self._armed:
+            self._watchdog.start()
+            self._feeding = True
+
+    def disarm(self) -> None:
+        """Stop it: nothing is driven any more."""
+        with self._armed:
+            if self._feeding:
+                self._feeding = False
+                self._driver.attempt(self._watchdog.stop)
+
+    def abandon(self) -> None:
+        """Feed it no more: something may still be driven, and it is what opens the relays."""
+        self._feeding = False
 
     def pressed(self) -> str | None:
         """Why the operator's button says no; None while it does not."""
@@ -76,13 +95,23 @@ class Guard:
             f"Stopped by the operator's button ({self._section.device}/{line} is low: pressed, or its cable is broken)."
         )
 
-    def relays_open(self) -> bool:
-        """Whether the relays' contacts say that all are open, looked at now; True where they are not wired."""
+    def must_be_open(self) -> None:
+        """Look whether the relays' contacts say that all are open; nothing is known where they are not wired.
+
+        Raises
+        ------
+        RigError
+            If one is closed.
+        """
         line = self._section.relays.all_open
         if line is None:
-            return True
+            return
         self._look()
-        return self.lines[line]
+        if not self.lines[line]:
+            raise RigError(
+                f"{self._section.device}: a relay did not open after a shot ({line} is low). Amplifiers are off and "
+                "outputs at zero; switch off the supply and look for the relay whose contacts stick."
+            )
 
     def _look(self) -> None:
         levels = np.zeros(len(self._section.input_lines), np.bool_)
@@ -94,20 +123,25 @@ class Guard:
         due = time.monotonic()
         while not self._end.is_set():
             try:
-                self._watchdog.reset_timer()
-                self.latest_feed = time.monotonic()
+                with self._armed:
+                    if self._feeding:
+                        self._watchdog.reset_timer()
                 if self._inputs is not None:
                     self._look()
             except self._driver.errors as error:
+                self._driver.note(error)
+                self._feeding = False
                 if not self._end.is_set():
                     self._trip(
-                        f"{self._section.device}: the watchdog cannot be fed: {self._driver.explain(error)} "
-                        f"{self._driver.remedy(error)}"
+                        RigError(
+                            f"{self._section.device}: the watchdog cannot be fed: {self._driver.explain(error)} "
+                            f"{self._driver.remedy(error)}"
+                        )
                     )
                 return
             pressed = self.pressed()
             if pressed:
-                self._trip(pressed)
+                self._trip(OperatorStopError(pressed))
                 return
             due = max(due + pause, time.monotonic())  # a late feed is not made up for
             self._end.wait(max(due - time.monotonic(), 0.0))
@@ -119,8 +153,6 @@ class Guard:
             self._thread.join(2.0)
         for task in (self._watchdog, self._inputs):
             if task is not None:
-                with self._driver.forgiven():
-                    task.stop()
-                with self._driver.forgiven():
-                    task.close()
+                self._driver.attempt(task.stop)
+                self._driver.attempt(task.close)
         self._watchdog = self._inputs = None

@@ -17,6 +17,7 @@ from smolbot.hardware.driver import Driver
 from smolbot.hardware.guard import Guard
 from smolbot.hardware.magnet import Magnet
 from smolbot.hardware.nominal import NominalExcitation
+from smolbot.hardware.priority import ask_for_priority
 from smolbot.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.hardware.wiring import BenchSection
 from smolbot.rigfile import RigConfig
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
 LOST_IN_A_ROW = 2
 """Windows lost one after the other that are no accident any more."""
-
-EASE = 0.2
-"""Share of a new figure in the average of how long it takes to get a shot going."""
 
 
 class BenchRig:
@@ -64,10 +62,9 @@ class BenchRig:
         self._compiler = WaveformCompiler(section, rig.coil_names, self._rate, _time_constants(rig))
         self._excitation = NominalExcitation(rig)
         self._epoch = time.monotonic()
-        self._preparing = 5e-3  # s, from asking for a shot to its start
         self._drive_end: float | None = None
         self._lost = 0
-        self._latched: str | None = None
+        self._latched: RigError | None = None
         self._driver: Driver | None = None
         self._card: Card | None = None
         self._guard: Guard | None = None
@@ -81,6 +78,7 @@ class BenchRig:
 
     def _open_devices(self, operator: Operator) -> None:
         section, faults = self._section, []
+        ask_for_priority()
         try:
             self._driver = Driver(section.server, 1e-3 * section.call_timeout_ms)
             self._card = Card(section, self._rate, self._driver)
@@ -104,8 +102,8 @@ class BenchRig:
             raise RigError("\n".join([*faults, f"'{self._rig.name}' was not opened; nothing was energised."]))
 
     def now(self) -> float:
-        """Earliest start of the next shot, in s since the bench was opened."""
-        return time.monotonic() - self._epoch + self._preparing
+        """Time in s since the bench was opened; a shot that is asked for now starts some milliseconds later."""
+        return time.monotonic() - self._epoch
 
     def play(self, shot: Shot) -> Recording | None:
         """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
@@ -130,7 +128,8 @@ class BenchRig:
                 return None
             return self._electrical(shot)
         except RigError as error:
-            raise RigError(self._latched or str(error)) from error
+            self._halt(error)
+            raise self._latched or error from error
         finally:
             if self._magnet is not None and not self._magnet.switched:
                 self._magnet.near = magnet_near_after(shot, near=near)
@@ -141,7 +140,7 @@ class BenchRig:
 
     def stop(self) -> None:
         """Bring every output to zero now and play nothing more. Safe from any thread, any number of times."""
-        self._halt("Stopped; every output is at zero, and this bench has to be opened anew.")
+        self._halt(RigError("This bench was stopped; open it anew. Every output is at zero."))
 
     def close(self) -> None:
         """Stop, then let go of every device; harmless when repeated."""
@@ -180,24 +179,15 @@ class BenchRig:
     def _electrical(self, shot: Shot) -> Recording | None:
         assert self._card is not None
         assert self._guard is not None
-        asked = time.monotonic()
         if self._magnet is not None:
             self._magnet.must_rest()
         waveform = self._compiler.compile(shot)
         try:
-            volts, began = self._card.play(waveform)
-            if waveform.outputs and not self._guard.relays_open():
-                self._halt(
-                    f"{self._section.device}: a relay did not open after a shot "
-                    f"({self._section.relays.all_open} is low). Amplifiers are off; "
-                    "switch off the supply and look for it."
-                )
-                self._refuse_if_stopped()
+            volts, began = self._card.play(waveform, self._guard)
         except LostWindow as error:
             self._count_lost(str(error))
             return None
         self._lost = 0
-        self._preparing += EASE * (began - asked + waveform.lead - self._preparing)
         return self._recording(shot, waveform, volts, began - self._epoch)
 
     def _count_lost(self, what: str) -> None:
@@ -220,21 +210,22 @@ class BenchRig:
         saturated = np.abs(field).max(axis=1) >= full * (1.0 - 2.0**-14)
         return Recording(field / self._gains, self._rate, since, saturated, drive, clock)
 
-    def _trip(self, reason: str) -> None:
+    def _trip(self, reason: RigError) -> None:
         """The guard, from its own thread, says why nothing may go on."""
         self._halt(reason)
 
-    def _halt(self, reason: str) -> None:
+    def _halt(self, reason: RigError) -> None:
+        """Latch the first reason and bring everything to zero; what the card does not do, its watchdog does."""
         if self._latched is None:
             self._latched = reason
-        if self._card is not None:
-            self._card.stop()
+        if self._card is not None and not self._card.stop() and self._guard is not None:
+            self._guard.abandon()
         if self._magnet is not None:
             self._magnet.stop()
 
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
-            raise RigError(self._latched)
+            raise self._latched
 
 
 def _time_constants(rig: RigConfig) -> dict[str, float]:

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from smolbot.config import FileModel
 from smolbot.hardware.products import PRODUCTS, Product
+from smolbot.hardware.supplysection import SupplySection
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -112,7 +113,7 @@ class BenchSection(FileModel):
     watchdog: WatchdogSection = WatchdogSection()
     operator: OperatorSection = OperatorSection()
     stage: StageSection | None = None
-    supply: dict[str, Any] | None = None
+    supply: SupplySection | None = None
 
     @property
     def clocked_lines(self) -> tuple[str, ...]:

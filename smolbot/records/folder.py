@@ -22,7 +22,13 @@ _PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
 
 
 class RunFolder:
-    """Written as the run goes on; whatever was flushed before a kill is readable after it."""
+    """Written as the run goes on; whatever was flushed before a kill is readable after it.
+
+    Attributes
+    ----------
+    rows : int
+        Cycles that were recorded.
+    """
 
     def __init__(self, path: Path) -> None:
         if path.exists() and not path.is_dir():
@@ -32,7 +38,7 @@ class RunFolder:
         self.path = path
         self._file: TextIO | None = None
         self._writer: csv.DictWriter[str] | None = None
-        self._rows = 0
+        self.rows = 0
 
     def begin(self, mission: MissionBase, seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> None:
         """Make the folder and write what the run starts from."""
@@ -53,13 +59,13 @@ class RunFolder:
 
     def record(self, moment: Moment) -> None:
         """Append one cycle to ``cycles.csv``."""
-        line = row(self._rows, moment)
+        line = row(self.rows, moment)
         if self._writer is None:
             self._file = (self.path / "cycles.csv").open("w", newline="", encoding="utf-8")
             self._writer = csv.DictWriter(self._file, fieldnames=list(line))
             self._writer.writeheader()
         self._writer.writerow(line)
-        self._rows += 1
+        self.rows += 1
         assert self._file is not None
         self._file.flush()
 

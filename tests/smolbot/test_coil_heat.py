@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from smolbot.duty import Duty
 from smolbot.heat import ALPHA, Coil, CoilHeat, mean_squares, stepped, wound_capacity
+from smolbot.heatmemory import EVERY, HeatMemory
 from smolbot.rigfile import load_rig
 from smolbot.shots import Actuate, Excite, Listen, RingDown
 
@@ -90,3 +91,57 @@ def test_duty_is_the_driven_share_of_the_sliding_time():
         shares.append(float(overlap.sum() / 3.0))
         assert duty.drive(1, start, end) == pytest.approx(shares[-1])
     assert duty.peaks == [0.0, pytest.approx(max(shares))]
+
+
+class Clock:
+    def __init__(self, now: float = 1e9) -> None:
+        self.now = now
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def warm(temperature: float) -> CoilHeat:
+    heat = CoilHeat((COIL, None), 25.0)
+    heat.temperatures[0] = temperature
+    return heat
+
+
+def test_the_next_run_begins_with_coils_as_the_last_has_left_them_but_for_what_they_cooled(tmp_path):
+    clock = Clock()
+    HeatMemory(tmp_path / "heat" / "bench.json", clock).keep(warm(85.0), now=True)
+    clock.now += 8.0 * 58.0
+    found = CoilHeat((COIL, None), 25.0)
+    HeatMemory(tmp_path / "heat" / "bench.json", clock).recall(found)
+    assert found.temperatures == [pytest.approx(25.0 + 60.0 / math.e), 25.0]
+    assert found.peaks == found.temperatures
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"time": "x", "temperatures_c": {}}', '{"time": 2e9, "temperatures_c": {"+x": 80}}']
+)
+def test_a_note_that_says_nothing_leaves_coils_cold(tmp_path, text):
+    (tmp_path / "bench.json").write_text(text)
+    found = CoilHeat((COIL,), 25.0)
+    HeatMemory(tmp_path / "bench.json", Clock()).recall(found)
+    assert found.temperatures == [25.0]
+
+
+def test_a_killed_run_is_remembered_by_some_seconds(tmp_path):
+    clock, heat = Clock(), warm(30.0)
+    memory = HeatMemory(tmp_path / "bench.json", clock)
+    for _ in range(20):
+        clock.now += 1.0
+        heat.temperatures[0] += 1.0
+        memory.keep(heat)
+    found = CoilHeat((COIL,), 25.0)
+    HeatMemory(tmp_path / "bench.json", clock).recall(found)
+    assert 50.0 - EVERY <= found.temperatures[0] <= 50.0
+
+
+def test_a_place_that_cannot_be_written_costs_one_warning_and_no_run(tmp_path):
+    (tmp_path / "file").write_text("")
+    memory = HeatMemory(tmp_path / "file" / "bench.json", Clock())
+    with pytest.warns(UserWarning, match="cannot be kept for the next run"):
+        memory.keep(warm(40.0))
+    memory.keep(warm(40.0), now=True)

@@ -109,7 +109,7 @@ def test_a_rig_that_does_not_open_ends_with_3_and_leaves_nothing(smolbot, monkey
     [
         (["r_smal"], ["No mission is named 'r_smal'", "Did you mean r_small?"]),
         (["./nowhere.toml"], ["nowhere.toml: no such file"]),
-        (["line", "--rig", "bench"], ["No rig is named 'bench'", "tank"]),
+        (["line", "--rig", "moonbase"], ["No rig is named 'moonbase'", "tank"]),
         (["line", "--set", "controller.tolerence_mm=0.5"], ["Did you mean tolerance_mm?"]),
         (["line", "--set", "controller.tolerance_mm"], ["--set needs key=value"]),
         (["line", "--set", "controller.tolerance_mm=0.05"], ["localization error to be expected"]),

@@ -161,7 +161,10 @@ def test_a_shot_that_does_not_listen_loses_no_window():
 
 @pytest.mark.parametrize(
     ("early", "now", "words"),
-    [(0.5, 0.2, r"began 0.380 s before its shot"), (0.0, 3.0, r"was 2.87 s old when it came \(max_age_ms = 1000\)")],
+    [
+        (0.5, 0.2, r"began 0.500 s before it was asked for"),
+        (0.0, 3.0, r"was 2.87 s old when it came \(max_age_ms = 1000\)"),
+    ],
 )
 def test_a_recording_of_another_time_counts_as_lost(early, now, words):
     safety, shot = a_safety(rules=Rules(stale_shots=2, max_age=1.0)), pulling()
@@ -249,13 +252,14 @@ def brief():
     return load_mission("line", settings=SHORT | more)
 
 
-def flown_on(mission, folder=None, listeners=None, latch=None, **faults):
+def flown_on(mission, folder=None, listeners=None, latch=None, real=False, **faults):
     """Fly on a faulty rig; returns the run (None where an error came out of it), the rig and that error."""
     rigs = []
 
     def open_faulty(mission, seed):
         world = load_world("tank", mission.rig.document)
         rigs.append(Faulty(world.open(mission.rig, mission.robot, mission.put_down, seed), **faults))
+        rigs[0].witness = None if real else rigs[0].inner.witness
         return rigs[0]
 
     try:
@@ -357,6 +361,25 @@ def test_an_error_that_nobody_foresaw_comes_out_after_zero_outputs_and_a_whole_f
     assert summary["status"] == "failed"
     assert summary["stop_reason"] == "ValueError: a plug-in's own mistake"
     assert len((folder / "cycles.csv").read_text().splitlines()) == 1 + summary["cycles"]
+
+
+@pytest.mark.parametrize("where", ["smolbot.records.trace.Trace.__call__", "smolbot.records.folder.RunFolder.record"])
+def test_a_stop_between_a_cycle_and_its_record_loses_no_cycle(brief, tmp_path, monkeypatch, where):
+    from pydoc import locate
+
+    owner, name = where.rsplit(".", 1)
+    real, calls = getattr(locate(owner), name), []
+
+    def interrupted(self, *arguments):
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        real(self, *arguments)
+
+    monkeypatch.setattr(where, interrupted)
+    run, _, _ = flown_on(brief, folder=RunFolder(tmp_path / "run"))
+    assert (run.status, len(run.cycles)) == ("stopped", 4)
+    assert len((tmp_path / "run/cycles.csv").read_text().splitlines()) == 1 + 4
 
 
 def test_every_cycle_stands_in_the_folder_as_soon_as_it_ended(brief, tmp_path):
@@ -492,3 +515,12 @@ def test_a_rig_file_without_the_section_is_watched_all_the_same(brief):
         safety = make_safety(rig, mission)
     assert safety.heat.coils[0].capacity == pytest.approx(58.6, abs=0.1)
     assert safety.rules.reach[1][0] == pytest.approx(0.025)
+
+
+def test_a_bench_remembers_how_hot_its_coils_are_and_a_tank_does_not(brief, cold_coils):
+    assert flown_on(brief)[0].summary["coil_temperature_begin_c"]["+x"] == 25.0
+    assert not cold_coils.exists()
+    first, second = (flown_on(brief, real=True)[0].summary for _ in range(2))
+    assert first["coil_temperature_begin_c"]["+x"] == 25.0
+    assert 25.0 < second["coil_temperature_begin_c"]["+x"] <= first["coil_temperature_peak_c"]["+x"]
+    assert [p.name for p in cold_coils.iterdir()] == ["tank.json"]

@@ -1,0 +1,86 @@
+"""``smolbot twin``: a bench without hardware, for the programs that would use one."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from smolbot.cli.show import echo_json, table
+
+
+def twin(
+    mission: Annotated[
+        str, typer.Argument(help="Mission whose robot is put down at its start.", metavar="MISSION")
+    ] = "r_path",
+    rig: Annotated[
+        str | None, typer.Option(help="Twin of a bench; default: twin, or twin_gel for a helical robot.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the tank that is drawn, and its noise.")] = 1,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME@MOMENT[:once|good], such as overrun@listening#30 or button@12.5s; see --list-faults."),
+    ] = None,
+    list_faults: Annotated[bool, typer.Option("--list-faults", help="List the faults by name, and end.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object once everything listens.")] = False,
+) -> None:
+    """Be a bench: NI card behind a device server, magnet stage behind a serial port, a simulated tank behind both."""
+    from sim.twin.faults import FAULTS, parse_fault
+
+    if list_faults:
+        table("faults of the twin", list(FAULTS.items()), err=json)
+        if json:
+            echo_json(FAULTS)
+        return
+    from sim.twin.twin import Twin
+    from smolbot.anymission import load_mission
+    from smolbot.hardware.priority import ask_for_priority
+    from smolbot.observationfile import Observation
+
+    faults = [parse_fault(text) for text in fault or []]
+    loaded = load_mission(mission, rig) if rig is not None else load_mission(mission, _twin_for(mission))
+    place = loaded.start if isinstance(loaded, Observation) else loaded.put_down
+    end = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: end.set())
+    ask_for_priority()
+    running = Twin(loaded.rig, loaded.robot, np.array(place), seed)
+    try:
+        for one in faults:
+            running.inject(one)
+        section = running.section
+        rows = [
+            ("card", f"{section.product} '{section.device}' behind a device server at {section.server}"),
+            ("magnet stage", f"serial port {section.stage.port}" if section.stage else "none"),
+            ("truth", f"at {section.truth}, for recorder and report"),
+            ("control", f"at 127.0.0.1:{running.control.port}, for faults"),
+            ("tank", f"robot '{loaded.robot.name}' at the start of '{loaded.name}', seed {seed}"),
+            ("to use it", f"smolbot run {mission} --rig {loaded.rig.name}"),
+            ("to end it", "Ctrl-C"),
+        ]
+        table(f"twin of {loaded.rig.name}", rows, err=json)
+        if json:
+            echo_json(
+                {
+                    "server": section.server,
+                    "truth": section.truth,
+                    "control": f"127.0.0.1:{running.control.port}",
+                    "stage": section.stage.port if section.stage else None,
+                    "seed": seed,
+                }
+            )
+        while not end.wait(0.2):
+            if running.card.broken is not None:
+                typer.echo(f"The tank has ended: {running.card.broken}", err=True)
+                raise typer.Exit(3)
+    finally:
+        running.close()
+
+
+def _twin_for(mission: str) -> str:
+    from smolbot.anymission import load_mission
+
+    return "twin_gel" if load_mission(mission, None).robot.kind == "helical" else "twin"

@@ -1,0 +1,134 @@
+"""A side door to the twin: lines of JSON over a loopback socket, to inject faults and to look at what the card did."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+from smolbot.errors import InputError, RigError
+
+Handler = Callable[[Mapping[str, Any]], Any]
+
+
+class ControlServer:
+    """Answers each line ``{"do": NAME, …}`` with ``{"ok": …}`` or ``{"error": …}``.
+
+    Raises
+    ------
+    RigError
+        If the port is taken.
+    """
+
+    def __init__(self, host: str, port: int, handlers: Mapping[str, Handler]) -> None:
+        try:
+            self._socket = socket.create_server((host, port))
+        except OSError as error:
+            raise RigError(
+                f"The twin's control cannot listen on {host}:{port}: {error.strerror or error}. Does another twin run?"
+            ) from error
+        self.port: int = self._socket.getsockname()[1]
+        self._handlers = handlers
+        threading.Thread(target=self._accept, name="control", daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:  # closed
+                return
+            threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        with connection, contextlib.suppress(OSError), connection.makefile("rw", encoding="utf-8") as stream:
+            for line in stream:
+                stream.write(json.dumps(self._answer(line), default=str) + "\n")
+                stream.flush()
+
+    def _answer(self, line: str) -> dict[str, Any]:
+        try:
+            asked = json.loads(line)
+            handler = self._handlers[asked["do"]]
+        except (ValueError, KeyError, TypeError):
+            return {"error": f'send one line of JSON with "do": {", ".join(self._handlers)}.'}
+        try:
+            return {"ok": handler(asked)}
+        except (InputError, RigError, KeyError, TypeError, ValueError) as error:
+            return {"error": str(error)}
+
+    def close(self) -> None:
+        """Listen no more."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+class TwinControl:
+    """A client of a twin's control.
+
+    Examples
+    --------
+    Inject an overrun in the 30th shot, while it listens::
+
+        with TwinControl("127.0.0.1:31765") as twin:
+            twin.inject("overrun@listening#30")
+    """
+
+    def __init__(self, address: str, timeout: float = 5.0) -> None:
+        host, _, port = address.rpartition(":")
+        try:
+            self._socket = socket.create_connection((host, int(port)), timeout)
+        except (OSError, ValueError) as error:
+            raise RigError(f"No twin's control answers at {address}: {error}.") from error
+        self._stream = self._socket.makefile("rw", encoding="utf-8")
+
+    def ask(self, do: str, **detail: Any) -> Any:
+        """Send one request; its answer.
+
+        Raises
+        ------
+        RigError
+            If the twin says no, or is gone.
+        """
+        try:
+            self._stream.write(json.dumps({"do": do, **detail}) + "\n")
+            self._stream.flush()
+            line = self._stream.readline()
+        except OSError as error:
+            raise RigError(f"The twin's control is gone: {error}.") from error
+        if not line:
+            raise RigError("The twin's control is gone.")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise RigError(f"The twin says: {answer['error']}")
+        return answer["ok"]
+
+    def inject(self, fault: str) -> None:
+        """Let a fault come: ``NAME@MOMENT[:once|good]``."""
+        self.ask("inject", fault=fault)
+
+    def clear(self) -> None:
+        """Let nothing be wrong any more, and nothing come."""
+        self.ask("clear")
+
+    def log(self, since: int = 0) -> list[dict[str, Any]]:
+        """What the card wrote down after entry `since`, with times on the monotonic clock in s."""
+        return list(self.ask("log", since=since))
+
+    def state(self) -> dict[str, Any]:
+        """What it does now."""
+        return dict(self.ask("state"))
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        self._stream.close()
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

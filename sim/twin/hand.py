@@ -1,0 +1,39 @@
+"""A simulated hand that brings the magnet near and takes it away, when the stage's lamp asks for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+LATENESS = 0.2
+"""Standard deviation of how much longer a hand takes than the rig file says, as a share; it is never early."""
+
+
+class Hand:
+    """Where the magnet is, moved at the lamp's request.
+
+    Attributes
+    ----------
+    place : {"near", "away"} or None
+        None while it is on its way.
+
+    Parameters
+    ----------
+    duration : float, in s
+        A move, at the least.
+    rng : numpy.random.Generator
+    """
+
+    def __init__(self, duration: float, rng: np.random.Generator) -> None:
+        self.place: str | None = "away"
+        self._duration, self._rng = duration, rng
+        self._going: tuple[str, float] | None = None
+
+    def look(self, lamp: str | None, time: float) -> None:
+        """What the lamp asks for at `time` s."""
+        if self._going is not None:
+            to, arrives = self._going
+            if time >= arrives:
+                self.place, self._going = to, None
+        elif lamp is not None and lamp != self.place:
+            late = LATENESS * abs(float(np.clip(self._rng.standard_normal(), -3.0, 3.0)))
+            self.place, self._going = None, (lamp, time + self._duration * (1.0 + late))

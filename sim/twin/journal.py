@@ -1,0 +1,109 @@
+"""What the twin's card writes down, on the monotonic clock: when outputs drove, relays were closed, faults came."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from smolbot.arrays import BoolArray, FloatArray
+
+KEPT = 50_000
+"""Entries; a mission of some minutes writes ten a shot."""
+
+DRIVES = 1e-6
+"""A of a commanded current that counts as driven: far below one step of a converter of 16 bits."""
+
+PAUSE = 1e-3
+"""Seconds at zero after which a load is not driven any more: a sine passes zero without being switched off."""
+
+
+class Journal:
+    """Entries are mappings with ``number``, ``time`` (s, monotonic clock), ``what``, and more. Safe from any thread."""
+
+    def __init__(self) -> None:
+        self._entries: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+
+    def note(self, what: str, at: float | None = None, **detail: Any) -> None:
+        """Write an entry, by default of now."""
+        stamp = time.monotonic() if at is None else at
+        with self._lock:
+            self._entries.append({"number": next(self._numbers), "time": stamp, "what": what, **detail})
+
+    def since(self, number: int = 0) -> list[dict[str, Any]]:
+        """Entries after the one of this number, in the order of writing."""
+        with self._lock:
+            return [entry for entry in self._entries if entry["number"] > number]
+
+
+class Line:
+    """Whether something is on, over the samples; writes down each change.
+
+    Attributes
+    ----------
+    on : bool
+    latest : float
+        When it was last on, in s on the monotonic clock; 0 if never.
+
+    Parameters
+    ----------
+    journal : Journal
+    what : str
+        Name of the entries.
+    pause : int
+        Samples that it must be off to count as off; it is off from the first of them.
+    """
+
+    def __init__(self, journal: Journal, what: str, pause: int = 0) -> None:
+        self._journal, self._what, self._pause = journal, what, pause
+        self.on, self.latest = False, 0.0
+        self._latest_sample = -1
+
+    def follow(self, first: int, levels: BoolArray, epoch: float, rate: float) -> None:
+        """Levels (n,) of samples `first` on, of which sample 0 was at `epoch`."""
+        n = len(levels)
+        if not levels.any():
+            self._go_off(first + n, epoch, rate)
+            return
+        ons = first + np.flatnonzero(levels)
+        if levels.all() and self.on:  # nothing changed
+            self._latest_sample = int(ons[-1])
+        else:
+            self._changes(ons, epoch, rate)
+            self._go_off(first + n, epoch, rate)
+        self.latest = epoch + (int(ons[-1]) + 1) / rate
+
+    def _changes(self, ons: Any, epoch: float, rate: float) -> None:
+        breaks = np.flatnonzero(np.diff(ons) > self._pause + 1)
+        for begin, end in zip(np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(ons) - 1]]), strict=True):
+            self._go_off(int(ons[begin]), epoch, rate)
+            if not self.on:
+                self.on = True
+                self._journal.note(self._what, epoch + int(ons[begin]) / rate, on=True)
+            self._latest_sample = int(ons[end])
+
+    def _go_off(self, reached: int, epoch: float, rate: float) -> None:
+        if self.on and reached - (self._latest_sample + 1) > self._pause:
+            self.on = False
+            self._journal.note(self._what, epoch + (self._latest_sample + 1) / rate, on=False)
+
+
+class Watch:
+    """Three lines: ``driven`` (any load's commanded current), ``closed`` (any relay) and ``enabled`` (amplifiers)."""
+
+    def __init__(self, journal: Journal, rate: float) -> None:
+        self._rate = rate
+        self.driven = Line(journal, "driven", round(PAUSE * rate))
+        self.closed, self.enabled = Line(journal, "closed"), Line(journal, "enabled")
+
+    def follow(self, first: int, epoch: float, currents: FloatArray, contacts: BoolArray, enabled: BoolArray) -> None:
+        """Commanded currents (n_loads, n) in A, contacts (n_loads, n) and enable (n,) of samples `first` on."""
+        self.driven.follow(first, np.abs(currents).max(axis=0) > DRIVES, epoch, self._rate)
+        self.closed.follow(first, np.logical_or.reduce(contacts, axis=0), epoch, self._rate)
+        self.enabled.follow(first, enabled, epoch, self._rate)

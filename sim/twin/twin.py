@@ -1,0 +1,185 @@
+"""One twin: plant, card, device server, truth, control, and the magnet stage where the rig has one."""
+
+from __future__ import annotations
+
+import gc
+import math
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim.settings import TankSettings
+from sim.twin.cardmodel import CardModel
+from sim.twin.control import ControlServer
+from sim.twin.deviceserver import DeviceServer
+from sim.twin.faults import Fault, parse_fault
+from sim.twin.hand import Hand
+from sim.twin.plant import Plant
+from sim.twin.truth import TruthServer
+from smolbot.config import validate
+from smolbot.errors import InputError
+from smolbot.hardware.wiring import BenchSection, StageSection
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+
+if TYPE_CHECKING:
+    from sim.twin.uno import SimulatedUno
+    from smolbot.arrays import FloatArray
+
+CONTROL = "127.0.0.1:31765"
+
+LOOK = 0.02
+"""Seconds between two looks at whether a fault is over."""
+
+SWITCH = 5e-4
+"""Seconds after which one thread lets another go on: a reader must not wait for the card's thread, nor it for him."""
+
+SERIAL_FAULTS = ("serial_unplugged", "serial_garbled", "serial_truncated", "firmware_reset", "firmware_hung")
+
+
+class Twin:
+    """Runs until it is closed.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        With ``world = "bench"`` and addresses of this machine.
+    robot : RobotConfig
+    start : array_like, in m
+        Where the robot is put down.
+    seed : int
+        Of the tank's mismatches and noise.
+    control : str
+        Address of the side door; port 0 takes a free one.
+
+    Raises
+    ------
+    InputError
+        If the rig file describes no twin.
+    RigError
+        If a port is taken.
+    """
+
+    def __init__(
+        self, rig: RigConfig, robot: RobotConfig, start: FloatArray, seed: int, *, control: str = CONTROL
+    ) -> None:
+        section, faults = validate(BenchSection, rig.sections.bench, ("bench",))
+        settings, more = validate(TankSettings, rig.sections.tank, ("tank",))
+        if section is None or settings is None:
+            raise rig.document.error(faults + more)
+        if not section.server or not section.truth:
+            raise InputError(f"'{rig.name}' names no bench.server and bench.truth to listen on; use --rig twin.")
+        self.section = section
+        self.plant = Plant(rig, robot, settings, np.asarray(start, dtype=np.float64), seed)
+        self._warm_up()
+        self.card = CardModel(section, self.plant, self._between)
+        self.card.faults.add_listener(self._fault)
+        drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, "truth": self.plant.truth.as_dict()}
+        self._hand = Hand(rig.magnet.move_s, np.random.default_rng([seed, 5])) if section.stage else None
+        self._told = -math.inf
+        self._closing: list[Any] = []
+        self.stage: SimulatedUno | None = None
+        try:
+            self.truth = TruthServer(*_split(section.truth), drawn)
+            self._closing.append(self.truth)
+            host, port = _split(control)
+            handlers = {"inject": self._inject, "clear": self._clear, "log": self._log, "state": self._state}
+            self.control = ControlServer(host, port, handlers)
+            self._closing.append(self.control)
+            self.server = DeviceServer(self.card, section.server)
+            self._closing.append(self.server)
+            if section.stage is not None:
+                self._open_stage(section.stage)
+        except BaseException:
+            self.close()
+            raise
+        sys.setswitchinterval(SWITCH)
+        gc.collect()
+        gc.freeze()  # a look through all that was imported would stop the card's thread for a tenth of a second
+        self.card.start()
+
+    def _warm_up(self) -> None:
+        """Compile what the card's thread must not wait for."""
+        self.plant.advance(np.zeros((len(self.plant.loads), 500)))
+        self.plant.begin_acquisition()
+        self.plant.volts(0, 250)
+
+    def _open_stage(self, section: StageSection) -> None:
+        from sim.twin.uno import SimulatedUno
+
+        self._per_turn = (2 * math.pi / section.steps_per_turn, 2 * math.pi / section.steering_steps_per_turn)
+        self.stage = SimulatedUno()
+        self.stage.start(Path(section.port))
+        self._closing.append(self.stage)
+
+    def _between(self, until: float) -> None:
+        """In the card's thread, before the tank moves on to `until` s: the stage moves it, the truth is told."""
+        if self.stage is not None and self._hand is not None:
+            hand = self._hand
+            hand.look(self.stage.lamp, until)
+            self.stage.set_switches(hand.place == "near", hand.place == "away")
+            turn, steering = self.stage.steps
+            near = None if hand.place is None else hand.place == "near"
+            self.plant.magnet(turn * self._per_turn[0], steering * self._per_turn[1], near)
+        times, poses = self.plant.history.since(self._told)
+        new = times > self._told
+        if new.any():
+            self._told = float(times[-1])
+            at = self.card.time_of(0) + times[new]
+            self.truth.publish(np.column_stack([at, poses[new]]))
+
+    def _fault(self, name: str) -> None:
+        if name == "killed":
+            self.server.kill()
+            while self.card.faults.holds(name):
+                time.sleep(LOOK)
+            self.server.revive()
+        elif name in SERIAL_FAULTS and self.stage is not None:
+            {
+                "serial_unplugged": self.stage.unplug,
+                "serial_garbled": lambda: self.stage and self.stage.garble(1),
+                "serial_truncated": lambda: self.stage and self.stage.truncate(1),
+                "firmware_reset": self.stage.reset,
+                "firmware_hung": self.stage.hang,
+            }[name]()
+
+    def inject(self, fault: Fault) -> None:
+        """Let a fault come."""
+        self.card.faults.add(fault)
+
+    def _inject(self, asked: Mapping[str, Any]) -> str:
+        self.inject(parse_fault(str(asked["fault"])))
+        return "waits"
+
+    def _log(self, asked: Mapping[str, Any]) -> list[dict[str, Any]]:
+        return self.card.journal.since(int(asked.get("since", 0)))
+
+    def _clear(self, _: Mapping[str, Any]) -> str:
+        self.card.faults.clear()
+        return "cleared"
+
+    def _state(self, _: Mapping[str, Any]) -> dict[str, Any]:
+        found = dict(self.card.state()) | {"now": time.monotonic()}
+        if self.stage is not None:
+            turn, steering = self.stage.steps
+            found |= {"motors_on": self.stage.enabled, "steps": [turn, steering], "lamp": self.stage.lamp}
+        return found
+
+    def close(self) -> None:
+        """End everything; harmless when repeated."""
+        self.card.faults.clear()
+        self.card.close()
+        while self._closing:
+            self._closing.pop().close()
+        self.plant.carrier.close()
+
+
+def _split(address: str) -> tuple[str, int]:
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdigit():
+        raise InputError(f"'{address}' is no address; use host:port, such as 127.0.0.1:31763.")
+    return host, int(port)

@@ -1,0 +1,162 @@
+"""An instrument that speaks SCPI over a socket: every exchange ends within its deadline, every refusal is an error."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from smolbot.errors import RigError
+
+if TYPE_CHECKING:
+    from pyvisa.resources import MessageBasedResource
+
+LONGEST_QUEUE = 20
+"""Entries of an instrument's error queue that are read before it is taken to be endless."""
+
+PATIENCE = 5.0
+"""How many time-outs a thread waits for another one's exchange with the instrument to end."""
+
+Permit = Callable[[], None]
+
+
+class ScpiSocket:
+    """One instrument behind a socket.
+
+    After any failure the connection is dropped, for a late answer must not be taken for the next one's; the next
+    exchange opens it anew.
+
+    Parameters
+    ----------
+    name : str
+        What and where it is, as messages begin.
+    address : str
+        VISA address of a socket.
+    timeout : float, in s
+        Of connecting, and of every answer.
+    """
+
+    def __init__(self, name: str, address: str, timeout: float) -> None:
+        self._name, self._address, self._timeout = name, address, timeout
+        self._lock = threading.RLock()
+        self._resource: MessageBasedResource | None = None
+
+    def ask(self, query: str, action: str) -> str:
+        """The answer to a query.
+
+        Raises
+        ------
+        RigError
+            Naming device, address and `action` (as "read back channel 1"), if no answer comes.
+        """
+        with self._held(action):
+            return self._exchange(query, action)
+
+    def tell(self, *commands: str, action: str, permit: Permit | None = None, then: str | None = None) -> str:
+        """Send commands, each with its own look into the error queue; nobody else's come between.
+
+        `permit` is called right before the first is sent, and may raise. `then` is a query for afterwards, of which
+        the answer is returned.
+
+        Raises
+        ------
+        RigError
+            Naming device, address and `action`, if one is refused or the instrument does not answer.
+        """
+        with self._held(action):
+            if permit is not None:
+                permit()
+            for command in commands:
+                found = self._errors(command, action)
+                if found:
+                    raise RigError(f"{self._name}: cannot {action}: it refused '{command}': {'; '.join(found)}.")
+            return "" if then is None else self._exchange(then, action)
+
+    def forget_errors(self, action: str) -> None:
+        """Empty the error queue of what others left in it."""
+        with self._held(action):
+            self._errors("*CLS", action)
+
+    def close(self) -> None:
+        """Let go of the connection; harmless when repeated."""
+        with self._held("close the connection"):
+            self._drop()
+
+    @contextmanager
+    def _held(self, action: str) -> Iterator[None]:
+        if not self._lock.acquire(timeout=PATIENCE * self._timeout):
+            raise RigError(f"{self._name}: cannot {action}: another thread's exchange with it does not end.")
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    def _errors(self, command: str, action: str) -> list[str]:
+        """What stands in the error queue after a command, without the spelling of "no error"."""
+        found: list[str] = []
+        first: str | None = command
+        while len(found) < LONGEST_QUEUE:
+            answer = self._exchange("SYST:ERR?", action, first)
+            first = None
+            code, _, text = answer.partition(",")
+            try:
+                number = int(code)
+            except ValueError:
+                self._drop()
+                raise RigError(
+                    f"{self._name}: cannot {action}: it answers SYST:ERR? with '{answer}', which is no error's number."
+                ) from None
+            if number == 0:
+                break
+            found.append(f"{number}, {text.strip().strip(chr(34))}")
+        return found
+
+    def _exchange(self, query: str, action: str, before: str | None = None) -> str:
+        """Send an optional command, then a query, and wait for its answer."""
+        from pyvisa.errors import Error as VisaError
+
+        try:
+            # In one packet: two small ones would wait for each other's acknowledgement, 40 ms each time.
+            return self._opened().query(query if before is None else f"{before}\n{query}").strip()
+        except (VisaError, OSError, UnicodeError, EOFError) as error:
+            self._drop()
+            raise RigError(f"{self._name}: cannot {action}: {self._reason(error)}") from error
+
+    def _reason(self, error: Exception) -> str:
+        from pyvisa.constants import StatusCode
+        from pyvisa.errors import VisaIOError
+
+        if isinstance(error, VisaIOError) and error.error_code == StatusCode.error_timeout:
+            return f"no answer within {1e3 * self._timeout:g} ms."
+        if isinstance(error, OSError) and error.strerror:
+            return f"{error.strerror[0].lower()}{error.strerror[1:]}."
+        return f"{str(error).rstrip('.')}."
+
+    def _opened(self) -> MessageBasedResource:
+        """The connection, opened if it is not."""
+        if self._resource is None:
+            import pyvisa
+            from pyvisa.resources import MessageBasedResource
+
+            milliseconds = 1e3 * self._timeout
+            try:
+                opened = pyvisa.ResourceManager("@py").open_resource(
+                    self._address,
+                    open_timeout=int(milliseconds),
+                    timeout=milliseconds,
+                    read_termination="\n",
+                    write_termination="\n",
+                )
+            except (pyvisa.errors.Error, OSError):
+                raise
+            except Exception as error:  # pyvisa-py says "could not connect" by the base of all exceptions
+                raise OSError(0, str(error)) from error
+            assert isinstance(opened, MessageBasedResource)
+            self._resource = opened
+        return self._resource
+
+    def _drop(self) -> None:
+        resource, self._resource = self._resource, None
+        if resource is not None:
+            resource.close()
