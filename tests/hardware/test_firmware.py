@@ -115,7 +115,7 @@ def test_what_is_forbidden_is_refused_by_name(uno, wire, command, error):
 
 def test_spoiled_lines_move_nothing_and_reset_nothing(uno, wire):
     found = figures.fuzz(uno, wire, 150)
-    assert found.armed_before
+    assert found.armed_throughout
     assert found.alive_after
     assert (found.steps, found.resets) == (0, 0)
 
@@ -123,7 +123,7 @@ def test_spoiled_lines_move_nothing_and_reset_nothing(uno, wire):
 @pytest.mark.slow
 def test_ten_thousand_spoiled_lines_move_nothing_and_reset_nothing(uno, wire):
     found = figures.fuzz(uno, wire, 10_000, seed=2)
-    assert found.armed_before
+    assert found.armed_throughout
     assert found.alive_after
     assert (found.steps, found.resets) == (0, 0)
 
@@ -151,7 +151,7 @@ def test_a_missing_tool_is_one_clear_error(monkeypatch, tmp_path):
 
 
 def test_a_sketch_that_does_not_compile_is_told_with_the_compilers_words(tools, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("SMOLBOT_CACHE", str(tmp_path))
     broken = tmp_path / "broken.ino"
     broken.write_text("int main(void) { return nothing; }\n")
     with pytest.raises(RigError, match=r"(?s)avr-gcc could not build.*nothing"):
