@@ -141,8 +141,8 @@ class Twin:
         elif name in SERIAL_FAULTS and self.stage is not None:
             {
                 "serial_unplugged": self.stage.unplug,
-                "serial_garbled": lambda: self.stage and self.stage.garble(1),
-                "serial_truncated": lambda: self.stage and self.stage.truncate(1),
+                "serial_garbled": self.stage.garble,
+                "serial_truncated": self.stage.truncate,
                 "firmware_reset": self.stage.reset,
                 "firmware_hung": self.stage.hang,
             }[name]()
