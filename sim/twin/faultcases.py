@@ -23,8 +23,8 @@ from typing import Any
 from sim.twin.control import TwinControl
 from smolbot.errors import RigError
 
-SHOT = 8
-"""The electrical shot in which a fault comes: after what is learned before the first cycle."""
+SHOT = 16
+"""The electrical shot in which a fault comes: the robot is found by then, and pulled."""
 
 ALLOWED = 0.150
 """Seconds until every output is zero and every relay open."""

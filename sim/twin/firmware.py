@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import shutil
 import subprocess
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+from lookup_tables.cache import default_cache_dir
 from smolbot.errors import RigError
 
 CONTROLLER = "atmega328p"
@@ -60,8 +60,7 @@ def build(source: Path | None = None) -> Built:
     digest = hashlib.sha256(repr((FLAGS, BOARD_FLAGS, LIBRARIES)).encode())
     for path in (source, harness):
         digest.update(path.read_bytes())
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "smolbot" / "magnet_stage"
-    folder = home / digest.hexdigest()[:16]
+    folder = default_cache_dir() / "magnet_stage" / digest.hexdigest()[:16]
     built = Built(folder / "magnet_stage.elf", folder / "uno")
     if not (built.firmware.exists() and built.board.exists()):
         folder.mkdir(parents=True, exist_ok=True)

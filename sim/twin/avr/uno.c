@@ -205,6 +205,11 @@ static void hang(void)
 static void pin(char port, int number, int high)
 {
     avr_irq_t *irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), number);
+    static avr_ioport_external_t outside; /* without it, a pull-up that is switched on would win over a closed switch */
+    outside.name = port;
+    outside.mask |= 1 << number;
+    outside.value = (outside.value & ~(1 << number)) | high << number;
+    avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &outside);
     avr_raise_irq(irq, !high); /* a level that it believes to be there already is not passed on */
     avr_raise_irq(irq, high);
 }

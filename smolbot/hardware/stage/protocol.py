@@ -64,7 +64,7 @@ def line(sequence: int, command: str) -> bytes:
     r"""A command as it goes over the wire.
 
     >>> line(7, "BEAT")
-    b'7 BEAT*1535\n'
+    b'7 BEAT*B04C\n'
     """
     body = f"{sequence} {command}".encode("ascii")
     return b"%s*%04X\n" % (body, checksum(body))

@@ -137,6 +137,10 @@ class MagnetStage:
             self._link.exchange("OFF", "switching the motors off")
         except RigError as error:
             self._fail(error)
+            return
+        with self._news:
+            if self._state is not None:
+                self._state = replace(self._state, armed=False, moving=False)
 
     def close(self) -> None:
         """Switch the motors and the lamps off and let go of the port. May be called twice."""
