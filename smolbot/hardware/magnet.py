@@ -20,7 +20,7 @@ LOOK = 0.05
 """Seconds between two looks at the switches, or at whether to stop."""
 
 GRACE = 2.0
-"""Seconds that a turn may take longer than planned, for its ramps."""
+"""Seconds that a move may take longer than planned, for its ramps."""
 
 
 class Magnet:
@@ -74,7 +74,7 @@ class Magnet:
                 self._move(window, proceed)
             elif isinstance(window, Rotate):
                 self._stage.turn(math.atan2(window.axis[1], window.axis[0]), window.turns, window.frequency)
-                self._until_idle(window.duration + GRACE, proceed)
+                self._until_idle(window.duration + 0.5 * math.pi / self._steering_rate + GRACE, proceed)
             elif isinstance(window, Rest):
                 self._pause(window.duration, proceed)
 

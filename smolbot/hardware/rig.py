@@ -90,7 +90,7 @@ class BenchRig:
             try:
                 self._magnet = Magnet(self._rig.magnet, section.stage, section.operator, operator)
             except RigError as error:
-                faults.append(f"magnet stage: {error}")
+                faults.append(str(error) if str(error).startswith("magnet stage") else f"magnet stage: {error}")
         if section.truth and not faults:
             from smolbot.hardware.remotewitness import RemoteWitness
 

@@ -52,6 +52,12 @@ class NoGuard:
     def disarm(self) -> None:
         pass
 
+    def abandon(self) -> None:
+        pass
+
+    def must_be_open(self) -> None:
+        pass
+
 
 @dataclass
 class Bench:
