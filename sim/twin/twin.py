@@ -20,6 +20,7 @@ from sim.twin.deviceserver import DeviceServer
 from sim.twin.faults import Fault, parse_fault
 from sim.twin.hand import Hand
 from sim.twin.plant import Plant
+from sim.twin.supply import SupplyServer
 from sim.twin.truth import TruthServer
 from smolbot.config import validate
 from smolbot.errors import InputError
@@ -104,6 +105,8 @@ class Twin:
             self._closing.append(self.server)
             if section.stage is not None:
                 self._open_stage(section.stage)
+            if section.supply is not None:
+                self._closing.append(SupplyServer(int(section.supply.address.split("::")[2])))
         except BaseException:
             self.close()
             raise

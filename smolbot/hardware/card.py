@@ -18,7 +18,13 @@ from smolbot.hardware.driver import Driver
 from smolbot.hardware.waveform import Waveform
 from smolbot.hardware.wiring import BenchSection
 
-LONGEST_PIECE = 0.05
+PATIENCE = 0.06
+"""Seconds that samples may be late before their window counts as lost; meanwhile what plays goes on."""
+
+PROBE = 100
+"""Samples of a recording that only shows whether the inputs work."""
+
+LONGEST_PIECE = 0.03
 """Seconds of samples in one read: a stop is noticed that soon, and no message grows large."""
 
 
@@ -190,10 +196,26 @@ class Card:
         if self._stopped.is_set():
             raise RigError("Stopped during a shot; every output is at zero.")
         piece = np.zeros((len(heard), end - first))
-        got = self._reader.read_many_sample(piece, end - first, timeout=self._patience + (end - first) / self._rate)
+        got = self._reader.read_many_sample(piece, end - first, timeout=PATIENCE + (end - first) / self._rate)
         if got != end - first:
             raise LostWindow(f"{got} of {end - first} samples came")
         heard[:, first:end] = piece
+
+    def probe(self) -> None:
+        """Listen for a moment, nothing driven.
+
+        Raises
+        ------
+        LostWindow
+            If no samples come now either.
+        RigError
+            For every other failure.
+        """
+        with self._naming("listen"):
+            self._clock("inputs", PROBE)
+            self.inputs.start()
+            self._read(np.zeros((len(self._section.inputs.channels), PROBE)), 0, PROBE)
+            self.inputs.stop()
 
     def stop(self) -> bool:
         """As `silence`, and for good: this card plays nothing any more."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from smolbot.errors import OperatorStopError, RigError
 from smolbot.hardware.driver import Driver
 from smolbot.hardware.wiring import BenchSection
+from smolbot.worlds import CheckItem
 
 
 class Guard:
@@ -111,6 +112,29 @@ class Guard:
             raise RigError(
                 f"{self._section.device}: a relay did not open after a shot ({line} is low). Amplifiers are off and "
                 "outputs at zero; switch off the supply and look for the relay whose contacts stick."
+            )
+
+    def checks(self, card: str) -> Iterator[CheckItem]:
+        """The lines as they are read, and a watchdog that starts, is fed and stops; nothing is driven."""
+        section = self._section
+        try:
+            self.arm()
+            self._watchdog.reset_timer()
+            self.disarm()
+        except self._driver.errors as error:
+            yield CheckItem(card, "watchdog", self._driver.explain(error), False, "starts and is fed")
+            return
+        timeout = section.watchdog.timeout_ms
+        yield CheckItem(card, "watchdog", f"starts, is fed and stops; opens relays after {timeout:g} ms")
+        if section.input_lines:
+            self._look()
+        if section.relays.all_open is not None:
+            opened = self.lines[section.relays.all_open]
+            yield CheckItem(card, "relays", "all open" if opened else "one is closed", opened, "all open")
+        if section.operator.stop_line is not None:
+            pressed = self.pressed() is not None
+            yield CheckItem(
+                card, "operator's button", "pressed" if pressed else "not pressed", not pressed, "not pressed"
             )
 
     def _look(self) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from smolbot.errors import RigError
 from smolbot.hardware.wiring import OperatorSection, StageSection
 from smolbot.rigfile import MagnetSection
 from smolbot.shots import MoveMagnet, Rest, Rotate, Shot
+from smolbot.worlds import CheckItem
 
 if TYPE_CHECKING:
     from smolbot.operator import Operator
@@ -128,6 +129,13 @@ class Magnet:
         while (left := end - time.monotonic()) > 0.0:
             proceed()
             time.sleep(min(left, LOOK))
+
+    def checks(self) -> Iterator[CheckItem]:
+        """Firmware and switches; nothing moves."""
+        yield CheckItem("magnet stage", "firmware", self.identity)
+        if self.switched:
+            place = self._stage.at or "neither near nor away"
+            yield CheckItem("magnet stage", "magnet", place, place == "away", "away")
 
     def must_rest(self) -> None:
         """Raise `RigError` unless the motors stand still and the firmware reports no fault."""

@@ -106,4 +106,4 @@ def test_every_device_that_fails_has_a_line(tmp_path):
         run("s_path", rig=path)
     lines = str(told.value).splitlines()
     assert any(line.startswith("card Dev1:") for line in lines)
-    assert any(line.startswith("magnet stage:") and "/nowhere/tty" in line for line in lines)
+    assert any(line.startswith("magnet stage") and "/nowhere/tty" in line for line in lines)
