@@ -205,7 +205,7 @@ class CardModel:
     def _stick(self) -> None:
         contacts = self._contacts
         if not self.faults.holds("relay_stuck"):
-            contacts.stuck = None
+            contacts.mend()
         elif contacts.stuck is None and contacts.closed.any():
             contacts.stuck = int(np.flatnonzero(contacts.closed)[0])
             self.journal.note("relay stuck", load=self.plant.loads[contacts.stuck])
