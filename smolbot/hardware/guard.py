@@ -158,7 +158,7 @@ class Guard:
                 if not self._end.is_set():
                     self._trip(
                         RigError(
-                            f"{self._section.device}: the watchdog cannot be fed: {self._driver.explain(error)} "
+                            f"{self._section.device} did not answer to its watchdog's feeding: {self._driver.explain(error)} "
                             f"{self._driver.remedy(error)}"
                         )
                     )

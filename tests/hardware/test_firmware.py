@@ -13,6 +13,8 @@ from sim.twin.firmware import build, missing_tools, sketch
 from smolbot.errors import RigError
 from smolbot.hardware.stage.protocol import line
 
+pytestmark = pytest.mark.realtime
+
 
 def rising(edges, pin):
     return edges[(edges["pin"] == pin) & (edges["level"] == 1)]

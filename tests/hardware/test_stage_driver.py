@@ -12,6 +12,8 @@ from smolbot.hardware.stage import MagnetStage
 from smolbot.hardware.stage import link as links
 from smolbot.hardware.wiring import StageSection
 
+pytestmark = pytest.mark.realtime
+
 
 def settle(holds, seconds=3.0):
     end = time.monotonic() + seconds

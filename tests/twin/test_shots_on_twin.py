@@ -10,6 +10,8 @@ from smolbot.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.shots import Actuate, Excite, Listen, Rest, Shot
 from tests.twin.conftest import Bench, NoGuard
 
+pytestmark = pytest.mark.realtime
+
 RATE = 50_000
 
 
