@@ -161,7 +161,7 @@ class Bench:
                 if fault == "kill -9" and faults:
                     process.send_signal(signal.SIGKILL)
                     return time.monotonic()
-                if fault in SIGNALS and self._reached(entries, phase):
+                if fault in SIGNALS and fault != "kill -9" and self._reached(entries, phase):
                     return _send(process, fault)
             time.sleep(0.002)
         raise RigError(f"{fault} at {phase} did not come within a minute.")

@@ -158,8 +158,8 @@ class Guard:
                 if not self._end.is_set():
                     self._trip(
                         RigError(
-                            f"{self._section.device} did not answer to its watchdog's feeding: {self._driver.explain(error)} "
-                            f"{self._driver.remedy(error)}"
+                            f"{self._section.device} did not answer to its watchdog's feeding: "
+                            f"{self._driver.explain(error)} {self._driver.remedy(error)}"
                         )
                     )
                 return

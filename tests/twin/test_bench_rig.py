@@ -1,4 +1,4 @@
-"""The promise of a rig, kept by the bench on its twin: what the tank refuses, it refuses; what fails, brings it to rest."""
+"""The promise of a rig, kept by the bench on its twin: it refuses what the tank refuses; faults bring it to rest."""
 
 from __future__ import annotations
 
