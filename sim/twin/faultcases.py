@@ -143,7 +143,7 @@ class Bench:
         """When the fault came, or the signal was sent."""
         end = time.monotonic() + 60.0
         while time.monotonic() < end:
-            if process.poll() is not None and not turning:
+            if process.poll() is not None:
                 found = [e for e in twin.ask("log", since=before) if e["what"] == "fault"]
                 if found:
                     return float(found[0]["time"])

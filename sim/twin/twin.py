@@ -175,9 +175,13 @@ class Twin:
 
     def _clear(self, _: Mapping[str, Any]) -> str:
         self.card.faults.clear()
-        if self.stage is not None:
+        if self.stage is not None and self._hand is not None:
             self.stage.plug()
             self.stage.reset()
+            end = time.monotonic() + 2.0
+            while self.stage.lamp is not None and time.monotonic() < end:
+                time.sleep(LOOK)
+            self._hand.put_away()
         return "cleared"
 
     def _state(self, _: Mapping[str, Any]) -> dict[str, Any]:
