@@ -177,6 +177,8 @@ class Twin:
         self.card.faults.clear()
         if self.stage is not None and self._hand is not None:
             self.stage.plug()
+            self.stage.garble(0)
+            self.stage.truncate(0)
             self.stage.reset()
             end = time.monotonic() + 2.0
             while self.stage.lamp is not None and time.monotonic() < end:
