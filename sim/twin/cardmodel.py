@@ -20,6 +20,9 @@ from smolbot.hardware.wiring import BenchSection
 TICK = 2e-3
 """Seconds between two looks at the clock; a reader who waits for a sample is served when it is there."""
 
+LATE = 0.03
+"""Seconds between two such looks that are worth an entry in the journal: this machine had no time for the twin."""
+
 BACKLOG = 0.5
 """Seconds that the card makes up for in one go when its machine was busy; what is older is skipped by the clock."""
 
@@ -126,8 +129,13 @@ class CardModel:
         return self._epoch + sample / self.plant.rate
 
     def _run(self) -> None:
+        latest = time.monotonic()
         while not self._end:
             with self._changed:
+                now = time.monotonic()
+                if now - latest > LATE:
+                    self.journal.note("late", seconds=now - latest)
+                latest = now
                 try:
                     self._catch_up()
                 except Exception as error:  # the tank broke: say so to whoever reads, do not die in silence

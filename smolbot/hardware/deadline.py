@@ -26,6 +26,7 @@ def open_channel(address: str, timeout: float) -> tuple[Any, Any]:
         ("grpc.max_receive_message_length", MESSAGE_LIMIT),
         ("grpc.max_send_message_length", MESSAGE_LIMIT),
         ("grpc.enable_http_proxy", 0),
+        ("grpc.use_local_subchannel_pool", 1),  # a connection of its own
     ]
     bare = grpc.insecure_channel(address, options)
     try:

@@ -51,27 +51,30 @@ class Driver:
         self.errors: tuple[type[BaseException], ...] = (Error,)
         self.answers = True
         self._options: Any = None
-        self._bare: Any = None
+        self._urgent: Any = None
+        self._bare: list[Any] = []
         if server:
             self._connect(server, timeout)
 
     def _connect(self, server: str, timeout: float) -> None:
         try:
-            channel, self._bare = open_channel(server, timeout)
+            channels = [open_channel(server, timeout) for _ in range(2)]
         except ModuleNotFoundError as error:
             raise RigError("A device server needs gRPC: install smolbot with its extra 'twin'.") from error
         except ConnectionError as error:
             raise RigError(f"bench.server: {error}. {TWIN_HINT}") from error
         from nidaqmx import GrpcSessionOptions
 
-        self._options = GrpcSessionOptions(channel, session_name="")
+        self._bare = [bare for _, bare in channels]
+        self._options, self._urgent = (GrpcSessionOptions(channel, session_name="") for channel, _ in channels)
 
-    def task(self) -> Any:
-        """A task without a name."""
+    def task(self, *, urgent: bool = False) -> Any:
+        """A task without a name; an `urgent` one has a connection that no long recording keeps busy."""
         import nidaqmx
 
+        options = self._urgent if urgent else self._options
         with self._found():
-            return nidaqmx.Task(grpc_options=self._options) if self._options else nidaqmx.Task()
+            return nidaqmx.Task(grpc_options=options) if options else nidaqmx.Task()
 
     def device(self, name: str) -> Any:
         """A device by its name in the driver."""
@@ -85,7 +88,7 @@ class Driver:
         from nidaqmx.system.watchdog import WatchdogTask
 
         with self._found():
-            return WatchdogTask(name, timeout=timeout, grpc_options=self._options)
+            return WatchdogTask(name, timeout=timeout, grpc_options=self._urgent)
 
     @contextlib.contextmanager
     def _found(self) -> Iterator[None]:
@@ -141,9 +144,8 @@ class Driver:
 
     def close(self) -> None:
         """Let go of the server."""
-        if self._bare is not None:
-            self._bare.close()
-            self._bare = None
+        while self._bare:
+            self._bare.pop().close()
 
 
 def code_of(error: BaseException) -> int | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -54,7 +55,7 @@ class Guard:
         section, name = self._section, self._section.device
         try:
             if section.input_lines:
-                self._inputs = self._driver.task()
+                self._inputs = self._driver.task(urgent=True)
                 wired = ", ".join(f"{name}/{line}" for line in section.input_lines)
                 self._inputs.di_channels.add_di_chan(wired, line_grouping=LineGrouping.CHAN_PER_LINE)
                 self._reader = DigitalMultiChannelReader(self._inputs.in_stream)
@@ -72,12 +73,14 @@ class Guard:
 
     def arm(self) -> None:
         """Start the watchdog: something is about to be driven."""
+        gc.disable()  # a look through all of the program's memory takes as long as the watchdog waits
         with self._armed:
             self._watchdog.start()
             self._feeding = True
 
     def disarm(self) -> None:
         """Stop it: nothing is driven any more."""
+        gc.enable()
         with self._armed:
             if self._feeding:
                 self._feeding = False
@@ -85,6 +88,7 @@ class Guard:
 
     def abandon(self) -> None:
         """Feed it no more: something may still be driven, and it is what opens the relays."""
+        gc.enable()
         self._feeding = False
 
     def pressed(self) -> str | None:
