@@ -69,7 +69,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         return self._of_task(request, context, messages.GetWriteAttributeUInt32Response, answers)
 
     def GetChanAttributeInt32(self, request: Any, context: Any) -> Any:
-        answers: dict[int, Answer] = {0x187F: lambda task: _CHANNEL_TYPE[task.kind], 0x2195: lambda task: _VOLTAGE}
+        answers: dict[int, Answer] = {0x187F: lambda task: _CHANNEL_TYPE[task.kind], 0x0695: lambda task: _VOLTAGE}
         return self._of_task(request, context, messages.GetChanAttributeInt32Response, answers, "value_raw")
 
     def GetTimingAttributeDouble(self, request: Any, context: Any) -> Any:

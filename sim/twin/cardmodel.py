@@ -271,14 +271,7 @@ class CardModel:
                 raise CardError(-200088, "The task is not running, so that no samples come.")
             if going.taken + count > going.count:
                 raise CardError(-200278, "Attempted to read a sample beyond the final sample acquired.", read=0)
-            if self.faults.takes("overrun"):
-                raise CardError(
-                    -200279, "The application is not able to keep up with the hardware acquisition.", read=0
-                )
-            if self.faults.takes("read_timeout"):
-                self._changed.wait_for(lambda: self.inputs is not going or self._end, timeout)
-                raise CardError(-200284, "Some or all of the samples requested have not yet been acquired.", read=0)
-            needed = going.start + going.taken + count
+            needed, until = going.start + going.taken + count, time.monotonic() + timeout
             self._awaited.append(needed)
             try:
                 there = self._changed.wait_for(
@@ -290,6 +283,13 @@ class CardModel:
                 raise CardError(-88709, "The task was aborted.", read=0)
             if self._end:
                 raise CardError(-201003, "Device cannot be accessed: the twin's tank has ended.", read=0)
+            if self.faults.takes("overrun"):
+                raise CardError(
+                    -200279, "The application is not able to keep up with the hardware acquisition.", read=0
+                )
+            if there and self.faults.takes("read_timeout"):
+                self._changed.wait_for(lambda: self.inputs is not going or self._end, until - time.monotonic())
+                there = False
             if not there:
                 raise CardError(-200284, "Some or all of the samples requested have not yet been acquired.", read=0)
             volts = self.plant.volts(going.start + going.taken, count)

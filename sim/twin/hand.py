@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-LATENESS = 0.2
-"""Standard deviation of how much longer a hand takes than the rig file says, as a share; it is never early."""
-
 
 class Hand:
     """Where the magnet is, moved at the lamp's request.
@@ -19,13 +16,15 @@ class Hand:
     Parameters
     ----------
     duration : float, in s
-        A move, at the least.
+        A move, at the least: a hand is late, never early.
+    lateness : float
+        Standard deviation of how much longer it takes, as a share of that.
     rng : numpy.random.Generator
     """
 
-    def __init__(self, duration: float, rng: np.random.Generator) -> None:
+    def __init__(self, duration: float, lateness: float, rng: np.random.Generator) -> None:
         self.place: str | None = "away"
-        self._duration, self._rng = duration, rng
+        self._duration, self._lateness, self._rng = duration, lateness, rng
         self._going: tuple[str, float] | None = None
 
     def put_away(self) -> None:
@@ -39,5 +38,5 @@ class Hand:
             if time >= arrives:
                 self.place, self._going = to, None
         elif lamp is not None and lamp != self.place:
-            late = LATENESS * abs(float(np.clip(self._rng.standard_normal(), -3.0, 3.0)))
+            late = self._lateness * abs(float(np.clip(self._rng.standard_normal(), -3.0, 3.0)))
             self.place, self._going = None, (lamp, time + self._duration * (1.0 + late))

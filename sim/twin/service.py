@@ -20,6 +20,7 @@ PATIENCE = 0.01
 
 # Actions by their numbers in the driver
 ABORT, FOR_ALL_LINES = 6, 1
+TERMINALS = {-1: "differential", 10106: "differential", 10083: "rse", 10078: "nrse"}
 RESET_TIMER, CLEAR_EXPIRATION = 0, 1
 
 
@@ -115,7 +116,7 @@ class TwinServicer(Attributes):
         span = (request.min_val, request.max_val)
         return self._on(
             request, context, messages.CreateAIVoltageChanResponse,
-            lambda task: self.tasks.add(task, "ai", request.physical_channel, span),
+            lambda task: self.tasks.add(task, "ai", request.physical_channel, span, _terminal(request)),
         )  # fmt: skip
 
     def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:
@@ -154,7 +155,7 @@ class TwinServicer(Attributes):
             task = self.tasks.get(request.task.name)
             if task.kind != "ai":
                 raise CardError(-200028, "Only a task of inputs can be read.", read=0)
-            volts = self.card.read(request.num_samps_per_chan, max(request.timeout, 0.0))
+            volts = self.tasks.read(task, request.num_samps_per_chan, max(request.timeout, 0.0))
             return messages.ReadAnalogF64Response(
                 read_array=np.ascontiguousarray(volts).ravel().tolist(), samps_per_chan_read=volts.shape[1]
             )
@@ -235,3 +236,11 @@ class TwinServicer(Attributes):
                 self.tasks.start(task)
 
         return self._on(request, context, messages.ControlWatchdogTaskResponse, run)
+
+
+def _terminal(request: Any) -> str:
+    """How inputs are wired; by default as the card prefers it."""
+    number = request.terminal_config_raw or request.terminal_config
+    if number not in TERMINALS:
+        raise CardError(-200077, f"Requested value is not supported: terminal configuration {number}.")
+    return TERMINALS[number]

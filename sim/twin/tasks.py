@@ -88,10 +88,12 @@ class Tasks:
             task.running, task.buffer = False, None
         self.card.reset()
 
-    def add(self, task: TwinTask, kind: str, names: str, span: tuple[float, float] | None = None) -> None:
-        """Give a task channels: ``Dev1/ai0, Dev1/ai1:3``."""
+    def add(
+        self, task: TwinTask, kind: str, names: str, span: tuple[float, float] | None = None, terminal: str = ""
+    ) -> None:
+        """Give a task channels, such as ``Dev1/ai0, Dev1/ai1:3``; inputs with how they are wired."""
         exist = {
-            "ai": sorted({name for _, inputs in self.product.inputs for name in inputs}),
+            "ai": self.product.inputs_of(terminal),
             "ao": self.product.outputs,
             "do": self.product.lines,
             "di": self.product.lines,
@@ -131,6 +133,22 @@ class Tasks:
         if count < 2:
             raise CardError(-200077, "A finite task has at least 2 samples a channel.")
         task.rate, task.count, task.source, task.buffer = rate, int(count), source, None
+
+    def read(self, task: TwinTask, count: int, timeout: float) -> FloatArray:
+        """The next volts (n_channels, count) of a task's inputs; one that nothing is wired to reads zero.
+
+        A task that was not started starts, as the driver has it.
+        """
+        if not task.running:
+            self.start(task)
+        volts, wired = self.card.read(count, timeout), self.card.section.inputs.channels
+        if task.channels == wired:
+            return volts
+        out = np.zeros((len(task.channels), count))
+        for row, channel in enumerate(task.channels):
+            if channel in wired:
+                out[row] = volts[wired.index(channel)]
+        return out
 
     def write(self, task: TwinTask, values: FloatArray, auto_start: bool) -> None:
         """Volts (n_channels, n) for a task's outputs."""

@@ -84,9 +84,11 @@ class Twin:
         self.card = CardModel(section, self.plant, self._between)
         self.card.faults.add_listener(self._fault)
         drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.drawn()}
-        self._hand = Hand(rig.magnet.move_s, np.random.default_rng([seed, 5])) if section.stage else None
+        late = 0.01 * settings.mismatch.scale * settings.gel.mismatch.lateness_percent
+        self._hand = Hand(rig.magnet.move_s, late, np.random.default_rng([seed, 5])) if section.stage else None
         self._told = -math.inf
         self._seen = 0
+        self._latest: dict[str, dict[str, Any]] = {}
         self._closing: list[Any] = []
         self.stage: SimulatedUno | None = None
         try:
@@ -138,12 +140,20 @@ class Twin:
             turn, steering = self.stage.steps
             near = None if hand.place is None else hand.place == "near"
             self.plant.magnet(turn * self._per_turn[0], steering * self._per_turn[1], near)
+            self._write_down("motors", on=self.stage.enabled)
+            self._write_down("magnet", place=hand.place or "on its way")
         times, poses = self.plant.history.since(self._told)
         new = times > self._told
         if new.any():
             self._told = float(times[-1])
             at = self.card.time_of(0) + times[new]
             self.truth.publish(np.column_stack([at, poses[new]]))
+
+    def _write_down(self, what: str, **detail: Any) -> None:
+        """Into the card's journal, if it has changed."""
+        if self._latest.get(what) != detail:
+            self._latest[what] = detail
+            self.card.journal.note(what, **detail)
 
     def _fault(self, name: str) -> None:
         if name == "killed":

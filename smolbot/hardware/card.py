@@ -241,11 +241,11 @@ class Card:
         """Relays first, for that is what stops a current; then the outputs behind them. Whether both went well."""
 
         def lines() -> None:
-            self._zero_line_writer.write_one_sample_port_uint32(0)
+            self._zero_line_writer.write_one_sample_port_uint32(0, timeout=PATIENCE)
             self._zero_lines.stop()
 
         def outputs() -> None:
-            self._zero_output_writer.write_one_sample(np.zeros(len(self._section.used_outputs)))
+            self._zero_output_writer.write_one_sample(np.zeros(len(self._section.used_outputs)), timeout=PATIENCE)
             self._zero_outputs.stop()
 
         done = self._driver.attempt(lines)

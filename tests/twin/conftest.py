@@ -21,7 +21,7 @@ from smolbot.rigfile import load_rig
 
 @dataclass
 class Echo:
-    """Stands where the tank does: keeps every current, and reads as the number of the sample."""
+    """Stands where the tank does: keeps every current, reads as a sensor's number in V and a sample's in µV."""
 
     loads: tuple[str, ...]
     rate: float = 50_000.0
@@ -36,7 +36,7 @@ class Echo:
         pass
 
     def volts(self, first: int, n: int) -> FloatArray:
-        return np.tile(1e-6 * np.arange(first, first + n), (10, 1))
+        return np.tile(1e-6 * np.arange(first, first + n), (10, 1)) + np.arange(10)[:, None]
 
     @property
     def currents(self) -> FloatArray:
@@ -70,6 +70,10 @@ class Bench:
     server: DeviceServer
     driver: Driver
     card: Card
+
+    def driver_anew(self) -> Driver:
+        """Another connection of the client library to the same server."""
+        return Driver(self.section.server, 1e-3 * self.section.call_timeout_ms)
 
 
 @pytest.fixture(scope="session")
