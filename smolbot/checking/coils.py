@@ -88,8 +88,10 @@ def check_coils(
 
 
 def _faults(likeness: Likeness, edge: Edges, probe: Probe, constant: float, over: bool) -> list[str]:
-    found = [likeness.fault] if likeness.fault else []
-    if over:
+    found = []
+    if likeness.fault:
+        found.append(likeness.fault)
+    elif over:  # where a coil is another one, that is why
         found.append("saturates sensors at its probe's current")
     if not edge.heard:
         return found
