@@ -27,7 +27,8 @@ mission: setup
 	@$(BIN)/smolbot run r_path --json
 
 test: setup
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not realtime"
+	$(BIN)/python -m pytest -n 0 -m "realtime and not slow"
 
 lint: setup
 	$(BIN)/ruff check .
@@ -40,7 +41,8 @@ imports: setup
 	$(BIN)/lint-imports
 
 slow: setup
-	$(BIN)/python -m pytest -n auto -m slow
+	$(BIN)/python -m pytest -n auto -m "slow and not realtime"
+	$(BIN)/python -m pytest -n 0 -m "slow and realtime"
 
 benchmark: setup
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -s

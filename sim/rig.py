@@ -6,7 +6,6 @@ import math
 from types import TracebackType
 from typing import Any, Self
 
-from sim.carriers import Drawn
 from sim.coils import NominalExcitation
 from sim.history import TankWitness
 from sim.settings import TankSettings
@@ -141,9 +140,7 @@ class TankRig:
 
     def provenance(self) -> dict[str, Any]:
         """What this tank was drawn as: seed, whether ideal, and every drawn mismatch."""
-        carrier = self._tank.carrier
-        drawn = {"carrier": carrier.as_dict()} if isinstance(carrier, Drawn) else {}
-        return {"seed": self._seed, "ideal": self._ideal, "truth": self._tank.truth.as_dict(), **drawn}
+        return {"seed": self._seed, "ideal": self._ideal, **self._tank.drawn()}
 
     def __enter__(self) -> Self:
         return self

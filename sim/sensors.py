@@ -99,11 +99,6 @@ class TrueSensors:
         field = self.clean(clock, n, device, coupling, trace_times, trace, pose_times, poses)
         return field, self.measure(field, clock)
 
-    @property
-    def sensor_range(self) -> float:
-        """Largest field that a sensor reads, in T."""
-        return self._range
-
     def draw_constants(self) -> FloatArray:
         """What hand-nulling leaves in each channel (n_sensors,), in T, for one recording."""
         return self._constant * self._constants.standard_normal(len(self.positions))

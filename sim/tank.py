@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sim.cantilever import STATE_LENGTH, swing
-from sim.carriers import Carrier, Magnetised, Turned, make_carrier
+from sim.carriers import Carrier, Drawn, Magnetised, Turned, make_carrier
 from sim.coils import TankCoils, volume
 from sim.history import History
 from sim.magnet import true_device
@@ -97,9 +98,7 @@ class Tank:
             self.silence()
             self._note_pose(times[done : done + 1], poses[done : done + 1])
             self.history.drop_last(steps - done)
-        place = poses[done, :3]
-        if not (np.all(place > self._low) and np.all(place < self._high)):
-            raise RigError(f"The robot left the container, to {np.round(1e3 * place, 2)} mm, at {self.time:.3f} s.")
+        self._stays(poses[done, :3])
         return done == steps
 
     def listen(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
@@ -114,6 +113,11 @@ class Tank:
                 clock, n, sensors.rate, sensors.time_constant, sensors.positions, sensors.axes
             )
         return field, sensors.measure(field, clock)
+
+    def drawn(self) -> dict[str, Any]:
+        """What this tank was drawn as: every mismatch, as plain lists and numbers."""
+        own = {"carrier": self.carrier.as_dict()} if isinstance(self.carrier, Drawn) else {}
+        return {"truth": self.truth.as_dict(), **own}
 
     def silence(self) -> None:
         """Command zero to every driven coil; its current decays."""
@@ -197,6 +201,10 @@ class Tank:
             self._trace = np.zeros((kept + rows, self._trace.shape[1]))
         self._trace_times[:kept], self._trace[:kept] = times, trace
         self._used = kept
+
+    def _stays(self, place: FloatArray) -> None:
+        if not (np.all(place > self._low) and np.all(place < self._high)):
+            raise RigError(f"The robot left the container, to {np.round(1e3 * place, 2)} mm, at {self.time:.3f} s.")
 
     def _note_pose(self, time: FloatArray, pose: FloatArray) -> None:
         position, quaternion, _, _ = self.carrier.state()

@@ -13,7 +13,7 @@ from smolbot.latch import Latch
 from smolbot.limits import Limits
 from smolbot.poses import Pose
 from smolbot.sensing import Recording
-from smolbot.shots import Actuate, Listen, Rotate, Shot, magnet_near_after
+from smolbot.shots import Actuate, Excite, Listen, Rotate, Shot, magnet_near_after
 from smolbot.soundwatch import SoundWatch
 
 LOST_WINDOWS = "lost_windows"
@@ -131,7 +131,8 @@ class Safety:
             return None
         self.recovered[LOST_WINDOWS] += self._missing
         self._missing = 0
-        if shot.mode != "quiet" or not any(isinstance(w, Actuate) for w in shot.windows):  # a tail may be too loud
+        probes = shot.mode == "quiet" and any(isinstance(w, Actuate | Excite) for w in shot.windows)
+        if not probes:  # what is left of a drive is listened to on purpose, and may be too loud
             wrong = self._sound.hear(recording)
             if wrong is not None:
                 kind, which, windows = wrong

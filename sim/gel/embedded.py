@@ -102,9 +102,19 @@ class Embedded:
         if near and not self._near:
             self._state[kernels.STEER], self._state[kernels.TURN] = steering, turn
         self._near, self._steered = near, True
-        off = steering - float(self._state[kernels.STEER])
+        off = _wrapped(steering - float(self._state[kernels.STEER]))
         self._steer_to, self._steering_rate = steering, abs(off) / span
         self._turn_rate = (turn - float(self._state[kernels.TURN])) / span
+
+    def magnet_at(self, points: FloatArray) -> FloatArray:
+        """Field (n, 3) in T of the magnet, where it stands now, at world points (n, 3) in m; zero while it is away."""
+        field = np.zeros((len(points), 3))
+        if self._near:
+            gradient, work = np.empty((3, 3)), np.empty((4, 3, 3))
+            steer, turn = float(self._state[kernels.STEER]), float(self._state[kernels.TURN])
+            for point, b in zip(points, field, strict=True):
+                kernels.magnet_field(point, self._cube, steer, turn, b, gradient, work)
+        return field
 
     def turn(self, step: float, poses: FloatArray) -> None:
         """As many steps of `step` s as `poses` (n, 7) has rows, which receive rotation centre and orientation."""

@@ -1,6 +1,5 @@
 """What a client asks of tasks and devices by the number of an attribute."""
 
-# ruff: noqa: N802 - methods are named as the calls of the service
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -95,7 +95,8 @@ class CardModel:
         self.outputs: Generation | None = None
         self.clocked: Generation | None = None
         self.inputs: Acquisition | None = None
-        self._watchdog: tuple[float, float] | None = None  # time-out, latest feed
+        self._watchdog: float | None = None  # its time-out
+        self._fed = 0.0
         self._expired = False
         self._safe_lines = 0xFFFFFFFF  # ands the lines once expired
         self._awaited: list[int] = []
@@ -154,8 +155,8 @@ class CardModel:
     def _step(self, n: int) -> None:
         first = self.plant.played
         if self._watchdog is not None and not self._expired:
-            timeout, fed = self._watchdog
-            if self.faults.takes("watchdog_expired") or self.time_of(first) - fed > timeout:
+            late = self.time_of(first) - self._fed > self._watchdog
+            if late or self.faults.takes("watchdog_expired"):
                 self._expired = True
                 self.journal.note("watchdog expired", self.time_of(first))
         if self._between is not None:
@@ -204,7 +205,7 @@ class CardModel:
     def _stick(self) -> None:
         contacts = self._contacts
         if not self.faults.holds("relay_stuck"):
-            contacts.stuck = None
+            contacts.mend()
         elif contacts.stuck is None and contacts.closed.any():
             contacts.stuck = int(np.flatnonzero(contacts.closed)[0])
             self.journal.note("relay stuck", load=self.plant.loads[contacts.stuck])
@@ -363,7 +364,7 @@ class CardModel:
         with self._changed:
             if timeout is not None and self._watchdog is None and not self._shots:
                 self.faults.moment("before", 1)
-            self._watchdog = None if timeout is None else (timeout, time.monotonic())
+            self._watchdog, self._fed = timeout, time.monotonic()
             self._safe_lines = 0xFFFFFFFF & ~safe_lines
             if timeout is None:
                 self._expired = False
@@ -376,11 +377,12 @@ class CardModel:
         CardError
             If it has expired.
         """
+        fed = time.monotonic()  # when it came, not when the card has time to look
+        if not self._expired:
+            self._fed = fed
         with self._changed:
             if self._expired:
                 raise CardError(-200678, "Watchdog timer task has expired; the lines are in their expiration states.")
-            if self._watchdog is not None:
-                self._watchdog = (self._watchdog[0], time.monotonic())
 
     @property
     def expired(self) -> bool:
@@ -398,6 +400,12 @@ class CardModel:
             self._shots = 0
             self.faults.count_anew()
             self.journal.note("reset")
+
+    def rests(self, within: float = 0.0) -> bool:
+        """Whether, within so many s, nothing is driven, amplifiers are off, and every relay is open that can be."""
+        lines = self.watch.driven, self.watch.closed, self.watch.enabled
+        with self._changed:
+            return self._changed.wait_for(lambda: not any(line.on for line in lines), within)
 
     def state(self) -> Mapping[str, Any]:
         """What it does now, for whoever watches."""

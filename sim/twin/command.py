@@ -25,6 +25,7 @@ def twin(
         typer.Option(help="NAME@MOMENT[:once|good], such as overrun@listening#30 or button@12.5s; see --list-faults."),
     ] = None,
     list_faults: Annotated[bool, typer.Option("--list-faults", help="List the faults by name, and end.")] = False,
+    control: Annotated[str, typer.Option(help="Address (host:port) of the side door for faults.")] = "127.0.0.1:31765",
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object once everything listens.")] = False,
 ) -> None:
     """Be a bench: NI card behind a device server, magnet stage behind a serial port, a simulated tank behind both."""
@@ -47,7 +48,7 @@ def twin(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: end.set())
     ask_for_priority()
-    running = Twin(loaded.rig, loaded.robot, np.array(place), seed)
+    running = Twin(loaded.rig, loaded.robot, np.array(place), seed, control=control)
     try:
         for one in faults:
             running.inject(one)

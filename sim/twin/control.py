@@ -110,9 +110,13 @@ class TwinControl:
         """Let a fault come: ``NAME@MOMENT[:once|good]``."""
         self.ask("inject", fault=fault)
 
-    def log(self) -> list[dict[str, Any]]:
-        """What the card did, with times on the monotonic clock in s."""
-        return list(self.ask("log"))
+    def clear(self) -> None:
+        """Let nothing be wrong any more, and nothing come."""
+        self.ask("clear")
+
+    def log(self, since: int = 0) -> list[dict[str, Any]]:
+        """What the card wrote down after entry `since`, with times on the monotonic clock in s."""
+        return list(self.ask("log", since=since))
 
     def state(self) -> dict[str, Any]:
         """What it does now."""

@@ -168,6 +168,10 @@ class FaultBox:
                 del self._there[name]
             return True
 
+    def lasts(self, name: str) -> bool:
+        """Whether a fault that is there has come for good."""
+        return self._there.get(name, (False, 0.0))[0]
+
     def holds(self, name: str) -> bool:
         """Whether a state such as a dead sensor lasts."""
         found = self._there.get(name)

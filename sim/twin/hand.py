@@ -28,6 +28,10 @@ class Hand:
         self._duration, self._rng = duration, rng
         self._going: tuple[str, float] | None = None
 
+    def put_away(self) -> None:
+        """Take the magnet away at once, whatever was asked for."""
+        self.place, self._going = "away", None
+
     def look(self, lamp: str | None, time: float) -> None:
         """What the lamp asks for at `time` s."""
         if self._going is not None:

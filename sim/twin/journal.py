@@ -105,5 +105,5 @@ class Watch:
     def follow(self, first: int, epoch: float, currents: FloatArray, contacts: BoolArray, enabled: BoolArray) -> None:
         """Commanded currents (n_loads, n) in A, contacts (n_loads, n) and enable (n,) of samples `first` on."""
         self.driven.follow(first, np.abs(currents).max(axis=0) > DRIVES, epoch, self._rate)
-        self.closed.follow(first, contacts.any(axis=0), epoch, self._rate)
+        self.closed.follow(first, np.logical_or.reduce(contacts, axis=0), epoch, self._rate)
         self.enabled.follow(first, enabled, epoch, self._rate)

@@ -7,12 +7,13 @@ import numpy as np
 from sim.gel.embedded import Embedded
 from sim.settings import TankSettings
 from sim.tank import SUBSTEP, Tank
-from smolbot.arrays import FloatArray
-from smolbot.errors import InputError, RigError
+from sim.twin.overhead import Overhead
+from smolbot.arrays import FloatArray, as_floats
+from smolbot.errors import InputError
 from smolbot.rigfile import RigConfig
 from smolbot.robotfile import RobotConfig
 
-REMEMBERED = 6.0
+REMEMBERED = 4.0
 """Seconds of currents, deflection and poses that are kept: the longest recording, and what a slow reader needs."""
 
 
@@ -53,9 +54,11 @@ class Plant(Tank):
         self._turned = self.carrier if isinstance(self.carrier, Embedded) else None
         self._target: tuple[float, float, bool] | None = None
         self._near = False
+        self._overhead = Overhead(self.sensors.axes, REMEMBERED)
         self._constants = self.sensors.draw_constants()
         self._volts_per_tesla = rig.sections.sensors.sensitivity_v_per_ut * 1e6
-        size = 2 * round(REMEMBERED * self.rate)
+        self._keep = round(REMEMBERED * self.rate)
+        size = 2 * self._keep
         times, trace = np.zeros(size), np.zeros((size, self._trace.shape[1]))
         times[: self._used], trace[: self._used] = self._trace_times[: self._used], self._trace[: self._used]
         self._trace_times, self._trace = times, trace
@@ -67,52 +70,45 @@ class Plant(Tank):
 
         Raises
         ------
+        InputError
+            For another shape, for what is not finite, or for more than is remembered.
         RigError
             If the robot has left the container.
         """
-        commands = np.ascontiguousarray(np.asarray(currents, dtype=np.float64).T)
+        commands = np.ascontiguousarray(as_floats(currents, (len(self.loads), None), "currents").T)
         count = len(commands)
         if not count:
             return
         self._make_room(count)
-        if self._turned is not None and self._target is not None:
+        turned = self._turned
+        if turned is not None and self._target is not None:
             turn, steering, near = self._target
-            self._turned.follow(turn, steering, near, count / self.rate)
-            self._near = near
+            turned.follow(turn, steering, near, count / self.rate)
+            if near != self._near:
+                self._near = near
+                self._overhead.note(self.time, turned.magnet_at(self.sensors.positions))
         at = 0
         while at < count:
-            whole = max((count - at) // self._longest, 0)
+            whole = (count - at) // self._longest
             n, length = (whole, self._longest) if whole else (1, count - at)
-            self._steps(n, length, commands[at : at + n * length])
+            place = self._steps(n, length, commands[at : at + n * length])
+            self._mirror(n * length)
             at += n * length
             self.played += n * length
             self.time = self.played / self.rate  # no drift by adding up
-        place = self.history.at(self.time)[:3]
-        if not (np.all(place > self._low) and np.all(place < self._high)):
-            raise RigError(f"The robot left the container, to {np.round(1e3 * place, 2)} mm, at {self.time:.3f} s.")
+        if turned is not None:
+            self._overhead.note(self.time, turned.magnet_at(self.sensors.positions))
+        self._stays(place)
 
-    def _steps(self, n: int, length: int, commands: FloatArray) -> None:
+    def _steps(self, n: int, length: int, commands: FloatArray) -> FloatArray:
+        """Play `n` steps of `length` samples; return where the robot is then."""
         self.history.drop_last()  # the first row repeats the closing row of the last steps
         times, poses = self.history.reserve(n + 1)
-        step = length / self.rate
+        self._run(n, length / self.rate, times, poses, commands)
         if self._near:
-            self._still(n, step, n * length, times, poses)
-        else:
-            self._run(n, step, times, poses, commands)
+            self._state[:2] = 0.0  # the magnet's field stills the swing
         self._note_pose(times[n:], poses[n:])
-
-    def _still(self, n: int, step: float, samples: int, times: FloatArray, poses: FloatArray) -> None:
-        """The magnet is near: its field stills the swing."""
-        assert self._turned is not None
-        self._turned.turn(step, poses[:n])
-        times[:n] = self.time + step * np.arange(n)
-        self._state[:2] = 0.0
-        span = slice(self._used, self._used + samples)
-        self._trace_times[span] = self.time + np.arange(1, samples + 1) / self.rate
-        self._trace[span, 0] = 0.0
-        self._trace[span, 1:] = self.coils.circuits[:, 0]
-        self._used += samples
-        self.time += n * step
+        return poses[n, :3]
 
     def magnet(self, turn: float, steering: float, near: bool | None) -> None:
         """Where the stage stands now: angles in rad about the motor's axis and of that axis; None on its way.
@@ -139,8 +135,6 @@ class Plant(Tank):
         oldest = max(self.played - round((REMEMBERED - 2 * sensors.lead) * self.rate), 0)
         if not oldest <= first <= first + n <= self.played:
             raise InputError(f"The plant knows samples {oldest} to {self.played}; got {first} to {first + n}.")
-        if self._near:
-            return np.full((len(sensors.positions), n), sensors.sensor_range * self._volts_per_tesla)
         since = clock - 2 * sensors.lead
         begin = max(int(np.searchsorted(self._trace_times[: self._used], since)) - 1, 0)
         end = min(int(np.searchsorted(self._trace_times[: self._used], clock + n / self.rate)) + 2, self._used)
@@ -149,18 +143,23 @@ class Plant(Tank):
             clock, n, self.device, self.coils.coupling, self._trace_times[begin:end], self._trace[begin:end],
             pose_times, poses,
         )  # fmt: skip
+        if self._turned is not None:
+            self._overhead.add(field, clock, self.rate)
         sensors.measure(field, clock, self._constants)
         return np.asarray(field * self._volts_per_tesla)
 
+    def _mirror(self, count: int) -> None:
+        """Lay the last `count` rows down once more in the first half, so that no large copy is ever due."""
+        first = max(self._used - count, self._keep)
+        if first < self._used:
+            to = slice(first - self._keep, self._used - self._keep)
+            self._trace_times[to] = self._trace_times[first : self._used]
+            self._trace[to] = self._trace[first : self._used]
+
     def _make_room(self, count: int) -> None:
-        """Forget what is older than `REMEMBERED`, whenever the room is used up."""
-        if self._used + count <= len(self._trace_times):
-            return
-        keep = round(REMEMBERED * self.rate)
-        if count > len(self._trace_times) - keep:
-            raise InputError(f"The plant moves on by at most {len(self._trace_times) - keep} samples; got {count}.")
-        first = self._used - keep
-        self._trace_times[:keep] = self._trace_times[first : self._used]
-        self._trace[:keep] = self._trace[first : self._used]
-        self._used = keep
-        self.history.forget_before(self.time - REMEMBERED)
+        """At the end of the room go on in its first half, which holds the same rows."""
+        if count > self._keep:
+            raise InputError(f"The plant moves on by at most {self._keep} samples at once; got {count}.")
+        if self._used + count > len(self._trace_times):
+            self._used -= self._keep
+            self.history.forget_before(self.time - REMEMBERED)

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import grpc
 import nidaqmx._stubs.nidaqmx_pb2 as messages
 import numpy as np
-from nidaqmx._stubs.nidaqmx_pb2_grpc import add_NiDAQmxServicer_to_server
 from session_pb2 import Session
 
 from sim.twin.attributes import Attributes
 from sim.twin.cardmodel import CardError, CardModel
 from sim.twin.tasks import Tasks, TwinTask
-from smolbot.errors import RigError
-from smolbot.hardware.deadline import MESSAGE_LIMIT
-
-THREADS = 32
-"""Every read that waits holds one."""
 
 PATIENCE = 0.01
 """Seconds between two looks at whether a stalled server goes on."""
@@ -185,6 +178,20 @@ class TwinServicer(Attributes):
 
         return self._call(context, run)
 
+    def WriteDigitalScalarU32(self, request: Any, context: Any) -> Any:
+        levels = np.array([request.value], dtype=np.uint32)
+        return self._on(
+            request, context, messages.WriteDigitalScalarU32Response,
+            lambda task: self.tasks.write_lines(task, levels, request.auto_start),
+        )  # fmt: skip
+
+    def WriteAnalogScalarF64(self, request: Any, context: Any) -> Any:
+        values = np.array([[request.value]])
+        return self._on(
+            request, context, messages.WriteAnalogScalarF64Response,
+            lambda task: self.tasks.write(task, values, request.auto_start),
+        )  # fmt: skip
+
     def ReadDigitalLines(self, request: Any, context: Any) -> Any:
         def run() -> Any:
             task = self.tasks.get(request.task.name)
@@ -228,30 +235,3 @@ class TwinServicer(Attributes):
                 self.tasks.start(task)
 
         return self._on(request, context, messages.ControlWatchdogTaskResponse, run)
-
-
-def serve(card: CardModel, address: str) -> tuple[grpc.Server, int]:
-    """A running server for `card` at host:port (port 0: a free one), and its port.
-
-    Raises
-    ------
-    RigError
-        If the port is taken.
-    """
-    options = [
-        ("grpc.max_receive_message_length", MESSAGE_LIMIT),
-        ("grpc.max_send_message_length", MESSAGE_LIMIT),
-        ("grpc.so_reuseport", 0),
-    ]
-    server = grpc.server(ThreadPoolExecutor(THREADS, thread_name_prefix="device server"), options=options)
-    add_NiDAQmxServicer_to_server(TwinServicer(card), server)
-    try:
-        port = server.add_insecure_port(address)
-    except RuntimeError as error:
-        port, reason = 0, str(error)
-    else:
-        reason = "the port is taken"
-    if not port:
-        raise RigError(f"The twin's device server cannot listen on {address}: {reason}. Does another twin run?")
-    server.start()
-    return server, port

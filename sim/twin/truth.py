@@ -42,7 +42,7 @@ class TruthServer:
             raise RigError(f"The twin's truth cannot listen on {host}:{port}: {error.strerror or error}.") from error
         self.port: int = self._socket.getsockname()[1]
         self._greeting = (json.dumps(dict(drawn), default=_plain) + "\n").encode("utf-8")
-        self._listeners: list[queue.Queue[bytes | None]] = []
+        self._listeners: list[_Listener] = []
         self._lock = threading.Lock()
         threading.Thread(target=self._accept, name="truth", daemon=True).start()
 
@@ -52,16 +52,16 @@ class TruthServer:
         with self._lock:
             for listener in tuple(self._listeners):
                 try:
-                    listener.put_nowait(data)
-                except queue.Full:
+                    listener.waiting.put_nowait(data)
+                except queue.Full:  # it must know that rows are missing
                     self._listeners.remove(listener)
+                    listener.hang_up()
 
     def close(self) -> None:
         """Let every listener go."""
         with self._lock:
             for listener in self._listeners:
-                if not listener.full():
-                    listener.put_nowait(None)
+                listener.hang_up()
             self._listeners.clear()
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts, which holds the port
@@ -76,19 +76,34 @@ class TruthServer:
             threading.Thread(target=self._send, args=(connection,), name="truth listener", daemon=True).start()
 
     def _send(self, connection: socket.socket) -> None:
-        waiting: queue.Queue[bytes | None] = queue.Queue(BACKLOG)
+        listener = _Listener(connection)
+        listener.waiting.put_nowait(self._greeting)
+        with self._lock:  # whoever has read the greeting misses no row
+            self._listeners.append(listener)
         with connection:
             try:
-                connection.sendall(self._greeting)
-                with self._lock:
-                    self._listeners.append(waiting)
-                while (data := waiting.get()) is not None:
+                while (data := listener.waiting.get()) is not None:
                     connection.sendall(data)
             except OSError:  # the listener is gone
                 pass
             with self._lock:
-                if waiting in self._listeners:
-                    self._listeners.remove(waiting)
+                if listener in self._listeners:
+                    self._listeners.remove(listener)
+
+
+class _Listener:
+    """One connection, and the rows that wait for it."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.waiting: queue.Queue[bytes | None] = queue.Queue(BACKLOG)
+        self._connection = connection
+
+    def hang_up(self) -> None:
+        """End the connection at once, whatever still waits; its thread, if it sleeps, wakes."""
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+        with contextlib.suppress(queue.Full):  # then it is not asleep
+            self.waiting.put_nowait(None)
 
 
 def _plain(value: Any) -> Any:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import gc
 import math
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +16,11 @@ import numpy as np
 from sim.settings import TankSettings
 from sim.twin.cardmodel import CardModel
 from sim.twin.control import ControlServer
+from sim.twin.deviceserver import DeviceServer
 from sim.twin.faults import Fault, parse_fault
 from sim.twin.hand import Hand
 from sim.twin.plant import Plant
-from sim.twin.service import serve
+from sim.twin.supply import SupplyServer
 from sim.twin.truth import TruthServer
 from smolbot.config import validate
 from smolbot.errors import InputError
@@ -29,6 +33,15 @@ if TYPE_CHECKING:
     from smolbot.arrays import FloatArray
 
 CONTROL = "127.0.0.1:31765"
+
+LOOK = 0.02
+"""Seconds between two looks at whether a fault is over."""
+
+SWITCH = 5e-4
+"""Seconds after which one thread lets another go on: a reader must not wait for the card's thread, nor it for him."""
+
+FOR_GOOD = 1_000_000
+"""Lines of the serial port: more than any mission sends."""
 
 SERIAL_FAULTS = ("serial_unplugged", "serial_garbled", "serial_truncated", "firmware_reset", "firmware_hung")
 
@@ -70,24 +83,36 @@ class Twin:
         self._warm_up()
         self.card = CardModel(section, self.plant, self._between)
         self.card.faults.add_listener(self._fault)
-        drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, "truth": self.plant.truth.as_dict()}
+        drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.drawn()}
         self._hand = Hand(rig.magnet.move_s, np.random.default_rng([seed, 5])) if section.stage else None
         self._told = -math.inf
+        self._seen = 0
         self._closing: list[Any] = []
         self.stage: SimulatedUno | None = None
         try:
             self.truth = TruthServer(*_split(section.truth), drawn)
             self._closing.append(self.truth)
             host, port = _split(control)
-            handlers = {"inject": self._inject, "log": self._log, "state": self._state}
+            handlers = {
+                "inject": self._inject,
+                "clear": self._clear,
+                "log": self._log,
+                "state": self._state,
+            }
             self.control = ControlServer(host, port, handlers)
             self._closing.append(self.control)
-            self.server, self.port = serve(self.card, section.server)
+            self.server = DeviceServer(self.card, section.server)
+            self._closing.append(self.server)
             if section.stage is not None:
                 self._open_stage(section.stage)
+            if section.supply is not None:
+                self._closing.append(SupplyServer(int(section.supply.address.split("::")[2])))
         except BaseException:
             self.close()
             raise
+        sys.setswitchinterval(SWITCH)
+        gc.collect()
+        gc.freeze()  # a look through all that was imported would stop the card's thread for a tenth of a second
         self.card.start()
 
     def _warm_up(self) -> None:
@@ -122,15 +147,20 @@ class Twin:
 
     def _fault(self, name: str) -> None:
         if name == "killed":
-            self.server.stop(None)
+            self.server.kill()
+            while self.card.faults.holds(name):
+                time.sleep(LOOK)
+            self.server.revive()
         elif name in SERIAL_FAULTS and self.stage is not None:
-            {
-                "serial_unplugged": self.stage.unplug,
-                "serial_garbled": lambda: self.stage and self.stage.garble(1),
-                "serial_truncated": lambda: self.stage and self.stage.truncate(1),
-                "firmware_reset": self.stage.reset,
-                "firmware_hung": self.stage.hang,
-            }[name]()
+            stage, lines = self.stage, FOR_GOOD if self.card.faults.lasts(name) else 1
+            actions: dict[str, Callable[[], None]] = {
+                "serial_unplugged": stage.unplug,
+                "serial_garbled": functools.partial(stage.garble, lines),
+                "serial_truncated": functools.partial(stage.truncate, lines),
+                "firmware_reset": stage.reset,
+                "firmware_hung": stage.hang,
+            }
+            actions[name]()
 
     def inject(self, fault: Fault) -> None:
         """Let a fault come."""
@@ -143,18 +173,31 @@ class Twin:
     def _log(self, asked: Mapping[str, Any]) -> list[dict[str, Any]]:
         return self.card.journal.since(int(asked.get("since", 0)))
 
+    def _clear(self, _: Mapping[str, Any]) -> str:
+        self.card.faults.clear()
+        if self.stage is not None and self._hand is not None:
+            self.stage.plug()
+            self.stage.garble(0)
+            self.stage.truncate(0)
+            self.stage.reset()
+            end = time.monotonic() + 2.0
+            while self.stage.lamp is not None and time.monotonic() < end:
+                time.sleep(LOOK)
+            self._hand.put_away()
+        return "cleared"
+
     def _state(self, _: Mapping[str, Any]) -> dict[str, Any]:
         found = dict(self.card.state()) | {"now": time.monotonic()}
         if self.stage is not None:
             turn, steering = self.stage.steps
             found |= {"motors_on": self.stage.enabled, "steps": [turn, steering], "lamp": self.stage.lamp}
+            found["turning"], self._seen = turn != self._seen, turn
         return found
 
     def close(self) -> None:
         """End everything; harmless when repeated."""
+        self.card.faults.clear()
         self.card.close()
-        if hasattr(self, "server"):
-            self.server.stop(None)
         while self._closing:
             self._closing.pop().close()
         self.plant.carrier.close()

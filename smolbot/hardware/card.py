@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import threading
 import time
@@ -17,8 +18,18 @@ from smolbot.hardware.driver import Driver
 from smolbot.hardware.waveform import Waveform
 from smolbot.hardware.wiring import BenchSection
 
-LONGEST_PIECE = 0.05
+PATIENCE = 0.06
+"""Seconds that samples may be late before their window counts as lost; meanwhile what plays goes on."""
+
+PROBE = 100
+"""Samples of a recording that only shows whether the inputs work."""
+
+LONGEST_PIECE = 0.03
 """Seconds of samples in one read: a stop is noticed that soon, and no message grows large."""
+
+
+LAST_PIECE = 4e-3
+"""Seconds of the last one, which the loop waits for."""
 
 
 class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window that can be done without
@@ -28,9 +39,17 @@ class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window
 class Guarding(Protocol):
     """Watches over what is driven."""
 
-    def arm(self) -> None: ...
+    def arm(self) -> None:
+        """Something is about to be driven."""
 
-    def disarm(self) -> None: ...
+    def disarm(self) -> None:
+        """Nothing is driven any more."""
+
+    def abandon(self) -> None:
+        """Something may still be driven: let the watchdog expire."""
+
+    def must_be_open(self) -> None:
+        """Raise `RigError` unless every relay is open."""
 
 
 class Card:
@@ -128,9 +147,10 @@ class Card:
             with self._naming("play a shot"):
                 return self._play(waveform, guard)
         except BaseException:
-            self.silence()
-            with self._driver.forgiven():
+            if self.silence():
                 guard.disarm()
+            else:
+                guard.abandon()
             raise
 
     def _play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
@@ -148,12 +168,12 @@ class Card:
         self.inputs.start()
         began = 0.5 * (before + time.monotonic())
         heard = np.zeros((len(self._section.inputs.channels), waveform.samples))
-        over = round((waveform.outputs / self._section.outputs.rate_hz) * self._rate) + 1 if driven else 0
-        for first, end in self._pieces(waveform, over):
+        for first, end in self._pieces(waveform):
             self._read(heard, first, end)
-            if driven and end >= over:
+            if driven and end >= waveform.settled:
                 self.outputs.stop()
                 self.lines.stop()
+                guard.must_be_open()
                 guard.disarm()
                 driven = False
         self.inputs.stop()
@@ -162,9 +182,10 @@ class Card:
         first, count = waveform.listen
         return heard[:, first : first + count], began
 
-    def _pieces(self, waveform: Waveform, over: int) -> Iterator[tuple[int, int]]:
-        """Spans of samples to read one after the other; one ends where the outputs are through."""
-        marks = sorted({0, min(over, waveform.samples), waveform.samples})
+    def _pieces(self, waveform: Waveform) -> Iterator[tuple[int, int]]:
+        """Spans of samples to read one after the other; one ends where the relays are open, and the last is short."""
+        last = waveform.samples - max(round(LAST_PIECE * self._rate), 1)
+        marks = sorted({0, waveform.settled, max(last, waveform.settled), waveform.samples})
         longest = max(int(LONGEST_PIECE * self._rate), 1)
         for begin, end in itertools.pairwise(marks):
             count = -(-(end - begin) // longest)
@@ -175,40 +196,65 @@ class Card:
         if self._stopped.is_set():
             raise RigError("Stopped during a shot; every output is at zero.")
         piece = np.zeros((len(heard), end - first))
-        got = self._reader.read_many_sample(piece, end - first, timeout=self._patience + (end - first) / self._rate)
+        got = self._reader.read_many_sample(piece, end - first, timeout=PATIENCE + (end - first) / self._rate)
         if got != end - first:
             raise LostWindow(f"{got} of {end - first} samples came")
         heard[:, first:end] = piece
 
-    def stop(self) -> None:
+    def probe(self) -> None:
+        """Listen for a moment, nothing driven.
+
+        Raises
+        ------
+        LostWindow
+            If no samples come now either.
+        RigError
+            For every other failure.
+        """
+        with self._naming("listen"):
+            self._clock("inputs", PROBE)
+            self.inputs.start()
+            self._read(np.zeros((len(self._section.inputs.channels), PROBE)), 0, PROBE)
+            self.inputs.stop()
+
+    def stop(self) -> bool:
         """As `silence`, and for good: this card plays nothing any more."""
         self._stopped.set()
-        self.silence()
+        return self.silence()
 
-    def silence(self) -> None:
-        """Abort what plays; outputs to zero, amplifiers off, relays open. Safe from any thread, never raises."""
+    def silence(self) -> bool:
+        """Abort what plays; outputs to zero, amplifiers off, relays open. Safe from any thread, never raises.
+
+        Returns
+        -------
+        bool
+            Whether the card did so; if not, its watchdog is what opens the relays.
+        """
         from nidaqmx.constants import TaskMode
 
         for task in (self.lines, self.outputs, self.inputs):
-            with self._driver.forgiven():
-                task.control(TaskMode.TASK_ABORT)
+            self._driver.attempt(functools.partial(task.control, TaskMode.TASK_ABORT))
         self._lengths.clear()
-        self._write_zeros()
+        return self._write_zeros()
 
-    def _write_zeros(self) -> None:
-        """Relays first, for that is what stops a current; then the outputs behind them."""
-        with self._driver.forgiven():
+    def _write_zeros(self) -> bool:
+        """Relays first, for that is what stops a current; then the outputs behind them. Whether both went well."""
+
+        def lines() -> None:
             self._zero_line_writer.write_one_sample_port_uint32(0)
             self._zero_lines.stop()
-        with self._driver.forgiven():
+
+        def outputs() -> None:
             self._zero_output_writer.write_one_sample(np.zeros(len(self._section.used_outputs)))
             self._zero_outputs.stop()
+
+        done = self._driver.attempt(lines)
+        return self._driver.attempt(outputs) and done
 
     def close(self) -> None:
         """Let go of every task; outputs are as they were left, so silence first."""
         for task in self._tasks:
-            with self._driver.forgiven():
-                task.close()
+            self._driver.attempt(task.close)
         self._tasks.clear()
 
     def _task(self) -> Any:
@@ -232,6 +278,7 @@ class Card:
         try:
             yield
         except self._driver.errors as error:
+            self._driver.note(error)
             if self._driver.is_lost_read(error):
                 raise LostWindow(self._driver.explain(error)) from error
             raise RigError(

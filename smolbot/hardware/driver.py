@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from smolbot.errors import RigError
@@ -13,6 +13,8 @@ TWIN_HINT = "Without hardware, start the twin (`smolbot twin`) and use --rig twi
 
 LOST_READS = {-200284: "read time-out", -200279: "overrun", -200361: "overrun"}
 """Errors after which only what was to be heard is lost: samples that came too late, or were overwritten."""
+
+DEVICE_GONE = -201003
 
 _REMEDIES = {
     -201003: "Is the card plugged in and powered? Reset it before the next run.",
@@ -47,6 +49,7 @@ class Driver:
 
         self.server = server
         self.errors: tuple[type[BaseException], ...] = (Error,)
+        self.answers = True
         self._options: Any = None
         self._bare: Any = None
         if server:
@@ -114,14 +117,27 @@ class Driver:
         """What a person can do about an error."""
         code, rpc = code_of(error), getattr(error, "rpc_code", None)
         if code in _REMEDIES:
-            return f"{_REMEDIES[code]} Every output is at zero."
+            return _REMEDIES[code]
         if rpc is not None:
-            return "The card's watchdog opens every relay. Is the server running, the network in place?"
-        return "Every output is at zero."
+            return "Is the server running, the network in place?"
+        return "See the driver's description of this error."
 
-    def forgiven(self) -> contextlib.AbstractContextManager[None]:
-        """Where an error of the card changes nothing: it is brought to rest as far as it can be."""
-        return contextlib.suppress(*self.errors)
+    def note(self, error: BaseException) -> None:
+        """Remember from an error that nobody answers any more: then nothing is to be waited for."""
+        name = str(getattr(getattr(error, "rpc_code", None), "name", ""))
+        if name in ("DEADLINE_EXCEEDED", "UNAVAILABLE") or code_of(error) == DEVICE_GONE:
+            self.answers = False
+
+    def attempt(self, action: Callable[[], object]) -> bool:
+        """Do what brings the card to rest, if it answers; whether it did. An error changes nothing else."""
+        if not self.answers:
+            return False
+        try:
+            action()
+        except self.errors as error:
+            self.note(error)
+            return False
+        return True
 
     def close(self) -> None:
         """Let go of the server."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from smolbot.errors import RigError
+from smolbot.errors import OperatorStopError, RigError
 from smolbot.hardware.driver import Driver
 from smolbot.hardware.wiring import BenchSection
+from smolbot.worlds import CheckItem
 
 
 class Guard:
@@ -24,10 +25,10 @@ class Guard:
     section : BenchSection
     driver : Driver
     trip : callable
-        Called once, from the guard's thread, with the reason, when the button is pressed or the card fails.
+        Called once, from the guard's thread, with an error that says why, when the button is pressed or the card fails.
     """
 
-    def __init__(self, section: BenchSection, driver: Driver, trip: Callable[[str], None]) -> None:
+    def __init__(self, section: BenchSection, driver: Driver, trip: Callable[[RigError], None]) -> None:
         self._section, self._driver, self._trip = section, driver, trip
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watchdog feeder", daemon=True)
@@ -80,7 +81,11 @@ class Guard:
         with self._armed:
             if self._feeding:
                 self._feeding = False
-                self._watchdog.stop()
+                self._driver.attempt(self._watchdog.stop)
+
+    def abandon(self) -> None:
+        """Feed it no more: something may still be driven, and it is what opens the relays."""
+        self._feeding = False
 
     def pressed(self) -> str | None:
         """Why the operator's button says no; None while it does not."""
@@ -91,13 +96,46 @@ class Guard:
             f"Stopped by the operator's button ({self._section.device}/{line} is low: pressed, or its cable is broken)."
         )
 
-    def relays_open(self) -> bool:
-        """Whether the relays' contacts say that all are open, looked at now; True where they are not wired."""
+    def must_be_open(self) -> None:
+        """Look whether the relays' contacts say that all are open; nothing is known where they are not wired.
+
+        Raises
+        ------
+        RigError
+            If one is closed.
+        """
         line = self._section.relays.all_open
         if line is None:
-            return True
+            return
         self._look()
-        return self.lines[line]
+        if not self.lines[line]:
+            raise RigError(
+                f"{self._section.device}: a relay did not open after a shot ({line} is low). Amplifiers are off and "
+                "outputs at zero; switch off the supply and look for the relay whose contacts stick."
+            )
+
+    def checks(self, card: str) -> Iterator[CheckItem]:
+        """The lines as they are read, and a watchdog that starts, is fed and stops; nothing is driven."""
+        section = self._section
+        try:
+            self.arm()
+            self._watchdog.reset_timer()
+            self.disarm()
+        except self._driver.errors as error:
+            yield CheckItem(card, "watchdog", self._driver.explain(error), False, "starts and is fed")
+            return
+        timeout = section.watchdog.timeout_ms
+        yield CheckItem(card, "watchdog", f"starts, is fed and stops; opens relays after {timeout:g} ms")
+        if section.input_lines:
+            self._look()
+        if section.relays.all_open is not None:
+            opened = self.lines[section.relays.all_open]
+            yield CheckItem(card, "relays", "all open" if opened else "one is closed", opened, "all open")
+        if section.operator.stop_line is not None:
+            pressed = self.pressed() is not None
+            yield CheckItem(
+                card, "operator's button", "pressed" if pressed else "not pressed", not pressed, "not pressed"
+            )
 
     def _look(self) -> None:
         levels = np.zeros(len(self._section.input_lines), np.bool_)
@@ -115,15 +153,19 @@ class Guard:
                 if self._inputs is not None:
                     self._look()
             except self._driver.errors as error:
+                self._driver.note(error)
+                self._feeding = False
                 if not self._end.is_set():
                     self._trip(
-                        f"{self._section.device}: the watchdog cannot be fed: {self._driver.explain(error)} "
-                        f"{self._driver.remedy(error)}"
+                        RigError(
+                            f"{self._section.device} did not answer to its watchdog's feeding: "
+                            f"{self._driver.explain(error)} {self._driver.remedy(error)}"
+                        )
                     )
                 return
             pressed = self.pressed()
             if pressed:
-                self._trip(pressed)
+                self._trip(OperatorStopError(pressed))
                 return
             due = max(due + pause, time.monotonic())  # a late feed is not made up for
             self._end.wait(max(due - time.monotonic(), 0.0))
@@ -135,8 +177,6 @@ class Guard:
             self._thread.join(2.0)
         for task in (self._watchdog, self._inputs):
             if task is not None:
-                with self._driver.forgiven():
-                    task.stop()
-                with self._driver.forgiven():
-                    task.close()
+                self._driver.attempt(task.stop)
+                self._driver.attempt(task.close)
         self._watchdog = self._inputs = None

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from smolbot.errors import RigError
 from smolbot.hardware.wiring import OperatorSection, StageSection
 from smolbot.rigfile import MagnetSection
 from smolbot.shots import MoveMagnet, Rest, Rotate, Shot
+from smolbot.worlds import CheckItem
 
 if TYPE_CHECKING:
     from smolbot.operator import Operator
@@ -20,7 +21,7 @@ LOOK = 0.05
 """Seconds between two looks at the switches, or at whether to stop."""
 
 GRACE = 2.0
-"""Seconds that a turn may take longer than planned, for its ramps."""
+"""Seconds that a move may take longer than planned, for its ramps."""
 
 
 class Magnet:
@@ -49,7 +50,7 @@ class Magnet:
         self._operator, self._patience = operator, patience.answer_timeout_s
         self._steering_rate = math.radians(magnet.max_steering_deg_per_s)
         self.switched = section.switches
-        self._stage = MagnetStage(section)
+        self._stage = MagnetStage(section, self._steering_rate)
         self._stage.open()
         try:
             self.identity = str(self._stage.identity)
@@ -74,7 +75,7 @@ class Magnet:
                 self._move(window, proceed)
             elif isinstance(window, Rotate):
                 self._stage.turn(math.atan2(window.axis[1], window.axis[0]), window.turns, window.frequency)
-                self._until_idle(window.duration + GRACE, proceed)
+                self._until_idle(window.duration + 0.5 * math.pi / self._steering_rate + GRACE, proceed)
             elif isinstance(window, Rest):
                 self._pause(window.duration, proceed)
 
@@ -128,6 +129,13 @@ class Magnet:
         while (left := end - time.monotonic()) > 0.0:
             proceed()
             time.sleep(min(left, LOOK))
+
+    def checks(self) -> Iterator[CheckItem]:
+        """Firmware and switches; nothing moves."""
+        yield CheckItem("magnet stage", "firmware", self.identity)
+        if self.switched:
+            place = self._stage.at or "neither near nor away"
+            yield CheckItem("magnet stage", "magnet", place, place == "away", "away")
 
     def must_rest(self) -> None:
         """Raise `RigError` unless the motors stand still and the firmware reports no fault."""

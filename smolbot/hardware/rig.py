@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections import Counter
+from collections.abc import Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -18,18 +20,19 @@ from smolbot.hardware.guard import Guard
 from smolbot.hardware.magnet import Magnet
 from smolbot.hardware.nominal import NominalExcitation
 from smolbot.hardware.priority import ask_for_priority
+from smolbot.hardware.supply import Supply
 from smolbot.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.hardware.wiring import BenchSection
 from smolbot.rigfile import RigConfig
 from smolbot.sensing import Recording
 from smolbot.shots import MoveMagnet, Rotate, Shot, magnet_near_after
-from smolbot.worlds import Witness
+from smolbot.worlds import CheckItem, Witness
 
 if TYPE_CHECKING:
     from smolbot.operator import Operator
 
 LOST_IN_A_ROW = 2
-"""Windows lost one after the other that are no accident any more."""
+"""Windows lost one after the other that are no accident any more: a card that fails twice fails for good."""
 
 
 class BenchRig:
@@ -64,11 +67,12 @@ class BenchRig:
         self._epoch = time.monotonic()
         self._drive_end: float | None = None
         self._lost = 0
-        self._latched: str | None = None
+        self._latched: RigError | None = None
         self._driver: Driver | None = None
         self._card: Card | None = None
         self._guard: Guard | None = None
         self._magnet: Magnet | None = None
+        self._supply: Supply | None = None
         self._open = True
         try:
             self._open_devices(operator)
@@ -90,7 +94,13 @@ class BenchRig:
             try:
                 self._magnet = Magnet(self._rig.magnet, section.stage, section.operator, operator)
             except RigError as error:
-                faults.append(f"magnet stage: {error}")
+                faults.append(str(error) if str(error).startswith("magnet stage") else f"magnet stage: {error}")
+        if section.supply is not None:
+            try:
+                self._supply = Supply(section.supply)
+                self._supply.configure()
+            except RigError as error:
+                faults.append(str(error))
         if section.truth and not faults:
             from smolbot.hardware.remotewitness import RemoteWitness
 
@@ -100,6 +110,8 @@ class BenchRig:
                 faults.append(f"truth of the twin at {section.truth}: {error}")
         if faults:
             raise RigError("\n".join([*faults, f"'{self._rig.name}' was not opened; nothing was energised."]))
+        if self._supply is not None:
+            self._supply.on()
 
     def now(self) -> float:
         """Time in s since the bench was opened; a shot that is asked for now starts some milliseconds later."""
@@ -128,7 +140,8 @@ class BenchRig:
                 return None
             return self._electrical(shot)
         except RigError as error:
-            raise RigError(self._latched or str(error)) from error
+            self._halt(error)
+            raise self._latched or error from error
         finally:
             if self._magnet is not None and not self._magnet.switched:
                 self._magnet.near = magnet_near_after(shot, near=near)
@@ -139,7 +152,7 @@ class BenchRig:
 
     def stop(self) -> None:
         """Bring every output to zero now and play nothing more. Safe from any thread, any number of times."""
-        self._halt("Stopped; every output is at zero, and this bench has to be opened anew.")
+        self._halt(RigError("This bench was stopped; open it anew. Every output is at zero."))
 
     def close(self) -> None:
         """Stop, then let go of every device; harmless when repeated."""
@@ -147,15 +160,33 @@ class BenchRig:
             return
         self._open = False
         self.stop()
-        for part in (self._guard, self._card, self._magnet, self.witness, self._driver):
+        for part in (self._guard, self._card, self._magnet, self._supply, self.witness, self._driver):
             closing = getattr(part, "close", None)
             if closing is not None:
-                closing()
+                with contextlib.suppress(RigError):  # a device that is gone keeps no other from being let go
+                    closing()
 
     @property
     def status_line(self) -> str:
         """What was made good so far, in a few words."""
         return ", ".join(f"{count} {what}" for what, count in sorted(self.recovered.items()))
+
+    def checks(self) -> Iterator[CheckItem]:
+        """Read back every device, nothing driven."""
+        section = self._section
+        card = f"card {section.device}"
+        if self._card is not None and self._guard is not None:
+            yield CheckItem(card, "product", self._card.product, True, section.product)
+            yield CheckItem(card, "serial number", self._card.serial)
+            yield from self._guard.checks(card)
+        if self._magnet is not None:
+            yield from self._magnet.checks()
+        if self._supply is not None:
+            yield CheckItem("power supply", "model", str(self._supply.identity))
+            on = self._supply.is_on
+            yield CheckItem("power supply", "outputs", "on" if on else "off", on, "on")
+            wrong = self._supply.differences()
+            yield CheckItem("power supply", "settings", " ".join(wrong) or "as in the rig file", not wrong)
 
     def provenance(self) -> dict[str, Any]:
         """What the devices say they are; of a twin, also what it drew."""
@@ -164,6 +195,8 @@ class BenchRig:
             found |= {"product": self._card.product, "serial": self._card.serial}
         if self._magnet is not None:
             found["magnet_stage"] = self._magnet.identity
+        if self._supply is not None:
+            found["supply"] = str(self._supply.identity)
         drawn = getattr(self.witness, "provenance", None)
         return found if drawn is None else found | {"twin": drawn()}
 
@@ -182,14 +215,9 @@ class BenchRig:
             self._magnet.must_rest()
         waveform = self._compiler.compile(shot)
         try:
+            if self._lost:  # before anything is driven again
+                self._card.probe()
             volts, began = self._card.play(waveform, self._guard)
-            if waveform.outputs and not self._guard.relays_open():
-                self._halt(
-                    f"{self._section.device}: a relay did not open after a shot "
-                    f"({self._section.relays.all_open} is low). Amplifiers are off; "
-                    "switch off the supply and look for it."
-                )
-                self._refuse_if_stopped()
         except LostWindow as error:
             self._count_lost(str(error))
             return None
@@ -216,21 +244,25 @@ class BenchRig:
         saturated = np.abs(field).max(axis=1) >= full * (1.0 - 2.0**-14)
         return Recording(field / self._gains, self._rate, since, saturated, drive, clock)
 
-    def _trip(self, reason: str) -> None:
+    def _trip(self, reason: RigError) -> None:
         """The guard, from its own thread, says why nothing may go on."""
         self._halt(reason)
 
-    def _halt(self, reason: str) -> None:
+    def _halt(self, reason: RigError) -> None:
+        """Latch the first reason and bring everything to zero; what the card does not do, its watchdog does."""
         if self._latched is None:
             self._latched = reason
-        if self._card is not None:
-            self._card.stop()
+        if self._card is not None and not self._card.stop() and self._guard is not None:
+            self._guard.abandon()
         if self._magnet is not None:
             self._magnet.stop()
+        if self._supply is not None:
+            with contextlib.suppress(RigError):  # nothing is driven any more, whether it hears this or not
+                self._supply.off()
 
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
-            raise RigError(self._latched)
+            raise self._latched
 
 
 def _time_constants(rig: RigConfig) -> dict[str, float]:

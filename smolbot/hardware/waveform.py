@@ -14,6 +14,9 @@ from smolbot.errors import InputError, InterlockError
 from smolbot.hardware.wiring import BenchSection
 from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rotate, Shot, Window
 
+SETTLING = 0.5e-3
+"""Seconds beyond a relay's opening time after which it must be open."""
+
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
@@ -33,6 +36,8 @@ class Waveform:
         First input sample to keep, and how many.
     drive_end : float or None, in s
         When the last excitation before listening ended, from the first sample on.
+    settled : int
+        Input samples after which every relay has opened; 0 where nothing is driven.
     """
 
     volts: FloatArray
@@ -41,6 +46,7 @@ class Waveform:
     samples: int
     listen: tuple[int, int] | None
     drive_end: float | None
+    settled: int = 0
 
     @property
     def outputs(self) -> int:
@@ -119,9 +125,13 @@ class WaveformCompiler:
                 first = math.ceil((lead + at) * self.input_rate - 1e-6)
                 listen = first, round(window.duration * self.input_rate)
         samples = math.ceil((lead + shot.duration) * self.input_rate - 1e-6)
+        settled = 0
+        if drives:  # the inputs run until every relay has opened, so that this can be looked at
+            settled = math.ceil((volts.shape[1] / self.output_rate + self._open + SETTLING) * self.input_rate)
+            samples = max(samples, settled)
         if listen is not None:
             samples = max(samples, sum(listen))
-        return Waveform(volts, lines, lead, max(samples, 2), listen, drive_end)
+        return Waveform(volts, lines, lead, max(samples, 2), listen, drive_end, settled)
 
     def _drives(self, at: float, window: Window) -> Iterator[_Drive]:
         end = at + window.duration

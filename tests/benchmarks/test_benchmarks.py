@@ -17,6 +17,7 @@ from sim.reduced.plant import ReducedPlant
 from sim.reduced.rig import open_reduced
 from sim.settings import TankSettings
 from sim.simulate import Plant, fly_seeds, warm_rates
+from sim.twin.plant_speed import plant_loads
 from sim.world import TankWorld
 from smolbot.config import validate
 from smolbot.flying import fly
@@ -204,3 +205,11 @@ def test_flights_a_minute_of_the_reduced_plant_with_one_process_and_with_two(ben
             f"\nr_path, reduced plant, flights a minute, {what}: {max(ones):.0f} with one process, {max(twos):.0f} "
             f"with two; two over one, pair by pair: {ratios}"
         )
+
+
+@pytest.mark.benchmark(group="ratios")
+@pytest.mark.parametrize(("rig", "robot"), [("tank", "gradient"), ("gel", "helical")])
+def test_share_of_a_processor_that_the_plant_of_the_twin_takes(benchmark, rig, robot):
+    loads = benchmark.pedantic(plant_loads, (rig, robot), rounds=1, iterations=1)
+    for state, share in loads.items():
+        print(f"\nplant of the twin, {rig}, {state}: {100 * share:.1f} % of a processor", end="")

@@ -123,6 +123,14 @@ def test_what_was_not_played_cannot_be_heard():
         plant.volts(50, 100)
 
 
+def test_commands_that_no_card_can_give_change_nothing():
+    plant = make(Plant)
+    for bad, message in ((np.zeros((5, 10)), "must have shape"), (np.full((6, 10), np.nan), "finite")):
+        with pytest.raises(InputError, match=message):
+            plant.advance(bad)
+    assert plant.played == 0
+
+
 def test_the_plant_forgets_what_is_long_past():
     plant = make(Plant)
     for _ in range(30):
@@ -149,12 +157,40 @@ def test_a_magnet_that_turns_near_a_helix_screws_it_forward():
     assert abs(moved @ _axis(start)) > 0.7 * np.linalg.norm(moved)
 
 
-def test_nothing_can_be_heard_while_the_magnet_is_near():
+def test_a_magnet_that_is_near_saturates_the_sensors_then_and_only_then():
     plant = make(Plant, "gel", "helical")
-    plant.magnet(0.0, 0.0, near=True)
-    plant.advance(np.zeros((2, 500)))
+    for near in (False, True, None):
+        plant.magnet(0.0, 0.0, near=near)
+        plant.advance(np.zeros((2, 1000)))
     plant.begin_acquisition()
-    assert np.all(plant.volts(0, 500) >= 9.99)
+    before, during, after = (plant.volts(first, 900) for first in (50, 1050, 2050))
+    top = 20.0 / 2**16 * (2**15 - 1)
+    assert np.all((during >= top) | (during == -10.0))
+    assert 0 < np.count_nonzero(during[:, 0] < 0) < 10  # a dipole points up here and down there
+    assert np.abs(before).max() < 1.0
+    assert np.abs(after).max() < 1.0
+
+
+def test_currents_obey_their_commands_while_the_magnet_is_near():
+    plant = make(Plant, "gel", "helical")
+    plant.advance(np.full((2, 2500), 2.0))
+    assert plant.coils.circuits[:2, 0] == pytest.approx(2.0, rel=1e-9)
+    plant.magnet(0.0, 0.0, near=True)
+    plant.advance(np.zeros((2, 250)))
+    assert plant.coils.circuits[:2, 0] == pytest.approx(2.0 * np.exp(-5e-3 / plant.coils.circuits[:2, 3]), rel=1e-9)
+
+
+def test_a_robot_outside_the_container_is_an_error_that_says_where_and_when():
+    plant = make(Plant)
+    plant.advance(np.zeros((6, 250)))
+    plant.carrier.bodies.place(np.array([0.0, 0.0, 0.4]), np.array([1.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(RigError, match=r"left the container, to .* 399\.\d+\] mm, at 0\.010 s"):
+        plant.advance(np.zeros((6, 250)))
+
+
+def test_what_was_drawn_can_be_written_down():
+    drawn = make(Plant, "gel", "helical").drawn()
+    assert json.loads(json.dumps(drawn)).keys() == {"truth", "carrier"}
 
 
 def _axis(pose):
@@ -177,11 +213,7 @@ def test_truth_arrives_at_another_process_as_it_was_told():
     try:
         assert witness.provenance()["seed"] == 4
         json.dumps(witness.provenance())
-        for _ in range(200):  # until the listener is known
-            server.publish(rows(100, epoch))
-            if witness._count:
-                break
-            time.sleep(0.005)
+        server.publish(rows(100, epoch))
         pose = witness.truth(0.0405)
         assert pose.position[0] == pytest.approx(0.0405, abs=1e-9)
         assert pose.time == 0.0405

@@ -1,0 +1,49 @@
+"""What the magnet overhead puts into the sensors while it is near: thousands of times what they can read."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from smolbot.arrays import FloatArray
+
+
+class Overhead:
+    """Remembers for a while what the sensors heard of the magnet, straight between the moments that were noted.
+
+    Parameters
+    ----------
+    axes : ndarray, shape (n, 3)
+        Of the sensors, gains included.
+    memory : float, in s
+    """
+
+    def __init__(self, axes: FloatArray, memory: float) -> None:
+        self._axes, self._memory = axes, memory
+        self._rows: deque[tuple[float, FloatArray]] = deque()
+
+    def note(self, time: float, field: FloatArray) -> None:
+        """From the last moment to `time` s, the field at the sensors went straight to `field` (n, 3) in T."""
+        heard = np.einsum("ij,ij->i", self._axes, field)
+        rows = self._rows
+        if len(rows) > 1 and not heard.any() and not rows[-1][1].any() and not rows[-2][1].any():
+            rows.pop()  # away and still away
+        rows.append((time, heard))
+        while len(rows) > 1 and rows[1][0] < time - self._memory:
+            rows.popleft()
+
+    def add(self, signal: FloatArray, clock: float, rate: float) -> None:
+        """Add it to `signal` (n, k) in T, samples from `clock` s on."""
+        near: list[tuple[float, FloatArray]] = []
+        for row in reversed(self._rows):
+            near.append(row)
+            if row[0] <= clock:
+                break
+        near.reverse()
+        if not any(heard.any() for _, heard in near):
+            return
+        times, heard = np.array([time for time, _ in near]), np.array([heard for _, heard in near])
+        at = clock + np.arange(signal.shape[1]) / rate
+        for own, row in zip(signal, heard.T, strict=True):
+            own += np.interp(at, times, row)

@@ -1,0 +1,159 @@
+"""The magnet stage of the twin: its real firmware on a simulated board, behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from sim.twin.firmware import build
+from sim.twin.unostate import MAGIC, SharedState
+from smolbot.errors import RigError
+
+PATIENCE = 5.0
+"""Seconds within which the board starts, and carries out an order."""
+
+
+class SimulatedUno:
+    """An Arduino Uno at 16 MHz of real time, with two stepper drivers, two switches and two lamps.
+
+    It has a supply of its own: with the cable pulled it runs on. Motors step only while their drivers are on.
+
+    Raises
+    ------
+    RigError
+        If a tool is missing, or the board does not start or stops by itself.
+    """
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[str] | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="smolbot-uno-")
+        self._link: Path | None = None
+        self._switches: tuple[bool, bool] | None = None
+        self._orders = 0
+        self.state = SharedState(Path(self._folder.name) / "state")
+
+    def start(self, link: Path, firmware: Path | None = None) -> None:
+        """Power up with the shipped firmware, or another ELF; `link` leads to the serial port from then on."""
+        built = build()
+        link.parent.mkdir(parents=True, exist_ok=True)
+        self._link = link
+        self._process = subprocess.Popen(
+            [built.board, firmware or built.firmware, link, Path(self._folder.name) / "state"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
+        )
+        self._until(lambda: self.state.number("magic") == MAGIC, "start")
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Where the motors stand, turning and steering, in steps since power-up."""
+        return self.state.steps
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the motors' drivers are on: their enable line."""
+        return bool(self.state.number("enabled"))
+
+    @property
+    def lamp(self) -> Literal["near", "away"] | None:
+        """What the lamps ask the operator for."""
+        lit = self.state.number("lamp")
+        return "near" if lit == 1 else "away" if lit == 2 else None
+
+    @property
+    def resets(self) -> int:
+        """Resets since power-up, by whatever cause."""
+        return self.state.number("resets")
+
+    @property
+    def spoiled(self) -> int:
+        """Lines that were garbled or cut short so far."""
+        return self.state.number("taken")
+
+    def take_edges(self) -> np.ndarray:
+        """Edges of the wires since the last call: cycle, time (CLOCK_MONOTONIC, s), pin (`unostate.PINS`), level."""
+        return self.state.take_edges()
+
+    def set_switches(self, near: bool, away: bool) -> None:
+        """Close or open the two end switches."""
+        if (near, away) != self._switches:
+            self._switches = (near, away)
+            self._order(f"switches {int(near)} {int(away)}", wait=False)
+
+    def reset(self) -> None:
+        """Pull the reset line for a moment."""
+        self._order("reset")
+
+    def hang(self) -> None:
+        """Catch the main loop in an endless one; interrupts go on."""
+        self._order("hang")
+
+    def unplug(self) -> None:
+        """Pull the serial cable. The board stays powered."""
+        self._order("unplug")
+
+    def plug(self) -> None:
+        """Put the serial cable back."""
+        self._order("plug")
+
+    def garble(self, n: int = 1) -> None:
+        """Flip a bit in each of the next `n` lines, in turn one to the board and one from it."""
+        self._order(f"garble {n:d}")
+
+    def truncate(self, n: int = 1) -> None:
+        """Lose the end of each of the next `n` lines, in turn one to the board and one from it."""
+        self._order(f"truncate {n:d}")
+
+    def run_free(self) -> None:
+        """No longer keep to real time: as fast as the machine runs."""
+        self._order("free")
+
+    def close(self) -> None:
+        """Power down, for good. May be called twice."""
+        process, self._process = self._process, None
+        if process is not None:
+            assert process.stdin is not None
+            with contextlib.suppress(BrokenPipeError):  # it may have ended by itself, and its last word with it
+                process.stdin.close()
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+        self._folder.cleanup()
+
+    def _order(self, text: str, wait: bool = True) -> None:
+        if self._process is None or self._process.stdin is None:
+            raise RigError("simulated magnet stage: not running.")
+        self._orders += 1
+        number = self._orders
+        try:
+            self._process.stdin.write(text + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            self._ended(text)
+        if wait:
+            self._until(lambda: self.state.number("done") >= number, text)
+
+    def _until(self, holds: Callable[[], bool], action: str) -> None:
+        end = time.monotonic() + PATIENCE
+        while not holds():
+            if self._process is None or self._process.poll() is not None:
+                self._ended(action)
+            if time.monotonic() > end:
+                raise RigError(f"simulated magnet stage: '{action}' took more than {PATIENCE:g} s.")
+            time.sleep(0.0005)
+
+    def _ended(self, action: str) -> None:
+        code = None if self._process is None else self._process.poll()
+        raise RigError(f"simulated magnet stage: its program ended (exit code {code}) at '{action}'.")

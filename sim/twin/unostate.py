@@ -1,0 +1,55 @@
+"""What the simulated board shares: `struct state` of ``avr/uno.c``, in a mapped file."""
+
+from __future__ import annotations
+
+import mmap
+from pathlib import Path
+
+import numpy as np
+
+MAGIC = 0x31554E4F
+RING = 131072
+EDGE = np.dtype([("cycle", "<u8"), ("time", "<f8"), ("pin", "<u4"), ("level", "<u4")])
+STATE = np.dtype(
+    [
+        ("magic", "<u4"),
+        ("resets", "<u4"),
+        ("steps", "<i8", (2,)),
+        ("enabled", "<u4"),
+        ("lamp", "<u4"),
+        ("cycles", "<u8"),
+        ("edges", "<u8"),
+        ("done", "<u8"),
+        ("taken", "<u8"),
+        ("ring", EDGE, (RING,)),
+    ]
+)
+PINS = ("turn step", "turn direction", "steering step", "steering direction", "drivers on")
+
+
+class SharedState:
+    """The board's state, read while it runs. Every number is written whole by one thread."""
+
+    def __init__(self, path: Path) -> None:
+        with path.open("w+b") as file:
+            file.truncate(STATE.itemsize)
+            self._map = mmap.mmap(file.fileno(), STATE.itemsize)
+        self._view = np.frombuffer(self._map, STATE, count=1)[0]
+        self._taken = 0
+
+    def number(self, name: str) -> int:
+        """One of the counts and flags, now."""
+        return int(self._view[name])
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Steps that the motors have made, turning and steering."""
+        turn, steering = self._view["steps"]
+        return int(turn), int(steering)
+
+    def take_edges(self) -> np.ndarray:
+        """Edges since the last call, oldest first; of more than `RING` only the last ones are left."""
+        end = self.number("edges")
+        first = max(self._taken, end - RING)
+        self._taken = end
+        return np.asarray(self._view["ring"][np.arange(first, end) % RING]).copy()

@@ -1,0 +1,125 @@
+"""Lines of the magnet stage's protocol: made, checked, read. No port is touched here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+NAME = "smolbot-magnet-stage"
+VERSION = (1, 0)
+"""The version of the protocol that this driver speaks; the same major number, and no lower minor one, is needed."""
+
+RATE_MIN, RATE_MAX = 40, 4000
+"""Steps per second that the firmware accepts."""
+
+STEPS_MAX = 1_000_000
+"""Steps that the firmware accepts in one command."""
+
+LINE_MAX = 64
+"""Characters of a line that the firmware accepts, without its end."""
+
+Place = Literal["near", "away"]
+
+
+class GarbledError(ValueError):
+    """A line that does not carry its own checksum, or not the form of a reply."""
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An answer: which line it answers, whether it was done, and what it says. A line without number has None."""
+
+    sequence: int | None
+    word: str
+    rest: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class State:
+    """What a heartbeat brings back; places in steps since the board booted."""
+
+    armed: bool
+    moving: bool
+    at: Place | None
+    fault: str
+    turn: int
+    steering: int
+
+
+def checksum(text: bytes) -> int:
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF, no reflection.
+
+    >>> f"{checksum(b'123456789'):04X}"
+    '29B1'
+    """
+    crc = 0xFFFF
+    for byte in text:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+def line(sequence: int, command: str) -> bytes:
+    r"""A command as it goes over the wire.
+
+    >>> line(7, "BEAT")
+    b'7 BEAT*B04C\n'
+    """
+    body = f"{sequence} {command}".encode("ascii")
+    return b"%s*%04X\n" % (body, checksum(body))
+
+
+def parse(received: bytes) -> Reply:
+    r"""A line from the board.
+
+    Raises
+    ------
+    GarbledError
+        If its checksum or its form is wrong.
+
+    >>> parse(line(7, "OK ARMED"))
+    Reply(sequence=7, word='OK', rest=('ARMED',))
+    """
+    body, star, crc = received.strip(b"\r\n").rpartition(b"*")
+    if not star or crc != b"%04X" % checksum(body):
+        raise GarbledError(f"garbled line {received[:80]!r}")
+    try:
+        head, word, *rest = body.decode("ascii").split(" ")
+    except ValueError:
+        raise GarbledError(f"line of no known form {received[:80]!r}") from None
+    if head in ("!", "?"):
+        return Reply(None, word, tuple(rest))
+    if not head.isdecimal() or word not in ("OK", "ERR"):
+        raise GarbledError(f"line of no known form {received[:80]!r}")
+    return Reply(int(head), word, tuple(rest))
+
+
+def parse_state(rest: tuple[str, ...]) -> State:
+    """What follows ``OK`` in the answer to a heartbeat.
+
+    Raises
+    ------
+    GarbledError
+        If it is of another form.
+    """
+    try:
+        armed, moving, switches, fault, turn, steering = rest
+        at: dict[str, Place | None] = {"NEAR": "near", "AWAY": "away", "NONE": None, "BOTH": None}
+        return State(armed == "ARMED", moving == "MOVING", at[switches], fault, int(turn), int(steering))
+    except (ValueError, KeyError):
+        raise GarbledError(f"state of no known form '{' '.join(rest)}'") from None
+
+
+def version_fault(identity: tuple[str, ...]) -> str | None:
+    """Why firmware that calls itself ``NAME MAJOR.MINOR`` cannot be used, or None."""
+    needed = f"'{NAME} {VERSION[0]}.{VERSION[1]}'"
+    got = " ".join(identity) or "nothing"
+    try:
+        name, version = identity
+        major, minor = (int(part) for part in version.split("."))
+    except ValueError:
+        return f"got '{got}', needs {needed}"
+    if name != NAME or major != VERSION[0] or minor < VERSION[1]:
+        return f"got '{got}', needs {needed} or a later {VERSION[0]}.x; upload the firmware that came with smolbot"
+    return None
