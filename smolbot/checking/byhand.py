@@ -35,6 +35,7 @@ def by_hand(rig: RigConfig) -> list[str]:
         found += [
             f"Magnet ({sections.magnet.side_mm:g} mm cube, strong): no card, pacemaker or finger on its way; it moves "
             "freely by hand from away to near and back, and each end switch clicks.",
+            "Steering axis: stands at its mark while the stage is switched on; it is counted from there.",
             "Magnet motors: with the stage disarmed the shaft turns by hand; with the mains switch off it coasts.",
         ]
     surface = sections.container.surface_z_mm - sections.container.floor_z_mm

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from smolbot.checking.byhand import by_hand
-from smolbot.checking.coils import CoilCheck, check_coils
+from smolbot.checking.coils import FEWEST, CoilCheck, check_coils
 from smolbot.checking.hum import SHORTEST, Hum, measure_hum
 from smolbot.errors import InputError
 from smolbot.probing import Prober
@@ -131,14 +131,16 @@ def check_rig(rig: Rig, config: RigConfig, quiet: float = 12.0, say: Callable[[s
     coils: tuple[CoilCheck, ...] = ()
     gains: list[float | None] = [None] * len(rig.sensors)
     notes: list[str] = []
-    if isinstance(rig, Prober):
+    if not isinstance(rig, Prober):
+        notes.append("This rig cannot hear its own coils while they are driven: coils and relays were not checked.")
+    elif usable.sum() < FEWEST:
+        notes.append(f"Fewer than {FEWEST} sensors can be relied on: coils and relays were not checked.")
+    else:
         coils, heard = check_coils(rig, config, usable, expected.range, say)
         for number, likeness in enumerate(heard):
             gains[number] = likeness.gain
             if likeness.fault and usable[number]:
                 faults[number].append(likeness.fault)
-    else:
-        notes.append("This rig cannot hear its own coils while they are driven: coils and relays were not checked.")
     names = _sensor_names(config, len(rig.sensors))
     sensors = tuple(
         SensorCheck(

@@ -18,6 +18,9 @@ from smolbot.probing import Probe, Prober
 if TYPE_CHECKING:
     from smolbot.rigfile import RigConfig
 
+FEWEST = 3
+"""Sensors without which a pattern says nothing."""
+
 PROBE_SHARE = 0.6
 """Share of the range that a probe fills in the sensor that hears it best."""
 
@@ -62,7 +65,7 @@ def check_coils(
         probes.append(rig.probe(name, currents[-1]))
     overdriven = np.array([probe.recording.saturated & usable for probe in probes])
     clear = usable & ~overdriven.any(axis=0)
-    trusted = clear if clear.sum() >= 3 else usable
+    trusted = clear if clear.sum() >= FEWEST else usable
     edges = [find_edges(probe, current, lag, trusted) for probe, current in zip(probes, currents, strict=True)]
     measured = np.array([edge.response if edge.heard else np.zeros_like(edge.response) for edge in edges])
     found, sensors = match(measured, prediction.response, prediction.names, trusted, prediction.spread)
@@ -88,8 +91,10 @@ def check_coils(
 
 
 def _faults(likeness: Likeness, edge: Edges, probe: Probe, constant: float, over: bool) -> list[str]:
-    found = [likeness.fault] if likeness.fault else []
-    if over:
+    found = []
+    if likeness.fault:
+        found.append(likeness.fault)
+    elif over:  # where a coil is another one, that is why
         found.append("saturates sensors at its probe's current")
     if not edge.heard:
         return found

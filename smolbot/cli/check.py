@@ -162,23 +162,31 @@ def _grid(title: str, columns: list[tuple[str, str]]) -> Table:
     from rich.table import Table
 
     grid = Table(
-        title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False, header_style="cyan"
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+        header_style="cyan",
     )
-    for name, justify in columns:
+    for number, (name, justify) in enumerate(columns):
+        right = justify == "right"
         grid.add_column(
             name,
-            justify="right" if justify == "right" else "left",
-            no_wrap=justify == "right",
+            justify="right" if right else "left",
+            no_wrap=right or number in (0, len(columns) - 1),
             overflow="fold",
             vertical="top",
         )
     return grid
 
 
-def _mark(faults: tuple[str, ...]) -> Any:
+def _mark(faulty: bool) -> Any:
+    """The last cell of a row; what is wrong stands in full below the tables."""
     from rich.text import Text
 
-    return Text("\n".join(faults), "bold red") if faults else Text("ok", "green")
+    return Text("bad", "bold red") if faulty else Text("ok", "green")
 
 
 def _devices(found: Checkup) -> Table:
@@ -186,7 +194,7 @@ def _devices(found: Checkup) -> Table:
     last = ""
     for item in found.devices:
         device = "" if item.device == last else item.device
-        grid.add_row(device, item.what, item.found, item.limit, _mark(() if item.ok else ("no",)))
+        grid.add_row(device, item.what, item.found, item.limit, _mark(not item.ok))
         last = item.device
     return grid
 
@@ -204,10 +212,10 @@ def _sensors(found: Checkup) -> Table:
         ],
     )  # fmt: skip
     for s in found.sensors:
-        gain = "–" if s.gain is None else f"{s.gain:.3f}"
+        gain = "–" if s.gain is None else f"{round(s.gain, 3) + 0.0:.3f}"
         grid.add_row(
             s.name, f"{1e9 * s.offset:+.0f}", f"{1e9 * s.rms:.2f}", f"{1e12 * s.slow:.1f}", f"{1e12 * s.floor:.2f}",
-            f"{1e9 * s.mains:.1f}", f"{1e9 * s.harmonics:.2f}", gain, _mark(s.faults),
+            f"{1e9 * s.mains:.1f}", f"{1e9 * s.harmonics:.2f}", gain, _mark(bool(s.faults)),
         )  # fmt: skip
     e = found.expected
     limits = (
@@ -218,7 +226,7 @@ def _sensors(found: Checkup) -> Table:
     grid.add_section()
     grid.add_row(*(Text(limit, "dim") for limit in limits))
     if found.coils:
-        grid.caption = "* and more where half a millimetre or half a degree changes what a sensor hears"
+        grid.caption = "* and more where half a millimetre or half a degree changes what it hears"
         grid.caption_justify = "left"
     return grid
 
@@ -231,7 +239,7 @@ def _coils(found: Checkup) -> Table:
     grid = _grid(
         "coils, each driven faintly and heard by all sensors",
         [
-            ("coil", ""), ("probe\nmA", "right"), ("gain", "right"), ("not explained\n%", "right"),
+            ("coil", ""), ("probe\nmA", "right"), ("gain", "right"), ("residue\n%", "right"),
             ("closes\nms", "right"), ("opens\nms", "right"), ("time constant\nms", "right"), ("", ""),
         ],
     )  # fmt: skip
@@ -239,7 +247,7 @@ def _coils(found: Checkup) -> Table:
         rise = "–" if c.rise is None else f"{1e3 * c.rise:.2f} of {1e3 * c.time_constant:.2f}"
         grid.add_row(
             c.name, f"{1e3 * c.current:.0f}", f"{c.gain:.3f}", f"{100 * c.unexplained:.1f}",
-            _milliseconds(c.closes), _milliseconds(c.opens), rise, _mark(c.faults),
+            _milliseconds(c.closes), _milliseconds(c.opens), rise, _mark(bool(c.faults)),
         )  # fmt: skip
     late, slow = 1e3 * coils.LATE, 100 * coils.SLOW_TOLERANCE
     limits = (
@@ -262,7 +270,8 @@ def _verdict(console: Console, found: Checkup) -> None:
     faults = found.faults
     console.print()
     if not faults:
-        console.print(Text.assemble(("passed", "bold green"), ": every device, sensor and coil is as the file says"))
+        what = "every device, sensor and coil" if found.coils else "every device and sensor"
+        console.print(Text.assemble(("passed", "bold green"), f": {what} is as the rig file says"))
         return
     count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
     console.print(Text.assemble(("failed", "bold red"), f": {count}"))
@@ -271,7 +280,7 @@ def _verdict(console: Console, found: Checkup) -> None:
 
 
 def _by_hand(console: Console, found: Checkup) -> None:
-    from rich.padding import Padding
+    from rich.table import Table
     from rich.text import Text
 
     title = Text("only a person can verify", "bold")
@@ -279,5 +288,9 @@ def _by_hand(console: Console, found: Checkup) -> None:
         title.append(" (on a bench; this one is simulated)", "dim")
     console.print()
     console.print(title)
+    boxes = Table.grid(padding=(0, 1))
+    boxes.add_column(width=3, justify="right")
+    boxes.add_column()
     for line in found.by_hand:
-        console.print(Padding(Text.assemble("☐ ", line), (0, 0, 0, 2)))
+        boxes.add_row("☐", Text(line))
+    console.print(boxes)

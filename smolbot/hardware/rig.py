@@ -20,12 +20,14 @@ from smolbot.hardware.guard import Guard
 from smolbot.hardware.magnet import Magnet
 from smolbot.hardware.nominal import NominalExcitation
 from smolbot.hardware.priority import ask_for_priority
+from smolbot.hardware.relayprobe import relay_probe
 from smolbot.hardware.supply import Supply
 from smolbot.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.hardware.wiring import BenchSection
+from smolbot.probing import BEFORE, Probe, probe_shot
 from smolbot.rigfile import RigConfig
 from smolbot.sensing import Recording
-from smolbot.shots import MoveMagnet, Rotate, Shot, magnet_near_after
+from smolbot.shots import MoveMagnet, Rest, Rotate, Shot, magnet_near_after
 from smolbot.worlds import CheckItem, Witness
 
 if TYPE_CHECKING:
@@ -145,6 +147,35 @@ class BenchRig:
         finally:
             if self._magnet is not None and not self._magnet.switched:
                 self._magnet.near = magnet_near_after(shot, near=near)
+
+    def probe(self, coil: str, current: float) -> Probe:
+        """What the sensors hear while the relay of one coil (``+x``, ``excitation x``) lets `current` A through.
+
+        Raises
+        ------
+        InterlockError
+            Before anything is driven, if the current breaks a limit.
+        RigError
+            If a device fails, a sample is lost, or the bench was stopped; every output is at zero and every relay open.
+        """
+        self._refuse_if_stopped()
+        near = self._magnet is not None and self._magnet.near
+        self.limits.check(probe_shot(self.limits, coil, current), magnet_near=near)
+        waveform, on, off = relay_probe(self._section, coil, current, self._rate)
+        assert self._card is not None
+        assert self._guard is not None
+        try:
+            if self._magnet is not None:
+                self._magnet.must_rest()
+            volts, began = self._card.play(waveform, self._guard)
+        except (RigError, LostWindow) as error:
+            reason = error if isinstance(error, RigError) else RigError(f"The probe of {coil} was lost: {error}")
+            self._halt(reason)
+            raise self._latched or reason from error
+        heard = self._recording(Shot((Rest(BEFORE),)), waveform, volts, began - self._epoch)
+        assert heard is not None
+        relays = self._section.relays
+        return Probe(heard, on, off, 1e-3 * relays.close_ms, 1e-3 * relays.open_ms)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""

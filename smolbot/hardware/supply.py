@@ -21,6 +21,9 @@ class Identity:
     serial: str
     firmware: str
 
+    def __str__(self) -> str:
+        return f"{self.maker} {self.model}, serial number {self.serial}, firmware {self.firmware}"
+
 
 @dataclass(frozen=True)
 class ChannelState:

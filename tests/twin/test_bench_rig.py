@@ -13,6 +13,7 @@ import pytest
 from sim.twin.faultcases import with_ports
 from sim.twin.faults import parse_fault
 from sim.twin.twin import Twin
+from smolbot.checking.checkup import check_rig
 from smolbot.errors import InterlockError, OperatorStopError, RigError
 from smolbot.hardware.rig import BenchRig
 from smolbot.hardware.world import BenchWorld
@@ -168,3 +169,47 @@ def test_a_second_client_cannot_begin_while_the_button_is_pressed(config: RigCon
     with pytest.raises(RigError, match="button.*\n.*nothing was energised"):
         BenchWorld.open(config, load_robot("gradient"), (0.0, 0.0), 0, operator=SilentOperator())
     twin.card.faults.clear()
+
+
+def test_a_healthy_bench_passes_its_check_and_its_relays_are_timed(
+    rig: BenchRig, twin: Twin, config: RigConfig
+) -> None:
+    found = check_rig(rig, config, quiet=2.0)
+    assert found.faults == []
+    for coil in found.coils:
+        assert coil.closes == pytest.approx(1e-3, abs=1e-4)  # the twin's relays take what the rig file says
+        assert coil.opens == pytest.approx(1e-3, abs=1e-4)
+        assert coil.gain == pytest.approx(1.0, abs=0.15)
+    assert at_rest(twin)
+
+
+def test_slow_relays_a_dead_sensor_and_swapped_wires_are_found(
+    rig: BenchRig, twin: Twin, config: RigConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    contacts = twin.card._contacts
+    monkeypatch.setattr(contacts, "_close", round(4e-3 * 50_000))
+    monkeypatch.setattr(contacts, "_bits", contacts._bits[[0, 1, 3, 2, 4, 5]])  # +y and -y
+    monkeypatch.setattr(contacts, "_output", contacts._output[[0, 1, 3, 2, 4, 5]])
+    twin.inject(parse_fault("sensor_dead@now:good"))
+    faults = check_rig(rig, config, quiet=2.0).faults
+    assert "sensor 0 (ai0): dead: every sample is the same" in faults
+    assert "coil +y: this is the field of -y" in faults
+    assert "coil -y: this is the field of +y" in faults
+    late = [fault for fault in faults if "its field comes 4.0 ms late, limit 1.5 ms" in fault]
+    assert len(late) == 6
+    assert at_rest(twin)
+
+
+def test_without_sensors_no_coil_is_blamed(rig: BenchRig, twin: Twin, config: RigConfig) -> None:
+    twin.inject(parse_fault("sensors_saturated@now:good"))
+    found = check_rig(rig, config, quiet=2.0)
+    assert len([fault for fault in found.faults if fault.endswith("saturated")]) == 10
+    assert not found.coils
+    assert "Fewer than 3 sensors" in found.notes[0]
+
+
+def test_a_probe_that_breaks_a_limit_is_refused(rig: BenchRig, twin: Twin) -> None:
+    shots = twin.card.state()["shots"]
+    with pytest.raises(InterlockError, match="Nothing was played"):
+        rig.probe("+x", 9.0)
+    assert twin.card.state()["shots"] == shots

@@ -1,0 +1,60 @@
+"""The waveform that times a relay: what begins and ends the field is the relay, and all ends at zero."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from smolbot.config import validate
+from smolbot.errors import InputError
+from smolbot.hardware.relayprobe import relay_probe
+from smolbot.hardware.waveform import line_bit
+from smolbot.hardware.wiring import BenchSection
+from smolbot.probing import AFTER, BEFORE, HELD
+from smolbot.rigfile import load_rig
+
+
+@pytest.fixture(scope="module")
+def section() -> BenchSection:
+    found, faults = validate(BenchSection, load_rig("bench").sections.bench, ("bench",))
+    assert found is not None, faults
+    return found
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_current_waits_for_the_relay_at_both_ends(section: BenchSection, number: int) -> None:
+    load = section.loads[number]
+    wave, on, off = relay_probe(section, load.name, 0.05, 50_000.0)
+    relay = (wave.lines >> line_bit(load.relay)) & 1 > 0
+    enabled = (wave.lines >> line_bit(section.outputs.enable)) & 1 > 0
+    row = section.used_outputs.index(load.output)
+    driven = wave.volts[row] != 0
+    rate = section.outputs.rate_hz
+    assert (on, off) == pytest.approx((BEFORE, BEFORE + HELD))
+    assert np.flatnonzero(relay)[[0, -1]] / rate == pytest.approx([on, off - 1 / rate])
+    assert np.array_equal(driven, enabled)
+    assert np.flatnonzero(driven)[0] == np.flatnonzero(relay)[0]
+    assert np.flatnonzero(driven)[-1] / rate > off + 3e-3 * section.relays.open_ms
+    assert wave.volts[row][driven] * load.gain_a_per_v == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_no_other_relay_closes_no_other_output_moves_and_all_ends_at_zero(section: BenchSection, number: int) -> None:
+    load = section.loads[number]
+    wave, _, _ = relay_probe(section, load.name, 0.05, 50_000.0)
+    allowed = 1 << line_bit(load.relay) | 1 << line_bit(section.outputs.enable)
+    assert not np.any(wave.lines & ~np.uint32(allowed))
+    others = [k for k, output in enumerate(section.used_outputs) if output != load.output]
+    assert not wave.volts[others].any()
+    assert not wave.volts[:, -1].any()
+    assert wave.lines[-1] == 0
+    assert wave.listen == (0, wave.samples)
+    assert wave.samples >= round((BEFORE + HELD + AFTER) * 50_000)
+    assert wave.settled <= wave.samples
+
+
+def test_what_cannot_be_driven_is_refused(section: BenchSection) -> None:
+    with pytest.raises(InputError, match=r"No coil 'z' is wired; wired are \+x, -x"):
+        relay_probe(section, "z", 0.05, 50_000.0)
+    with pytest.raises(InputError, match=r"\+x: 50 A needs 25.00 V; the output gives ±10 V"):
+        relay_probe(section, "+x", 50.0, 50_000.0)
