@@ -43,7 +43,7 @@ def edited(tmp_path, *changes, rig="bench"):
             "range_v = 7.0",
             "must be one of 0.1, 0.2, 0.5, 1, 2, 5, 10; got 7",
         ),
-        ("feed_ms = 20.0", "feed_ms = 90.0", "feed_ms must be at most 0.4 of timeout_ms"),
+        ("feed_ms = 15.0", "feed_ms = 90.0", "feed_ms must be at most 0.4 of timeout_ms"),
         ('all_open = "port1/line0"', 'all_open = "port9/line0"', "'port9/line0' is no line"),
         ("[bench.relays]", "[bench.relais]", "relais: unknown key"),
     ],
