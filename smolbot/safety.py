@@ -229,7 +229,9 @@ class Safety:
     def _late(self, shot: Shot, recording: Recording, now: float) -> str:
         """Why a recording is none of this shot, or too old; empty if it is neither."""
         asked = next(at for at, window in shot.timed() if isinstance(window, Listen))
-        early, age = shot.start + asked - recording.clock, now - recording.clock - recording.duration
+        early = shot.start + asked - recording.clock
+        listened = 0.0 if shot.listen is None else shot.listen.duration  # a world without samples says when it began
+        age = now - recording.clock - listened
         if early > max(_EARLY, 0.5 * shot.duration):
             return f"the recording began {early:.3f} s before it was asked for"
         if age > self.rules.max_age:
