@@ -84,6 +84,19 @@ def test_without_a_heartbeat_the_motors_go_off_and_only_a_clear_lifts_the_fault(
     assert uno.enabled
 
 
+def test_a_lamp_asks_for_nothing_once_the_host_is_silent(uno, wire):
+    assert wire.ask(b"\n" + line(1, "LAMP NEAR"), b"1 ERR HEARTBEAT*")
+    wire.send(line(2, "BEAT"))
+    assert wire.ask(line(3, "LAMP NEAR"), b"3 OK*")
+    assert uno.lamp == "near"
+    lit = uno.state.number("cycles")
+    while uno.lamp is not None and uno.state.number("cycles") < lit + 48e6:
+        time.sleep(0.005)
+    assert uno.lamp is None
+    assert wire.ask(line(4, "LAMP NONE"), b"4 OK*")
+    assert wire.ask(line(5, "BEAT"), b"5 OK OFF IDLE NONE NONE 0 0*")
+
+
 def test_a_hung_main_loop_goes_off_although_its_interrupts_step_on(uno, wire):
     off = figures.hung_loop(uno, wire)
     assert off < 0.25
@@ -106,7 +119,7 @@ def test_off_is_at_once_and_no_step_follows(uno, wire):
     [
         ("MOVE 1000001 800 0 0", "STEPS"), ("MOVE 10 4001 0 0", "RATE"), ("MOVE 10 39 0 0", "RATE"),
         ("MOVE 10 800 0", "ARGUMENTS"), ("MOVE 10 800 0 0 0", "ARGUMENTS"), ("MOVE 10 800 0 1.5", "ARGUMENTS"),
-        ("JUMP", "COMMAND"), ("LAMP FAR", "ARGUMENTS"), ("OFF now", "ARGUMENTS"),
+        ("JUMP", "COMMAND"), ("LAMP FAR", "ARGUMENTS"), ("LAMP NEAR 1", "ARGUMENTS"), ("OFF now", "ARGUMENTS"),
     ],
 )  # fmt: skip
 def test_what_is_forbidden_is_refused_by_name(uno, wire, command, error):

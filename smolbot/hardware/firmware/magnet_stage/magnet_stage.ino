@@ -26,7 +26,7 @@
 #define RATE_MAX 4000UL       /* steps/s */
 #define STEPS_MAX 1000000UL   /* in one command */
 #define ACCELERATION 2000UL   /* steps/s^2 */
-#define HEARTBEAT_MS 500      /* without BEAT while armed: fault, motors off */
+#define HEARTBEAT_MS 500      /* without BEAT: lamps out, and while armed fault, motors off */
 #define WATCHDOG WDTO_120MS   /* its oscillator is off by up to a fifth: still off within 0.25 s */
 #define DEBOUNCE_MS 10
 
@@ -198,6 +198,8 @@ static void motors_off(void)
     PORTB &= (uint8_t)~LED;
 }
 
+static void set_lamps(uint8_t lit) { PORTC = (uint8_t)((PORTC & ~(NEAR_LAMP | AWAY_LAMP)) | lit); }
+
 static uint32_t left_of(const axis_t *axis)
 {
     uint32_t left;
@@ -336,7 +338,9 @@ static const char *do_lamp(void)
         lit = 0;
     else
         return "ARGUMENTS";
-    PORTC = (uint8_t)((PORTC & ~(NEAR_LAMP | AWAY_LAMP)) | lit);
+    if (lit && silence >= HEARTBEAT_MS)
+        return "HEARTBEAT";
+    set_lamps(lit);
     return 0;
 }
 
@@ -493,9 +497,12 @@ static void every_millisecond(void)
 {
     if (silence < HEARTBEAT_MS)
         silence++;
-    if (armed && silence >= HEARTBEAT_MS) {
-        motors_off();
-        fault = FAULT_HEARTBEAT;
+    if (silence >= HEARTBEAT_MS) {
+        set_lamps(0); /* nobody is there any more for whom the magnet should come */
+        if (armed) {
+            motors_off();
+            fault = FAULT_HEARTBEAT;
+        }
     }
     ramp(&turn);
     ramp(&steer);
