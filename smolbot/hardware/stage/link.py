@@ -45,8 +45,6 @@ class Link:
     ----------
     identity : str
         What the firmware calls itself.
-    recovered : collections.Counter of str
-        Lines that were asked for a second time, by cause.
 
     Raises
     ------
@@ -57,7 +55,7 @@ class Link:
 
     def __init__(self, port: str, baud: int, boot: float = BOOT) -> None:
         self.port = port
-        self.recovered: Counter[str] = Counter()
+        self._recovered: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._sequence = 0
         self._received = bytearray()
@@ -76,7 +74,7 @@ class Link:
             try:
                 reply = self._ask(sent, action)
             except (GarbledError, TimeoutError) as first:
-                self.recovered["garbled line" if isinstance(first, GarbledError) else "lost line"] += 1
+                self._recovered["garbled line" if isinstance(first, GarbledError) else "lost line"] += 1
                 try:
                     reply = self._ask_again(sent, action)
                 except TimeoutError:
@@ -84,6 +82,12 @@ class Link:
         if reply.word == "ERR":
             raise self.error(action, f"the firmware refuses: {' '.join(reply.rest) or 'no reason given'}")
         return reply.rest
+
+    def take_recovered(self) -> Counter[str]:
+        """Lines that were asked for a second time since the last call, by cause. Safe from any thread."""
+        with self._lock:
+            taken, self._recovered = self._recovered, Counter()
+        return taken
 
     def error(self, action: str, why: str) -> RigError:
         """What is raised when `action` fails."""

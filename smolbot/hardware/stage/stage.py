@@ -47,6 +47,7 @@ class MagnetStage:
         self._failure: RigError | None = None
         self._armed = False
         self._news = threading.Condition()
+        self._telling = threading.Lock()  # held until an answer is known: an older one never overwrites a newer
         self._ending = threading.Event()
         self._heart: threading.Thread | None = None
 
@@ -83,6 +84,7 @@ class MagnetStage:
         self._command("ARM", "arming the motors")
         with self._news:
             self._armed = True
+        self._beat_or_fail()  # where the axis stands now
 
     def turn(self, heading: float, turns: float, frequency: float) -> None:
         """Steer to `heading` (rad) and turn the magnet `turns` times at `frequency` (Hz) about it. Returns at once.
@@ -119,10 +121,7 @@ class MagnetStage:
 
     def take_recovered(self) -> Counter[str]:
         """What was made good since the last call, by name."""
-        link = self._open_link()
-        taken = Counter(link.recovered)
-        link.recovered.subtract(taken)
-        return Counter({f"magnet stage: {name}": n for name, n in taken.items() if n > 0})
+        return Counter({f"magnet stage: {name}": n for name, n in self._open_link().take_recovered().items()})
 
     def stop(self) -> None:
         """Switch the motors off now. Safe from any thread, and raises nothing.
@@ -134,13 +133,14 @@ class MagnetStage:
         if self._link is None or self._ending.is_set():
             return
         try:
-            self._link.exchange("OFF", "switching the motors off")
+            with self._telling:
+                self._link.exchange("OFF", "switching the motors off")
+                with self._news:
+                    if self._state is not None:
+                        self._state = replace(self._state, armed=False, moving=False)
+                    self._news.notify_all()
         except RigError as error:
             self._fail(error)
-            return
-        with self._news:
-            if self._state is not None:
-                self._state = replace(self._state, armed=False, moving=False)
 
     def close(self) -> None:
         """Switch the motors and the lamps off and let go of the port. May be called twice."""
@@ -211,17 +211,18 @@ class MagnetStage:
 
     def _beat(self) -> None:
         """One heartbeat, and what it brings back."""
-        with self._news:
-            armed = self._armed
         link = self._open_link()
-        try:
-            state = parse_state(link.exchange("BEAT", "heartbeat"))
-        except GarbledError as error:
-            raise link.error("heartbeat", str(error)) from error
-        with self._news:
-            self._state = state
-            still_armed = armed and self._armed
-            self._news.notify_all()
+        with self._telling:
+            with self._news:
+                armed = self._armed
+            try:
+                state = parse_state(link.exchange("BEAT", "heartbeat"))
+            except GarbledError as error:
+                raise link.error("heartbeat", str(error)) from error
+            with self._news:
+                self._state = state
+                still_armed = armed and self._armed
+                self._news.notify_all()
         if state.fault != "NONE" or (still_armed and not state.armed):
             raise link.error("heartbeat", f"the firmware has switched its motors off (fault: {state.fault})")
 
