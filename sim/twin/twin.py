@@ -194,6 +194,7 @@ class Twin:
             while self.stage.lamp is not None and time.monotonic() < end:
                 time.sleep(LOOK)
             self._hand.put_away()
+            self.stage.set_to_mark()
         return "cleared"
 
     def _state(self, _: Mapping[str, Any]) -> dict[str, Any]:

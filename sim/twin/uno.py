@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -37,6 +38,7 @@ class SimulatedUno:
         self._link: Path | None = None
         self._switches: tuple[bool, bool] | None = None
         self._orders = 0
+        self._ordering = threading.Lock()  # switches are set in one thread, faults come in another
         self.state = SharedState(Path(self._folder.name) / "state")
 
     def start(self, link: Path, firmware: Path | None = None) -> None:
@@ -92,6 +94,10 @@ class SimulatedUno:
         """Pull the reset line for a moment."""
         self._order("reset")
 
+    def set_to_mark(self) -> None:
+        """Turn both motors to their marks by hand: where they stand is zero again, as for a board that has booted."""
+        self._order("mark")
+
     def hang(self) -> None:
         """Catch the main loop in an endless one; interrupts go on."""
         self._order("hang")
@@ -135,13 +141,14 @@ class SimulatedUno:
     def _order(self, text: str, wait: bool = True) -> None:
         if self._process is None or self._process.stdin is None:
             raise RigError("simulated magnet stage: not running.")
-        self._orders += 1
-        number = self._orders
-        try:
-            self._process.stdin.write(text + "\n")
-            self._process.stdin.flush()
-        except BrokenPipeError:
-            self._ended(text)
+        with self._ordering:
+            self._orders += 1
+            number = self._orders
+            try:
+                self._process.stdin.write(text + "\n")
+                self._process.stdin.flush()
+            except BrokenPipeError:
+                self._ended(text)
         if wait:
             self._until(lambda: self.state.number("done") >= number, text)
 

@@ -195,3 +195,23 @@ def test_a_port_where_nobody_answers_is_said_to_be_silent(tmp_path):
     finally:
         os.close(master)
         os.close(slave)
+
+
+def test_after_a_reset_the_axis_can_be_put_on_its_mark(uno, section):
+    """The board counts from zero anew, but the axis stands where it was left."""
+    with_fast_axis = MagnetStage(section, steering_rate=math.radians(80.0))
+    with_fast_axis.open()
+    with_fast_axis.arm()
+    with_fast_axis.steer(math.radians(10.0))
+    finish(with_fast_axis)
+    uno.reset()
+    with_fast_axis.close()
+    assert uno.steps == (0, 444)
+    uno.set_to_mark()
+    again = MagnetStage(section, steering_rate=math.radians(80.0))
+    again.open()
+    again.arm()
+    again.steer(math.radians(5.0))
+    finish(again)
+    again.close()
+    assert uno.steps == (0, 222)

@@ -232,6 +232,8 @@ static void obey(char *order)
         unplug();
     else if (!strcmp(order, "plug"))
         plug();
+    else if (!strcmp(order, "mark"))
+        state->steps[0] = state->steps[1] = 0;
     else if (!strcmp(order, "free"))
         paced = 0;
     else if (sscanf(order, "garble %ld", &garble) != 1 && sscanf(order, "truncate %ld", &truncate_) != 1)
