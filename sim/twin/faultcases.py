@@ -233,7 +233,7 @@ def with_ports(rig: str, folder: Path, first: int) -> Path:
     for offset, port in enumerate((31763, 31764)):
         text = text.replace(f"127.0.0.1:{port}", f"127.0.0.1:{first + offset}")
     text = text.replace("127.0.0.1::31766", f"127.0.0.1::{first + 3}")
-    text = text.replace("/tmp/smolbot-twin/stage", str(folder / "stage"))
+    text = text.replace("runs/twin-stage", str(folder / "stage"))
     path = folder / f"{rig}.toml"
     path.write_text(text, encoding="utf-8")
     return path
