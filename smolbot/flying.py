@@ -35,7 +35,7 @@ from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
 from smolbot.recording.pump import Pump, Tapes
 from smolbot.recording.recorder import Recorder, begin_message, end_message
-from smolbot.records.folder import RunFolder, provenance
+from smolbot.records.folder import PICTURE, RunFolder, provenance
 from smolbot.records.outcome import draw, sum_up
 from smolbot.records.trace import Trace
 from smolbot.safety import Rules, Safety
@@ -241,7 +241,7 @@ class _Flight:
             if loop.array_filter is not None and loop.array_filter.recordings:
                 write_sensors(folder.path / LEARNED, learned_sensors(self.mission, loop.array_filter))
             folder.end(flown.summary)
-            draw(self.mission, flown, trace, folder.path / "path.png")
+            draw(self.mission, flown, trace, folder.path / PICTURE)
 
 
 def make_loop(

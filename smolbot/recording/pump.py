@@ -173,20 +173,22 @@ class Pump:
             self.computing = time.thread_time()
 
     def _serve(self) -> None:
-        flushed = time.monotonic()
+        due, fresh = time.monotonic() + FLUSH_EVERY, True
         while True:
             over = self._over.is_set()  # before the look into the queue: what was put before the end is written
             try:
-                job = self._queue.get(timeout=0.0 if over else max(flushed + FLUSH_EVERY - time.monotonic(), 0.0))
+                job = self._queue.get(timeout=0.0 if over else max(due - time.monotonic(), 0.0))
             except queue.Empty:
                 if over:
                     break
             else:
                 self._hand_on(job)
-            if time.monotonic() - flushed >= FLUSH_EVERY:
+                if fresh:  # what the run starts from, without which nothing can be read: at once
+                    due, fresh = 0.0, False
+            if time.monotonic() >= due:
                 self._tell_of_drops()
                 self._sink.flush()
-                flushed = time.monotonic()
+                due = time.monotonic() + FLUSH_EVERY
         self._tell_of_drops()
         self._sink.flush()
 

@@ -223,6 +223,9 @@ class _Reading:
                     f"{self._path}: was written in format {message.format}; "
                     f"this version of smolbot reads {messages.FORMAT}."
                 )
+            strange = [name for name in message.files if not name or name != Path(name).name]
+            if strange:
+                raise InputError(f"{self._path}: names a file '{strange[0]}', which would lie outside a run's folder.")
             self._found = RecordedRun(self._path, message)
         elif topic == "/shots":
             self._shots[message.number] = message

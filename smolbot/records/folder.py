@@ -15,6 +15,9 @@ import smolbot
 from smolbot.errors import InputError
 from smolbot.records.trace import Moment, row
 
+SUMMARY, PROVENANCE, CYCLES, PICTURE = "summary.json", "provenance.json", "cycles.csv", "path.png"
+"""Files of a run folder, besides those that the run started from and its record."""
+
 _PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
 
 
@@ -41,17 +44,17 @@ class RunFolder:
         """Make the folder and write what the run starts from: files by their names, and where it came from."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
+            for name, content in contents.items():
+                write_whole(self.path / name, content)
+            write_whole(self.path / PROVENANCE, json_bytes(provenance))
         except OSError as error:
             raise InputError(f"{self.path}: the run folder cannot be made: {error}.") from error
-        for name, content in contents.items():
-            (self.path / name).write_bytes(content)
-        self._json("provenance.json", provenance)
 
     def record(self, moment: Moment) -> None:
         """Append one cycle to ``cycles.csv``."""
         line = row(self.rows, moment)
         if self._writer is None:
-            self._file = (self.path / "cycles.csv").open("w", newline="", encoding="utf-8")
+            self._file = (self.path / CYCLES).open("w", newline="", encoding="utf-8")
             self._writer = csv.DictWriter(self._file, fieldnames=list(line))
             self._writer.writeheader()
         self._writer.writerow(line)
@@ -63,10 +66,19 @@ class RunFolder:
         """Close the record and write the summary."""
         if self._file is not None:
             self._file.close()
-        self._json("summary.json", summary)
+        write_whole(self.path / SUMMARY, json_bytes(summary))
 
-    def _json(self, name: str, data: Any) -> None:
-        (self.path / name).write_text(json.dumps(data, indent=2, default=str) + "\n", encoding="utf-8")
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that it is there whole or not at all, however this process ends."""
+    part = path.with_name(f"{path.name}.part")
+    part.write_bytes(content)
+    part.replace(path)
+
+
+def json_bytes(data: Any) -> bytes:
+    """As every JSON file of a run folder is written."""
+    return (json.dumps(data, indent=2, default=str) + "\n").encode()
 
 
 def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
