@@ -243,7 +243,7 @@ def _poses(record: CycleRecord) -> list[list[str] | None]:
     return [exact(record.pose), exact(record.tracked), [repr(record.command)]]
 
 
-HEADER = f"{'kill':>4} {'moment':7} {'played':>6} {'there':>6} {'flushed':>8} {'read':>6} {'torn':>5} {'missing':>8} {'took':>6}"
+HEADER = "kill moment  played  there  flushed   read  torn  missing   took"
 
 
 def line(number: int, outcome: Outcome) -> str:
