@@ -31,7 +31,7 @@ _HOME = {
     "Rig": "worlds",
     "RingDown": "shots",
     "Rotate": "shots",
-    "Run": "loop",
+    "Run": "flown",
     "SearchVolume": "localization.cold_start",
     "SensorArray": "sensing",
     "Setup": "control",
@@ -94,12 +94,12 @@ if TYPE_CHECKING:
     from smolbot.anymission import load_mission
     from smolbot.control import Command, Controller, Gain, Setup
     from smolbot.errors import SmolbotError
+    from smolbot.flown import Run
     from smolbot.flying import run
     from smolbot.limits import Limits
     from smolbot.localization.cold_start import SearchVolume
     from smolbot.localization.localizer import Localizer
     from smolbot.localization.noise import NoiseModel
-    from smolbot.loop import Run
     from smolbot.missionfile import Mission
     from smolbot.observationfile import Observation
     from smolbot.paths import Curve
