@@ -93,10 +93,11 @@ def _root(
 
 def main() -> None:
     """Entry point of the console script; every error on purpose is one message and an exit code."""
-    from smolbot.cli import check, missions
+    from smolbot.cli import check, console, missions
 
     missions.register(app)
     check.register(app)
+    console.register(app)
     try:
         app()
     except (InterlockError, RigError) as error:

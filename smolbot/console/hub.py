@@ -166,6 +166,7 @@ class Hub:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
             env=os.environ | {ENVIRONMENT: str(self.file), "COLUMNS": "120"},
+            start_new_session=os.name == "posix",
         )  # fmt: skip
         child = Child(process, name, output)
         self._children.append(child)

@@ -206,3 +206,14 @@ class Scene:
             if tuple(handle.color) != wanted:
                 handle.color = wanted
                 handle.opacity = 0.55 + 0.35 * min(float(share), 1.0)
+
+    def mark(self, name: str, points: FloatArray, color: Color) -> None:
+        """Draw dots at `points` (n, 3) in mm, in the place of those of that name."""
+        key = f"{name} dots"
+        before = self._trails.pop(key, None)
+        if before is not None:
+            before.remove()
+        if len(points):
+            self._trails[key] = self.server.scene.add_point_cloud(
+                f"/dots/{name}", points.astype("float32"), color, point_size=1.2, point_shape="circle"
+            )

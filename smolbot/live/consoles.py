@@ -7,6 +7,7 @@ import json
 import os
 import secrets
 import socket
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -101,19 +102,33 @@ def read(path: Path) -> Console | None:
         return None
 
 
-def running() -> list[Console]:
-    """Every console of this user that answers, the newest first; files of those that ended are cleared away."""
-    found: list[tuple[float, Console]] = []
-    for path in sorted(kept_in().glob("console-*.json")):
+def answering(silent: list[str] | None = None) -> Iterator[tuple[Console, socket.socket]]:
+    """Every console of this user that answers, the newest first, with a connection that was proved.
+
+    Files of those that ended are cleared away; those that hang are added to `silent`, in words.
+    """
+    found: list[tuple[float, Console, Path]] = []
+    for path in kept_in().glob("console-*.json"):
         console = read(path)
-        if console is None:
-            continue
+        if console is not None:
+            with contextlib.suppress(FileNotFoundError):  # it ended between two looks
+                found.append((path.stat().st_mtime, console, path))
+    for _, console, path in sorted(found, key=lambda each: each[0], reverse=True):
         try:
-            console.connect().close()
-            found.append((path.stat().st_mtime, console))
-        except LinkError as error:  # one that hangs keeps its file
+            sock = console.connect()
+        except LinkError as error:
             if isinstance(error.__cause__, ConnectionRefusedError):
                 path.unlink(missing_ok=True)
-        except FileNotFoundError:  # it ended between two looks
+            elif silent is not None:
+                silent.append(f"{console.address}: {error}")
             continue
-    return [console for _, console in sorted(found, key=lambda each: each[0], reverse=True)]
+        yield console, sock
+
+
+def running() -> list[Console]:
+    """Every console of this user that answers, the newest first."""
+    found = []
+    for console, sock in answering():
+        sock.close()
+        found.append(console)
+    return found
