@@ -70,7 +70,8 @@ def told(flight: Flight | None, flying: bool, waiting: str, time_: float | None 
     values = flight.cycles.values(time_)
     error, progress = (values[-1, 0], values[-1, 2]) if len(values) else (math.nan, math.nan)
     allowed = flight.tolerance
-    note = said.note or flight.events(time_)[-1][1] if said and (said.note or flight.events(time_)) else ""
+    happened = flight.events(time_)
+    note = (said.note if said else "it listens, and learns the noise and the coils") or (happened[-1][1] if happened else "")
     if flight.ending is not None and (time_ is None or time_ >= flight.latest):
         note = flight.ending.reason
     state = state_of(flight, time_)

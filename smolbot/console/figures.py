@@ -17,7 +17,18 @@ if TYPE_CHECKING:
 SHOWN = 400
 """Points of a plot; more are thinned."""
 
+LAST = 20.0
+"""Seconds of currents that are shown: they change with every pull."""
+
+ALLOWED, FONT = "allowed", "11px sans-serif"
+
 COLORS = ("#2563eb", "#ea580c", "#16a34a", "#9333ea", "#0891b2", "#be123c")
+
+
+def color_of(name: str, place: int) -> str:
+    """Of a line: a coil has the same one wherever it is drawn or named."""
+    known = {"+x": 0, "-x": 1, "+y": 2, "-y": 3, "excitation x": 4, "excitation y": 5}
+    return COLORS[known.get(name, place) % len(COLORS)]
 
 
 class Figures:
@@ -28,7 +39,7 @@ class Figures:
         self._table = self._gui.add_html("")
         self._plots: dict[str, Any] = {}
         self._shape: tuple[Any, ...] = ()
-        self._folder = self._gui.add_folder("Over time (s on the rig's clock)", expand_by_default=True)
+        self._folder = self._gui.add_folder("Over time, s")
 
     def show(self, flight: Flight, time: float | None = None) -> None:
         """What is known of a flight, up to a time on the rig's clock in s."""
@@ -47,7 +58,9 @@ class Figures:
             plot.remove()
         self._plots = {}
         lines = {
-            "error to path, mm": ("error", "tolerance") if flight.steers else ("sigma",),
+            "error to path, mm (dashed: allowed)" if flight.steers else "uncertainty, mm": (
+                ("error", ALLOWED) if flight.steers else ("sigma",)
+            ),
             "R²": ("R²",),
             "currents, A" if "magnet" not in flight.coils else "magnet, turns a second": flight.coils,
             "coils, °C": flight.heated,
@@ -61,14 +74,12 @@ class Figures:
         drawn: list[dict[str, Any]] = [{"label": "s"}]
         for i, name in enumerate(names):
             dashed = {"dash": [6, 4], "stroke": "#dc2626", "points": {"show": False}}
-            drawn.append(
-                {"label": name, "width": 1.5, "stroke": COLORS[i % len(COLORS)], "points": {"show": False}}
-                | (dashed if name == "tolerance" else {})
-            )
-        empty = tuple(np.array([0.0, 1.0]) if i == 0 else np.full(2, np.nan) for i in range(len(names) + 1))
+            line = {"label": name, "width": 1.5, "stroke": color_of(name, i), "points": {"show": False}}
+            drawn.append(line | (dashed if name == ALLOWED else {}))
+        empty = tuple(np.array([0.0, 1.0]) for _ in range(len(names) + 1))
         return self._gui.add_uplot(
-            empty, tuple(drawn), title=title, height=130, padding=(4, 10, 0, 0), scales={"x": {"time": False}},
-            legend={"show": 1 < len(names)}, axes=({"size": 24}, {"size": 46}),
+            empty, tuple(drawn), title=title, height=118, padding=(2, 10, 2, 0), scales={"x": {"time": False}},
+            legend={"show": False}, axes=({"size": 32, "font": FONT}, {"size": 44, "font": FONT}),
         )  # fmt: skip
 
 
@@ -77,17 +88,22 @@ def series(flight: Flight, time: float | None) -> dict[str, tuple[FloatArray, Fl
     with flight.lock:
         cycles, at = flight.cycles.values(time), flight.cycles.times(time)
         if flight.steers:
-            error = np.column_stack([cycles[:, 0], np.full(len(cycles), flight.tolerance)])
-            first = (at, error)
+            known = np.isfinite(cycles[:, 0])
+            first = (at[known], np.column_stack([cycles[known, 0], np.full(known.sum(), flight.tolerance)]))
         else:
             first = (flight.tracked.times(time), flight.tracked.values(time)[:, 7:8])
         found = {
             "error": first,
-            "squared": (at, cycles[:, 1:2]),
-            "currents": (flight.currents.times(time), flight.currents.values(time)),
+            "squared": (at[np.isfinite(cycles[:, 1])], cycles[np.isfinite(cycles[:, 1]), 1:2]),
+            "currents": _last(flight.currents.times(time), flight.currents.values(time)),
             "heat": (flight.heat.times(time), flight.heat.values(time)),
         }
         return {name: thinned(times, values) for name, (times, values) in found.items()}
+
+
+def _last(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    begin = np.searchsorted(times, times[-1] - LAST) if len(times) else 0
+    return times[begin:], values[begin:]
 
 
 def thinned(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,7 +137,10 @@ def table(flight: Flight, time: float | None) -> str:
         if flight.coils == ("magnet",):
             rows.append(("magnet", f"<b>{driven[0]:g}</b> turns a second", False))
         elif flight.coils:
-            amperes = "&ensp;".join(f"{name}&nbsp;<b>{a:.1f}</b>" for name, a in zip(flight.coils, driven, strict=True))
+            amperes = "&ensp;".join(
+                f'<span style="color:{color_of(name, i)}">{html.escape(name)}&nbsp;<b>{a:.1f}</b></span>'
+                for i, (name, a) in enumerate(zip(flight.coils, driven, strict=True))
+            )
             rows.append(("currents", f"{amperes} A", False))
     for warm in heat:
         limits = flight.heat_limits()

@@ -53,7 +53,7 @@ class Page:
         self.draw(load_mission(mission))
         self._thread = threading.Thread(target=self._go_on, name="page", daemon=True)
         self._thread.start()
-        asyncio.run_coroutine_threadsafe(self._beat(), self.server.get_event_loop())
+        self._beating = asyncio.run_coroutine_threadsafe(self._beat(), self.server.get_event_loop())
 
     def _lay_out(self, runs: Path) -> None:
         gui = self.server.gui
@@ -62,18 +62,17 @@ class Page:
             self.figures = Figures(self.server)
         left.dock_left()
         left.set_width(340)
-        right = gui.add_panel()
-        with right.add_tab("Mission"):
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Mission"):
             self.starting = Starting(self.server, self.hub, self.draw)
-        with right.add_tab("Draw"):
+        with tabs.add_tab("Draw"):
             self.drawing = Drawing(self.server, self.scene, self.starting, runs / "drawn")
-        with right.add_tab("Runs"):
+        with tabs.add_tab("Runs"):
             self.runs = Runs(self.server, runs, self._shown_is)
-        with right.add_tab("Log"):
+        with tabs.add_tab("Log"):
             self.log = gui.add_html("")
-        right.dock_right()
-        right.set_width(320)
-        gui.main_panel.minimize()
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(320)
 
     @property
     def flight(self) -> Flight | None:
@@ -102,6 +101,7 @@ class Page:
         """Show nothing any more."""
         self._over.set()
         self._thread.join(2.0)
+        self._beating.cancel()
         self.server.stop()
 
     async def _beat(self) -> None:
@@ -148,9 +148,9 @@ class Page:
             tracked, true = flight.tracked.values(at), flight.true.values(at)
             believed, truth = _thinned(tracked[:, :3]), _thinned(true)
             currents = flight.currents.values(at)[-1:]
-        self.scene.trail("believed", believed + [0.0, 0.0, 0.4], BELIEVED)
+        self.scene.trail("believed", believed + [0.0, 0.0, 0.3], BELIEVED, 3.5)
         if len(flight.true):
-            self.scene.trail("true", truth + [0.0, 0.0, 0.2], TRUE)
+            self.scene.trail("true", truth, TRUE, 2.0)
         if len(tracked):
             self.scene.place_robot(tracked[-1, :3], tracked[-1, 3:7])
         else:

@@ -26,6 +26,9 @@ LIQUID = (96, 165, 250)
 SENSOR = (71, 85, 105)
 PLANNED = (124, 58, 237)
 
+AT_REST = 0.2
+"""Opacity of a coil that does not pull: what it stands in front of is to be seen."""
+
 Color = tuple[int, int, int]
 
 
@@ -56,8 +59,8 @@ class Scene:
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
         server.scene.configure_environment_map(None)
         camera = server.initial_camera
-        camera.position, camera.look_at, camera.up = (-45.0, -115.0, 165.0), (0.0, 0.0, 50.0), (0.0, 0.0, 1.0)
-        camera.fov = float(np.radians(45.0))
+        camera.position, camera.look_at, camera.up = (0.0, -78.0, 205.0), (0.0, -2.0, 45.0), (0.0, 0.0, 1.0)
+        camera.fov = float(np.radians(38.0))
         camera.near, camera.far = 1.0, 5000.0
 
     def draw(self, mission: AnyMission) -> None:
@@ -87,7 +90,7 @@ class Scene:
         middle = np.array([x, y, 0.5 * (floor + top)])
         add = scene.add_mesh_simple
         self._keep(
-            add("/tank/walls", vertices + middle, faces, color=(148, 163, 184), opacity=0.25, side="double")
+            add("/tank/walls", vertices + middle, faces, color=(100, 116, 139), opacity=0.3, flat_shading=True, cast_shadow=False)
         )
         self._keep(
             scene.add_box(
@@ -104,7 +107,7 @@ class Scene:
         self._keep(
             scene.add_grid(
                 "/floor", 400.0, 400.0, plane="xy", cell_size=10.0, section_size=50.0, cell_color=(226, 232, 240),
-                section_color=(203, 213, 225), position=(0.0, 0.0, -5.0), infinite_grid=False,
+                section_color=(148, 163, 184), position=(0.0, 0.0, -5.0), fade_distance=900.0, shadow_opacity=0.0,
             )
         )  # fmt: skip
         self._keep(scene.add_frame("/axes", axes_length=15.0, axes_radius=0.5, position=(-90.0, -90.0, -4.0)))
@@ -114,19 +117,21 @@ class Scene:
         for coil in rig.coils:
             vertices, faces = tube(circle(coil.inner_radius_mm), circle(coil.outer_radius_mm), coil.length_mm)
             where = placed(vertices, np.array(coil.center_mm), np.array(coil.axis, dtype=float))
-            self._coils.append(
-                self._keep(scene.add_mesh_simple(f"/coils/{coil.name}", where, faces, color=COPPER, opacity=0.55))
-            )
-            outward = 0.62 * coil.outer_radius_mm * np.array([0.0, 0.0, 1.0])
-            place = np.array(coil.center_mm) * 1.15 + outward
-            self._keep(scene.add_label(f"/coils/{coil.name}/name", coil.name, position=tuple(place)))
+            handle = scene.add_mesh_simple(
+                f"/coils/{coil.name}", where, faces, color=COPPER, opacity=AT_REST, flat_shading=True,
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            self._coils.append(self._keep(handle))
+            place = np.array(coil.center_mm) + [0.0, 0.0, coil.outer_radius_mm + 4.0]
+            self._keep(scene.add_label(f"/names/{coil.name}", f"coil {coil.name}", position=tuple(place)))
         for bobbin in rig.excitation:
             inner = rectangle(bobbin.width_mm - 4.0, max(bobbin.height_mm - 4.0, 2.0))
             vertices, faces = tube(inner, rectangle(bobbin.width_mm, bobbin.height_mm), bobbin.length_mm)
             where = placed(vertices, np.array(bobbin.center_mm), np.array(bobbin.axis, dtype=float))
             self._keep(
                 scene.add_mesh_simple(
-                    f"/excitation/{bobbin.name}", where, faces, color=BOBBIN, opacity=0.35, flat_shading=True
+                    f"/excitation/{bobbin.name}", where, faces, color=BOBBIN, opacity=0.25, flat_shading=True,
+                    cast_shadow=False, receive_shadow=False,
                 )
             )
         if rig.magnet is not None:
@@ -141,21 +146,21 @@ class Scene:
             self._keep(
                 self.server.scene.add_cylinder(
                     f"/sensors/{i}", 2.0, 10.0, color=SENSOR, position=tuple(place),
-                    wxyz=tuple(quaternion_from_matrix(turned(axis))),
+                    wxyz=tuple(quaternion_from_matrix(turned(axis))), cast_shadow=False, receive_shadow=False,
                 )
             )  # fmt: skip
 
     def _draw_path(self, mission: Mission) -> None:
         points = 1e3 * mission.path.points
-        points = points + np.array([0.0, 0.0, 0.3])
+        points = points - [0.0, 0.0, 0.9]  # under the robot's trace, which would be hidden where it is good
         spread = 1e3 * mission.path.at(np.linspace(0.0, mission.path.length, 400))
-        vertices, faces = ribbon(spread + np.array([0.0, 0.0, 0.1]), 1e3 * mission.tolerance)
+        vertices, faces = ribbon(spread - [0.0, 0.0, 1.0], 1e3 * mission.tolerance)
         self._keep(
             self.server.scene.add_mesh_simple(
-                "/path/tolerance", vertices, faces, color=PATH, opacity=0.14, side="double", cast_shadow=False
+                "/path/tolerance", vertices, faces, color=PATH, opacity=0.18, side="double", cast_shadow=False, receive_shadow=False
             )
         )
-        self._keep(self._line("/path/line", points, PATH, 4.0))
+        self._keep(self._line("/path/line", points, PATH, 3.0))
         self._keep(self.server.scene.add_icosphere("/path/start", 0.7, color=PATH, position=tuple(points[0])))
 
     def _draw_robot(self, mission: AnyMission) -> None:
@@ -167,17 +172,14 @@ class Scene:
         center = (0.0, 0.0, 0.0) if section is None else section.center_mm
         if robot.kind == "helical":
             vertices, faces = tube(circle(0.05), circle(0.5 * size[0]), size[2])
-            body = scene.add_mesh_simple("/robot/body", vertices + np.array(center), faces, color=ROBOT)
+            scene.add_mesh_simple("/robot/body", vertices + np.array(center), faces, color=ROBOT)
         else:
-            body = scene.add_box("/robot/body", ROBOT, size, position=center)
-        self._keep(body)
+            scene.add_box("/robot/body", ROBOT, size, position=center)
         nose = 0.5 * size[2] + 2.5
         tip, faces = tube(circle(0.01), circle(0.9), 0.01)
         n = len(tip) // 4
         tip[n : 3 * n] = [0.0, 0.0, 2.5]
-        self._keep(
-            scene.add_mesh_simple("/robot/nose", tip + [0.0, 0.0, nose - 2.0], faces, color=BELIEVED, side="double")
-        )
+        scene.add_mesh_simple("/robot/nose", tip + [0.0, 0.0, nose - 2.0], faces, color=BELIEVED, side="double")
 
     def _line(self, name: str, points: FloatArray, color: Color, width: float) -> Any:
         pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
@@ -205,7 +207,7 @@ class Scene:
             wanted = mixed(COPPER, GLOW, float(share))
             if tuple(handle.color) != wanted:
                 handle.color = wanted
-                handle.opacity = 0.55 + 0.35 * min(float(share), 1.0)
+                handle.opacity = AT_REST + 0.4 * min(float(share), 1.0)
 
     def mark(self, name: str, points: FloatArray, color: Color) -> None:
         """Draw dots at `points` (n, 3) in mm, in the place of those of that name."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from smolbot.live.frames import LinkError
+from smolbot.live.frames import Kind, LinkError, frame
 from smolbot.live.handshake import PATIENCE, call
 
 ENVIRONMENT = "SMOLBOT_CONSOLE"
@@ -129,6 +129,7 @@ def running() -> list[Console]:
     """Every console of this user that answers, the newest first."""
     found = []
     for console, sock in answering():
-        sock.close()
+        with contextlib.suppress(OSError), sock:
+            sock.sendall(frame(Kind.HELLO, b'{"role": "look"}'))
         found.append(console)
     return found

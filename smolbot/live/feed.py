@@ -108,11 +108,12 @@ class Feed:
         while not last:
             frames: list[bytes] = []
             with contextlib.suppress(queue.Empty):
-                first = self._waiting.get(timeout=BEAT)
-                while first is not None and len(frames) < TOGETHER:
-                    frames.append(first)
-                    first = self._waiting.get_nowait()
-                last = first is None
+                while not last and len(frames) < TOGETHER:
+                    waiting = self._waiting.get_nowait() if frames else self._waiting.get(timeout=BEAT)
+                    if waiting is None:
+                        last = True
+                    else:
+                        frames.append(waiting)
             beat = frame(Kind.BEAT, str(self.dropped).encode())
             try:
                 self._sock.sendall(b"".join(frames) or beat)

@@ -20,6 +20,10 @@ QUIET = 10.0
 """Seconds after which a mission that says nothing counts as gone."""
 
 
+ROLES = ("mission", "stop", "look")
+"""What a peer may come for; one that only looks whether a console is there says nothing more."""
+
+
 class Line:
     """One mission, as its console reaches it."""
 
@@ -125,7 +129,7 @@ class Gate:
                 self._strangers.release()
             if about["role"] == "mission":
                 self._carry(sock, about)
-            else:
+            elif about["role"] == "stop":
                 told = self._stop(str(about.get("asked", "smolbot stop")))
                 with contextlib.suppress(OSError):
                     sock.sendall(frame(Kind.STOPPED, json.dumps(told).encode()))
@@ -137,8 +141,8 @@ class Gate:
         welcome(sock, self._secret)
         kind, words = receive(sock, LONGEST_ORDER)
         about = json.loads(words) if kind is Kind.HELLO else None
-        if not isinstance(about, dict) or about.get("role") not in ("mission", "stop"):
-            message = "say first who you are: a HELLO with a role, mission or stop"
+        if not isinstance(about, dict) or about.get("role") not in ROLES:
+            message = f"say first who you are: a HELLO with a role, one of {', '.join(ROLES)}"
             sock.sendall(frame(Kind.ERROR, message.encode()))
             raise LinkError(message)
         return about
