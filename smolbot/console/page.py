@@ -22,10 +22,10 @@ from smolbot.console.scene import BELIEVED, TRUE, Scene
 from smolbot.console.starting import Starting
 from smolbot.live.feed import BEAT
 
-EVERY = 0.1
+EVERY = 0.2
 """Seconds between two looks at the robot."""
 
-FIGURES_EVERY = 5
+FIGURES_EVERY = 3
 """Looks between two of the figures: people do not read faster."""
 
 POINTS = 3000
