@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.anymission import AnyMission, load_mission
+from smolbot.blas import one_thread
 from smolbot.duty import Duty
 from smolbot.errors import InputError
 from smolbot.flown import CycleRecord, Listener, Run, Tape
@@ -192,7 +193,8 @@ class _Flight:
             loop = make_loop(rig, mission, (self._hear, *extra), self.latch, memory, self.tapes, self.pause)
             gc.freeze()  # what is there by now is not looked through again while the robot waits
             try:
-                loop.fly()
+                with one_thread():
+                    loop.fly()
             finally:
                 gc.unfreeze()
                 self._settle(loop)

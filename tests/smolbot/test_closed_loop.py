@@ -22,7 +22,16 @@ from smolbot.sensing import Recording
 from smolbot.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
 
 FILES = {
-    *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json", "path.png", "run.mcap"),
+    *(
+        "mission.toml",
+        "rig.toml",
+        "robot.toml",
+        "provenance.json",
+        "cycles.csv",
+        "summary.json",
+        "path.png",
+        "run.mcap",
+    ),
     LEARNED,
 }
 WALL = ("wall_s", "compute_ms", "realtime_factor", "run", "recording")
