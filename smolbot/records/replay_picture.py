@@ -41,7 +41,7 @@ def draw_replay(
         _map(axes["map"], curve, recorded, replayed)
         _errors(axes["error"], recorded, replayed)
         _fits(axes["fit"], recorded, replayed)
-        figure.suptitle(f"Replay with {changed}" if changed else "Replay with the same settings", x=0.02, ha="left")
+        figure.suptitle(f"Replayed with {changed}" if changed else "Replayed with the same settings", x=0.02, ha="left")
         figure.tight_layout()
         figure.savefig(path, dpi=140)
     finally:
@@ -85,7 +85,7 @@ def _errors(axes: Any, recorded: Sequence[Moment], replayed: Sequence[Moment]) -
             times, apart = np.array(both).T
             axes.plot(times, apart, ".", ms=3, color=REPLAYED, label=f"mean {apart.mean():.2f} mm")
         axes.set(ylabel="replayed to recorded (mm)", title="Distance between the poses of one window")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.15 * axes.get_ylim()[1])
     axes.set_xlabel("time (s)")
     if axes.has_data():
         axes.legend(fontsize=8, frameon=False)

@@ -22,17 +22,8 @@ from smolbot.sensing import Recording
 from smolbot.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
 
 FILES = {
-    *(
-        "mission.toml",
-        "rig.toml",
-        "robot.toml",
-        "provenance.json",
-        "cycles.csv",
-        "summary.json",
-        "path.png",
-        "run.mcap",
-    ),
-    LEARNED,
+    *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json"),
+    *("path.png", "run.mcap", LEARNED),
 }
 WALL = ("wall_s", "compute_ms", "realtime_factor", "run", "recording")
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "2.0"}
