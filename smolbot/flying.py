@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from smolbot.anymission import AnyMission, load_mission
-from smolbot.blas import one_thread
 from smolbot.duty import Duty
 from smolbot.errors import InputError
 from smolbot.flown import CycleRecord, Listener, Run, Tape
@@ -23,7 +22,7 @@ from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_fra
 from smolbot.localization.array_terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
-from smolbot.loop import Loop, Quiet, StopRules
+from smolbot.loop import Loop, StopRules
 from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.motion.robot import magnet_inertia
@@ -32,6 +31,7 @@ from smolbot.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.pausing import Pause
 from smolbot.pilots import Follower, Measurer, Pilot, Watcher
 from smolbot.plugins import load, load_world
+from smolbot.preparation import Quiet
 from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
 from smolbot.recording.pump import Pump, Tapes
@@ -193,8 +193,7 @@ class _Flight:
             loop = make_loop(rig, mission, (self._hear, *extra), self.latch, memory, self.tapes, self.pause)
             gc.freeze()  # what is there by now is not looked through again while the robot waits
             try:
-                with one_thread():
-                    loop.fly()
+                loop.fly()
             finally:
                 gc.unfreeze()
                 self._settle(loop)

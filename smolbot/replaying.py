@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import smolbot
-from smolbot.blas import kernel, one_thread
+from smolbot.blas import kernel
 from smolbot.flown import CycleRecord, Run
 from smolbot.flying import make_loop
 from smolbot.loop import StopRules
@@ -113,8 +113,7 @@ def replay(
 
         mission.robot.calibrated = load_device(device, mission.robot.name).device
         changed["device"] = str(device)
-    with one_thread():
-        flown = _play(record, mission, half_periods, bool(changed))
+    flown = _play(record, mission, half_periods, bool(changed))
     return Replay(record, mission, changed, flown.cycles, "" if flown.status == "completed" else flown.stop_reason)
 
 
