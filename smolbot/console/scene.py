@@ -183,7 +183,7 @@ class Scene:
 
     def _line(self, name: str, points: FloatArray, color: Color, width: float) -> Any:
         pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-        return self.server.scene.add_line_segments(name, pieces, color, line_width=width)
+        return self.server.scene.add_line_segments(name, pieces, color, thickness=width, thickness_units="screen")
 
     def trail(self, name: str, points: FloatArray, color: Color, width: float = 3.0) -> None:
         """Draw a line through `points` (n, 3) in mm, in the place of the one of that name."""
