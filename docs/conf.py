@@ -10,7 +10,11 @@ from typing import Any
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 
+import lookup_tables.builder  # noqa: E402
 import smolbot  # noqa: E402
+
+# Imported there for type checkers only, without which the types of its signatures cannot be told.
+lookup_tables.builder.FieldTable = lookup_tables.FieldTable  # type: ignore[misc]
 
 project = "smolbot"
 author = "The smolbot developers"
