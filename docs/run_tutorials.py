@@ -241,7 +241,7 @@ def layer(folder: Path) -> str:
     (inside / "below.pth").write_text(f"import site; site.addsitedir({below!r})\n", encoding="utf-8")
     for name, module in (("smolbot", "smolbot"), ("pip", "pip")):
         program = folder / "bin" / name
-        program.write_text(f'#!/bin/sh\nexec "{folder}/bin/python" -m {module} "$@"\n', encoding="utf-8")
+        program.write_text(f'#!/bin/sh\nexec "{folder}/bin/python" -P -m {module} "$@"\n', encoding="utf-8")
         program.chmod(0o755)
     return f"{folder / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
 
