@@ -39,12 +39,14 @@ def dots(
         axes.plot([], [], ".", ms=max(2.0 * size, 7.0), color=color, label=label)
     if not len(places):
         return
-    there = places + 1e-9 * np.maximum(np.abs(places).max(axis=0), 1e-12) * np.array(
+    there = places + 1e-6 * np.maximum(np.abs(places).max(axis=0), 1e-12) * np.array(
         [1.0, 0.0]
     )  # no length draws no cap
     codes = np.tile(np.array([Path.MOVETO, Path.LINETO]), len(places))
     stroke = Path(np.stack([places, there], axis=1).reshape(-1, 2), codes)
-    axes.add_patch(PathPatch(stroke, fill=False, ec=color, lw=size, capstyle="round", alpha=alpha, zorder=zorder))
+    patch = PathPatch(stroke, fill=False, ec=color, lw=size, capstyle="round", alpha=alpha, zorder=zorder)
+    patch.set_snap(False)
+    axes.add_patch(patch)
     axes.update_datalim(places)
     axes.autoscale_view()
 

@@ -115,7 +115,7 @@ def draw_localization(axes: Axes, trace: Trace) -> None:
         raw = [
             np.linalg.norm(m.cycle.pose.position - m.truth.position) * 1e3 for m in known if m.cycle.pose and m.truth
         ]
-        dots(axes, times, raw, 1.6, LOCATED, alpha=0.6, label="each pose")
+        dots(axes, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
         both = [(m.truth.time, np.linalg.norm(m.cycle.tracked.position - m.truth.position) * 1e3)
                 for m in known if m.cycle.tracked and m.truth]  # fmt: skip
         axes.plot(*np.array(both).T, color=TRUE, lw=1.3, label="tracked")
@@ -133,7 +133,7 @@ def draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
     starts, _, currents = trace.currents(len(names))
     for index, name in enumerate(names):
         if len(starts):
-            dots(axes, starts, currents[:, index], 1.7, COILS[index % len(COILS)], label=name)
+            dots(axes, starts, currents[:, index], 2.2, COILS[index % len(COILS)], label=name)
     axes.set_ylim(0.0 if mission.rig.limits.unipolar else None, mission.rig.limits.max_current * 1.08)
     axes.set_title("Coil currents while actuating, in A", loc="left", fontsize=11)
     axes.set_xlabel("time in s")

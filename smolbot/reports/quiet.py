@@ -67,7 +67,7 @@ def heard_noise(recordings: list[Recording]) -> QuietNoise | None:
     taper = np.hanning(n + 2)[1:-1]
     power = np.mean([np.abs(np.fft.rfft(piece[:, :n] * taper, axis=1)) ** 2 for piece in pieces], axis=0)
     power *= 2.0 * size / (rate * np.sum(taper**2))
-    grid = np.fft.rfftfreq(n, size / rate)
+    grid = np.asarray(np.fft.rfftfreq(n, size / rate), dtype=np.float64)
     own = np.sqrt(np.real(np.einsum("fjj->jf", model.spectrum)))
     middle = (model.frequencies >= 20.0) & (model.frequencies <= 200.0)
     return QuietNoise(

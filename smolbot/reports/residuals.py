@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.arrays import BoolArray, FloatArray
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.transients import decay_columns
@@ -44,7 +44,7 @@ class Window:
     seconds: FloatArray
     heard: FloatArray
     model: FloatArray
-    used: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    used: BoolArray
 
     @property
     def left(self) -> FloatArray:
@@ -120,7 +120,7 @@ def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0)
     return Window(recording.middle, seconds, heard, model(swing), used)
 
 
-def _swing(model, heard: FloatArray, used: np.ndarray, top: float) -> FloatArray:  # type: ignore[no-untyped-def,type-arg]
+def _swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: BoolArray, top: float) -> FloatArray:
     """Amplitude times (cos, sin) of the phase that fit best, in rad: Gauss-Newton, begun where the model is linear."""
     tiny = 1e-3 * top
     rest = model(np.zeros(2))[used]
@@ -162,7 +162,8 @@ def density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatAr
     power = np.mean(
         [np.mean(np.abs(np.fft.rfft(window[:, :n] * taper, axis=1)) ** 2, axis=0) for window in windows], axis=0
     )
-    return np.fft.rfftfreq(n, 1.0 / rate), np.sqrt(2.0 * power / (rate * np.sum(taper**2)))
+    grid: FloatArray = np.asarray(np.fft.rfftfreq(n, 1.0 / rate), dtype=np.float64)
+    return grid, np.sqrt(2.0 * power / (rate * np.sum(taper**2)))
 
 
 def cut_quiet(recordings: list[Recording], n: int, trend: int) -> list[FloatArray]:
