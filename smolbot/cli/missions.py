@@ -91,6 +91,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
+    report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
@@ -117,8 +118,9 @@ def run(
             return (progress,)
 
         flown = fly(
-            loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator, latch=latch
-        )
+            loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator, latch=latch,
+            report=report,
+        )  # fmt: skip
     _show_run(loaded, flown, json)
     raise typer.Exit(_exit_code(flown))
 
@@ -166,6 +168,8 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         rows.append(("recovered", told))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
+    if run.report:
+        rows.append(("report", run.report))
     table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
     if json:
         echo_json(s)

@@ -12,19 +12,26 @@ from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import InputError
 
 
+RunsArgument = Annotated[
+    list[Path], typer.Argument(help="Run folder, or its record; several are compared.", metavar="RUN …")
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option(help="Page to write; default: report.html in the run's folder, for several comparison.html here."),
+]
+FilmOption = Annotated[
+    Path | None, typer.Option("--animate", help="Film to make of one run: .gif, or .mp4 where ffmpeg is installed.")
+]
+SecondsOption = Annotated[float, typer.Option(min=1.0, max=120.0, help="Length of the film.")]
+RateOption = Annotated[int, typer.Option(min=1, max=60, help="Its pictures a second.")]
+
+
 def report(
-    runs: Annotated[
-        list[Path], typer.Argument(help="Run folder, or its record; several are compared.", metavar="RUN …")
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Page to write; default: report.html in the run's folder, or comparison.html here."),
-    ] = None,
-    animate: Annotated[
-        Path | None, typer.Option(help="Film to write of one run: .gif, or .mp4 where ffmpeg is installed.")
-    ] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, max=120.0, help="Length of the film.")] = 10.0,
-    fps: Annotated[int, typer.Option(min=1, max=60, help="Its pictures per second.")] = 12,
+    runs: RunsArgument,
+    out: OutOption = None,
+    animate: FilmOption = None,
+    seconds: SecondsOption = 10.0,
+    fps: RateOption = 12,
     json: JsonOption = False,
 ) -> None:
     """Write the report of a run, or compare several: one page that needs no other file and no network."""

@@ -156,11 +156,17 @@ def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
 def _draw_measured(figure: Figure, mission: Observation, trace: Trace) -> None:
     """Each measurement from above and from the front, about their mean, with the ellipse of one standard deviation."""
     grid = figure.add_gridspec(1, 2, wspace=0.22, left=0.07, right=0.975, top=0.835, bottom=0.1)
+    draw_measurements(figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1]), trace)
+
+
+def draw_measurements(above: Axes, front: Axes, trace: Trace) -> None:
+    """Each measurement about their mean, from above and from the front, and where the mean is off the truth."""
     moments = measurements(trace)
     places = 1e3 * np.array([m.cycle.pose.position for m in moments if m.cycle.pose is not None]).reshape(-1, 3)
-    for column, (i, j) in enumerate(((0, 1), (0, 2))):
-        axes = figure.add_subplot(grid[0, column])
-        if len(places) > 1:
+    for axes, i, j in ((above, 0, 1), (front, 0, 2)):
+        if len(places) < 2:
+            nothing(axes, "fewer than two measurements")
+        else:
             draw_scatter(axes, places[:, [i, j]], ("xyz"[i], "xyz"[j]))
         truth = next((m.truth for m in moments if m.truth is not None), None)
         if truth is not None and len(places) > 1:

@@ -153,8 +153,8 @@ def _of_poses(section: Section, flight: Flight) -> Section:
     section.say('<span class="formula">⟨|p − x|²⟩ = |⟨p − x⟩|² + tr⟨C⟩ + rest</span>')
     return section.say(
         "p is each trusted pose, x the truth at its time, C the covariance of the pose that the fit foretold. The "
-        "three parts add up to the mean square of the error; a rest below zero says that fits were surer than they "
-        "claimed."
+        "three parts add up to the mean square of the error; a rest below zero says that poses scatter less "
+        "than their covariances claim."
     )
 
 

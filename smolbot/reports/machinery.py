@@ -30,6 +30,10 @@ KINDS: dict[type, tuple[str, str]] = {
 """Name and colour of each kind of window."""
 
 
+_LETTER = 0.0042
+"""Half the width of a letter of a label, as a share of a figure's width."""
+
+
 def coils_figure(flight: Flight, strain: Strain) -> Figure:
     """Currents, duty and heat over time, each with its limit."""
     from matplotlib.figure import Figure
@@ -106,18 +110,19 @@ def _draw_shot(axes: Axes, shot: Shot, times: int, compute: Any, turnaround: flo
     slow = shot.duration > 5.0
     scale, unit = (1.0, "s") if slow else (1e3, "ms")
     whole = scale * (shot.duration + max(turnaround, float(np.median(compute))))
-    last = -1.0
-    put: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 8.5}
+    
+    free = [-1.0, -1.0, -1.0]  # up to where labels stand above, below, and below that
     for at, window in shot.timed():
         name, color = KINDS[type(window)]
         start, length = scale * at, scale * window.duration
         axes.barh(0.0, length, left=start, height=0.6, color=color, lw=0)
         said = _said(window, name, length, unit)
-        low = start + 0.5 * length - last < 0.13 * whole
-        last = start + 0.5 * length if not low else last
-        side = -1 if low else 1
-        put |= {"xytext": (0, 4 * side), "va": "top" if low else "bottom"}
-        axes.annotate(said, (start + 0.5 * length, 0.3 * side), **put)
+        middle, half = start + 0.5 * length, _LETTER * len(said) * whole
+        row = next((i for i, taken in enumerate(free) if middle - half > taken), 2)
+        free[row] = middle + half
+        side, away = (1, 4) if row == 0 else (-1, 4 if row == 1 else 15)
+        axes.annotate(said, (middle, 0.3 * side), xytext=(0, away * side), textcoords="offset points", ha="center",
+                      va="bottom" if row == 0 else "top", fontsize=8.5)  # fmt: skip
     end = scale * shot.duration
     median, slowest = scale * float(np.median(compute)), scale * float(np.percentile(compute, 99))
     axes.barh(0.0, scale * turnaround, left=end, height=0.6, fill=False, ec=FAINT, lw=1, ls=":")
@@ -139,7 +144,7 @@ def _draw_shot(axes: Axes, shot: Shot, times: int, compute: Any, turnaround: flo
 
 def _said(window: Window, name: str, length: float, unit: str) -> str:
     if isinstance(window, Rotate):
-        return f"rotate {window.turns:g} turns"
+        return f"{window.turns:g} turn{'' if window.turns == 1 else 's'}"
     if isinstance(window, MoveMagnet):
         return f"magnet {window.to} {length:.3g}"
     return f"{name} {length:.3g}"

@@ -106,7 +106,7 @@ def key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
         value = value.get(part) if part and isinstance(value, dict) else value
         if value is not None and not isinstance(value, dict):
             found.append((f"{value:.4f}" if key == "r_squared_median" else number(value), unit, name))
-    return found[:9]
+    return found[:8]
 
 
 def _verdict(flight: Flight) -> Section:

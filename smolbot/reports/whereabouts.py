@@ -12,7 +12,7 @@ from smolbot.observationfile import Observation
 from smolbot.poses import Pose
 from smolbot.records import helixpicture, observation_picture, picture
 from smolbot.records.ink import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
-from smolbot.records.observation_summary import measurements
+
 from smolbot.records.summary import tracking_distance
 from smolbot.records.trace import Moment
 from smolbot.reports.flight import Flight
@@ -43,7 +43,7 @@ def path_figure(flight: Flight) -> Figure:
         helixpicture.draw_axes_on_path(whole, mission, flight.trace)
     else:
         picture.draw_path(whole, mission, flight.trace)
-    draw_ellipses(whole, spread([m.cycle.tracked for m in flight.trace.moments], ELLIPSES))
+    draw_ellipses(whole, spread([m.cycle.tracked for m in _listened(flight)], ELLIPSES))
     worst = _worst(flight, mission)
     if worst is None:
         nothing(close, "the path was not reached")
@@ -192,7 +192,7 @@ def _draw_close(axes: Axes, flight: Flight, center: FloatArray, half: float, mis
     if mission is not None:
         planned = 1e3 * mission.path.points
         axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=5, solid_capstyle="round", label="planned", zorder=1)
-    moments = [m for m in flight.trace.moments if m.cycle.tracked is not None]
+    moments = [m for m in _listened(flight) if m.cycle.tracked is not None]
     inside = [m for m in moments if m.cycle.tracked and np.all(abs(1e3 * m.cycle.tracked.position[:2] - center) < half)]
     truth = 1e3 * flight.trace.true_positions()
     if len(truth):
@@ -217,13 +217,13 @@ def _draw_close(axes: Axes, flight: Flight, center: FloatArray, half: float, mis
 
 
 def _draw_measurements(figure: Figure, flight: Flight) -> None:
-    places = 1e3 * np.array([m.cycle.pose.position for m in measurements(flight.trace) if m.cycle.pose]).reshape(-1, 3)
-    panels: Any = figure.subplots(1, 2)
-    for axes, (i, j) in zip(panels, ((0, 1), (0, 2)), strict=True):
-        if len(places) > 1:
-            observation_picture.draw_scatter(axes, places[:, [i, j]], ("xyz"[i], "xyz"[j]))
-        else:
-            nothing(axes, "fewer than two measurements")
+    above, front = figure.subplots(1, 2)
+    observation_picture.draw_measurements(above, front, flight.trace)
+
+
+def _listened(flight: Flight) -> list[Moment]:
+    """Cycles in which something was heard: in others the tracker only foretells."""
+    return [m for m in flight.trace.moments if m.cycle.shot.listen is not None]
 
 
 def _frame(axes: Axes, center: FloatArray, half: float) -> None:
