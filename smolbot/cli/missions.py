@@ -93,6 +93,7 @@ def run(
     set_: SetOption = None,
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
     live: Annotated[bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")] = False,
+    report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
@@ -122,7 +123,7 @@ def run(
         with watched(loaded, seed, latch, operator.say) if live else nullcontext((None, None)) as (pause, pump):
             flown = fly(
                 loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator,
-                latch=latch, pause=pause, live=pump,
+                latch=latch, report=report, pause=pause, live=pump,
             )  # fmt: skip
     _show_run(loaded, flown, json)
     raise typer.Exit(_exit_code(flown))
@@ -171,6 +172,8 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         rows.append(("recovered", told))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
+    if run.report:
+        rows.append(("report", run.report))
     table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
     if json:
         echo_json(s)
