@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.film.camera import Camera, draw_camera
 from sim.film.robot import Looks, draw_looks, paint, shade
-from sim.film.stage import DICTIONARY, SIDE, Stage, draw_stage, photograph, printed_plate
+from sim.film.stage import DICTIONARY, PRINT_ERROR, SIDE, Stage, draw_stage, photograph
 from sim.film.trail import Trail
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
@@ -63,11 +63,12 @@ class Film:
     def fiducials_toml(self) -> str:
         """The file that a lab writes about its markers and camera."""
         lines = [
-            "# Markers on the plate around the container, and the camera over it; mm in the rig's world frame.",
+            "# Markers around the container, and the camera over it; mm in the rig's world frame.",
             "[fiducials]",
             f'dictionary = "{DICTIONARY}"',
             f"side_mm = {1e3 * SIDE:g}                # of the black square",
-            f"height_mm = {1e3 * self.stage.floor:g}             # z of the plane that they lie in",
+            f"height_mm = {1e3 * self.stage.floor:g}             # z of the plate that they lie on",
+            f"place_tolerance_mm = {1e3 * PRINT_ERROR:g}  # print and ruler, one standard deviation",
             "",
             "[camera]",
             f"height_mm = {1e3 * self.camera_height:.0f}.0           # z of the lens, by ruler",
@@ -75,6 +76,8 @@ class Film:
         for marker in self.stage.markers:
             x, y = (1e3 * v for v in marker.center)
             lines += ["", "[[fiducials.markers]]", f"id = {marker.number}", f"center_mm = [{x:g}, {y:g}]"]
+            if marker.raised:
+                lines.append(f"height_mm = {1e3 * self.stage.surface:g}             # on a post, as high as the liquid")
         return "\n".join(lines) + "\n"
 
     def write_truth(self, path: Path) -> None:
@@ -89,7 +92,7 @@ class Film:
 def film(
     trail: Trail, rig: RigConfig, robot: RobotConfig, path: Path, *, seed: int = 1, fps: float = 25.0,
     begin: float | None = None, end: float | None = None, size: tuple[int, int] = (1280, 960),
-    hidden: Sequence[tuple[float, float]] = (),
+    hidden: Sequence[tuple[float, float]] = (), posts: bool = True,
 ) -> Film:  # fmt: skip
     """Film `trail` from above into the video `path`.
 
@@ -105,6 +108,8 @@ def film(
         On the run's clock; default: all of the trail.
     hidden : sequence of (float, float), in s
         When a rod lies over the robot.
+    posts : bool
+        Markers stand on posts too, not on the plate alone.
 
     Raises
     ------
@@ -120,7 +125,7 @@ def film(
     if end <= begin or len(times) < 2:
         raise InputError(f"A film needs two frames or more; got {begin:g} to {end:g} s at {fps:g} frames per second.")
     positions, orientations = trail.at(times)
-    stage = draw_stage(rng, rig)
+    stage = draw_stage(rng, rig, posts=posts)
     camera = draw_camera(rng, np.array([*stage.center, stage.floor]), stage.span, size, DISTANCE)
     afloat = rig.sections.medium.yield_stress_pa == 0
     looks = draw_looks(rng, robot, afloat)
@@ -134,8 +139,7 @@ def film(
 
 def _write(made: Film, path: Path, fps: float, rng: np.random.Generator) -> None:
     camera, stage, looks = made.camera, made.stage, made.looks
-    plate, low = printed_plate(stage, rng)
-    empty = photograph(stage, camera, plate, low)
+    empty = photograph(stage, camera, rng)
     blur = rng.uniform(0.7, 1.1)
     noise = Grain(rng, camera.size)
     with Writer(path, fps, camera.size) as writer:

@@ -72,19 +72,21 @@ def in_box(
 
 @njit(cache=True, error_model="numpy")
 def see_empty(
-    first: float, width: int, height: int, lens: FloatArray, box: FloatArray, plate: FloatArray, corner: FloatArray,
-    tones: FloatArray, shading: FloatArray, relief: int,
+    scale: float, width: int, height: int, lens: FloatArray, box: FloatArray, plate: FloatArray, caps: FloatArray,
+    corner: FloatArray, posts: FloatArray, tones: FloatArray, shading: FloatArray, relief: int,
 ) -> FloatArray:  # fmt: skip
     """The scene without a robot, (height, width, 3), each pixel the mean of `relief`² rays.
 
     Entries of `box`: middle (2) and half sides (2) of the container's inside, floor, surface, top of the wall, its
-    thickness, refractive index. `first`: pixels of the plate per m.
+    thickness, refractive index. `plate` and `caps` are what is printed on the floor and on the posts' tops, `scale` pixels
+    per m; rows of `posts`: middle (3) and half sides (3).
     """
     out = np.empty((height, width, 3))
     cx, cy, hx, hy, floor, surface, top, wall, index = box
     rows, columns = plate.shape[0], plate.shape[1]
     px, py, pz = lens[0], lens[1], lens[2]
     colour = np.empty(3)
+    upright = np.eye(3)
     for j in range(height):
         for i in range(width):
             out[j, i] = 0.0
@@ -112,14 +114,22 @@ def see_empty(
                     kind = 1
                 elif abs(gx - cx) < hx + wall and abs(gy - cy) < hy + wall:
                     kind = 2
-                if kind == 0:
-                    a = min(max((gx - corner[0]) * first, 0.0), columns - 1.001)
-                    b = min(max((gy - corner[1]) * first, 0.0), rows - 1.001)
+                if not wet:
+                    for n in range(len(posts)):
+                        length, face = in_box(px, py, pz, dx, dy, dz, upright, posts[n, :3], posts[n, 3:], 0.0, 1e9)
+                        if length > 0:
+                            kind = 3 if face == 2 else 2
+                            t = (posts[n, 2] + posts[n, 5] - pz) / dz
+                            gx, gy = px + t * dx, py + t * dy
+                if kind == 0 or kind == 3:
+                    sheet = plate if kind == 0 else caps
+                    a = min(max((gx - corner[0]) * scale, 0.0), columns - 1.001)
+                    b = min(max((gy - corner[1]) * scale, 0.0), rows - 1.001)
                     ia, ib = int(a), int(b)
                     fa, fb = a - ia, b - ib
                     for c in range(3):
-                        colour[c] = (1 - fb) * ((1 - fa) * plate[ib, ia, c] + fa * plate[ib, ia + 1, c]) + fb * (
-                            (1 - fa) * plate[ib + 1, ia, c] + fa * plate[ib + 1, ia + 1, c]
+                        colour[c] = (1 - fb) * ((1 - fa) * sheet[ib, ia, c] + fa * sheet[ib, ia + 1, c]) + fb * (
+                            (1 - fa) * sheet[ib + 1, ia, c] + fa * sheet[ib + 1, ia + 1, c]
                         )
                 else:
                     for c in range(3):
