@@ -13,6 +13,8 @@ from smolbot.errors import InputError
 SHARP = 0.3
 """Pixels, one standard deviation, to which a corner or a click is taken to be known."""
 
+CLICK = 1.0  # pixels: of a click
+
 RULER = 3e-3  # m: of a camera height that was given
 ECCENTRIC = 0.01  # of the picture's shorter side: where the lens' axis may lie off its middle
 FOCAL = math.log(2.0)  # spread of the focal length where nothing tells it, about three times the longer side
@@ -100,7 +102,7 @@ def find_view(
     from scipy.optimize import least_squares
 
     pixels, points = np.asarray(pixels, dtype=np.float64), np.asarray(points, dtype=np.float64)
-    _check(pixels, points)
+    check_points(pixels, points)
     middle = 0.5 * (np.array(size, dtype=np.float64) - 1.0)
     log_focal = math.log(3.0 * max(size))
     sharp_middle = ECCENTRIC * min(size)
@@ -129,15 +131,16 @@ def find_view(
     return View(best.x, scale * np.linalg.inv(information), rms)
 
 
-def _check(pixels: FloatArray, points: FloatArray) -> None:
+def check_points(pixels: FloatArray, points: FloatArray) -> None:
+    """Refuse points that fix no plane: pixels (n, 2) and places (n, 2 or 3), fewer than four of them or on a line."""
     if len(pixels) != len(points) or len(pixels) < 4:
         raise InputError(f"Four points or more are needed, each with its place; got {len(pixels)} and {len(points)}.")
-    for name, values, unit in (("pixels", pixels, 1.0), ("places", 1e3 * points[:, :2], 1.0)):
+    for name, values in (("pixels", pixels), ("places", points[:, :2])):
         if not np.all(np.isfinite(values)):
             raise InputError(f"The {name} of the known points must be finite numbers.")
         triples = [(i, j, k) for i in range(len(values)) for j in range(i) for k in range(j)] if len(values) == 4 else []
         spread = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
-        reach = float(np.ptp(values, axis=0).max()) * unit
+        reach = float(np.ptp(values, axis=0).max())
         on_line = spread[1] < 0.02 * spread[0] or reach <= 0
         for i, j, k in triples:
             (ax, ay), (bx, by) = values[j] - values[i], values[k] - values[i]
