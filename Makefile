@@ -6,7 +6,7 @@ STAMP := $(VENV)/.set-up
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup mission test lint types imports slow benchmark system-deps clean
+.PHONY: help setup mission test lint types imports slow benchmark proto system-deps clean
 
 help:
 	@echo "make mission    set up, then fly the R-path mission in the simulated tank"
@@ -49,6 +49,10 @@ slow: setup
 
 benchmark: setup
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -s
+
+# The messages of a record, from their description.
+proto: setup
+	$(BIN)/python -m grpc_tools.protoc -I. --python_out=. --pyi_out=. smolbot/recording/run.proto
 
 # Debian packages that some tests need; the only target that touches the system.
 system-deps:

@@ -181,6 +181,10 @@ class Predictive:
         window = Actuate(tuple(sent), duration)
         return Command(window, saturated, note, progress=course.progress, phase=phase)
 
+    def unplayed(self) -> None:
+        """The last command was not played: there is nothing to learn from it."""
+        self._planned = None
+
     def reach(self, path: Curve) -> Reach:
         """The strongest force along the path with a field that turns the robot in time; 0 where there is none."""
         arc = path.sampled(0.5e-3)

@@ -105,7 +105,8 @@ def simulate(
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
     from sim.executors import open_executor
     from smolbot.anymission import load_mission
-    from smolbot.records.folder import RunFolder
+    from smolbot.recording.files import RunFiles
+    from smolbot.records.folder import RunFolder, provenance
 
     wanted = parse_seeds(seeds)
     settings = settings_from(set_)
@@ -117,7 +118,8 @@ def simulate(
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
     folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
-    folder.begin(loaded, wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
+    where = provenance(wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
+    folder.begin(RunFiles.of(loaded).contents, where)
     begin = time.perf_counter()
     with open_executor(jobs, scheduler) as executor:
         flown = fly_seeds(executor, mission, rig, settings, wanted, plant)

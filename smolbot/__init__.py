@@ -31,7 +31,7 @@ _HOME = {
     "Rig": "worlds",
     "RingDown": "shots",
     "Rotate": "shots",
-    "Run": "loop",
+    "Run": "flown",
     "SearchVolume": "localization.cold_start",
     "SensorArray": "sensing",
     "Setup": "control",
@@ -41,6 +41,8 @@ _HOME = {
     "Witness": "worlds",
     "load_mission": "anymission",
     "load_rig": "rigfile",
+    "read_run": "recording.reader",
+    "replay": "replaying",
     "run": "flying",
 }
 
@@ -76,6 +78,8 @@ __all__ = [
     "__version__",
     "load_mission",
     "load_rig",
+    "read_run",
+    "replay",
     "run",
 ]
 
@@ -94,16 +98,18 @@ if TYPE_CHECKING:
     from smolbot.anymission import load_mission
     from smolbot.control import Command, Controller, Gain, Setup
     from smolbot.errors import SmolbotError
+    from smolbot.flown import Run
     from smolbot.flying import run
     from smolbot.limits import Limits
     from smolbot.localization.cold_start import SearchVolume
     from smolbot.localization.localizer import Localizer
     from smolbot.localization.noise import NoiseModel
-    from smolbot.loop import Run
     from smolbot.missionfile import Mission
     from smolbot.observationfile import Observation
     from smolbot.paths import Curve
     from smolbot.poses import Pose
+    from smolbot.recording.reader import read_run
+    from smolbot.replaying import replay
     from smolbot.rigfile import load_rig
     from smolbot.sensing import Device, Recording, SensorArray
     from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot

@@ -167,7 +167,11 @@ class Reach:
 
 
 class Controller(Protocol):
-    """Promise of every controller. It is made once per mission from a setup and its gains."""
+    """Promise of every controller. It is made once per mission from a setup and its gains.
+
+    One that learns from what its commands do may also have ``unplayed()``: called before the next command where the
+    last one was not played.
+    """
 
     gains: ClassVar[Mapping[str, Gain]]
 

@@ -14,6 +14,7 @@ import numpy as np
 from smolbot.anymission import AnyMission, load_mission
 from smolbot.duty import Duty
 from smolbot.errors import InputError
+from smolbot.flown import CycleRecord, Listener, Run, Tape
 from smolbot.heat import CoilHeat
 from smolbot.heatmemory import HeatMemory
 from smolbot.latch import Latch
@@ -21,17 +22,22 @@ from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_fra
 from smolbot.localization.array_terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
-from smolbot.loop import CycleRecord, Listener, Loop, Quiet, Run, StopRules
+from smolbot.loop import Loop, StopRules
 from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.motion.robot import magnet_inertia
 from smolbot.observationfile import Observation
 from smolbot.operator import Operator, SilentOperator, TerminalOperator
+from smolbot.pausing import Pause
 from smolbot.pilots import Follower, Measurer, Pilot, Watcher
 from smolbot.plugins import load, load_world
-from smolbot.records.folder import RunFolder
-from smolbot.records.observation_summary import summarise_observation
-from smolbot.records.summary import summarise
+from smolbot.preparation import Quiet
+from smolbot.recording.converter import Converter
+from smolbot.recording.files import RunFiles
+from smolbot.recording.pump import Pump, Tapes
+from smolbot.recording.recorder import Recorder, begin_message, end_message
+from smolbot.records.folder import RunFolder, provenance
+from smolbot.records.outcome import draw, sum_up
 from smolbot.records.trace import Trace
 from smolbot.safety import Rules, Safety
 from smolbot.scheduler import Scheduler
@@ -115,8 +121,15 @@ def fly(
     opener: Callable[[AnyMission, int], Rig] | None = None,
     operator: Operator | None = None,
     latch: Latch | None = None,
+    pause: Pause | None = None,
+    live: Callable[[Converter], Pump] | None = None,
+    flushed: Callable[[int], None] | None = None,
 ) -> Run:
     """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar.
+
+    Where there is a `folder`, the run is recorded in it; `flushed` is told of every message count that is safe there.
+    `live` makes one more hearer of all that goes into a record: a pump to a page that shows the run. The `pause` is
+    held and ended by whoever else has it.
 
     `opener` opens another rig than the world that the rig file names, from mission and seed; for example
     ``sim.reduced.rig.open_reduced``. `operator` is handed to the world. Whoever holds the `latch` may end the run.
@@ -133,80 +146,103 @@ def fly(
         rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=asked)
     try:
         latch.bind(rig.stop)
-        return _fly_on(rig, mission, seed, folder, settings or {}, witness, listeners, latch)
+        flight = _Flight(mission, seed, folder, settings or {}, latch, pause)
+        return flight.fly(rig, witness, listeners, live, flushed)
     finally:
         rig.close()
 
 
-def _fly_on(
-    rig: Rig,
-    mission: AnyMission,
-    seed: int,
-    folder: RunFolder | None,
-    settings: Mapping[str, str],
-    witness: bool,
-    listeners: Callable[[AnyMission], tuple[Listener, ...]] | None,
-    latch: Latch,
-) -> Run:
-    drawn: dict[str, Any] = getattr(rig, "provenance", dict)()
-    if folder is not None:
-        folder.begin(mission, seed, settings, drawn)
-    trace = Trace(rig.witness if witness else None)
+class _Flight:
+    """One flight on an open rig: what hears of it, and what it leaves."""
 
-    def write(record: CycleRecord) -> None:
-        trace(record)
+    def __init__(
+        self,
+        mission: AnyMission,
+        seed: int,
+        folder: RunFolder | None,
+        settings: Mapping[str, str],
+        latch: Latch,
+        pause: Pause | None,
+    ) -> None:
+        self.mission = mission
+        self.seed = seed
+        self.folder = folder
+        self.settings = settings
+        self.latch = latch
+        self.pause = pause
+        self.drawn: dict[str, Any] = {}
+        self.trace = Trace(None)
+        self.tapes: Tapes = Tapes(())
+
+    def fly(
+        self,
+        rig: Rig,
+        witness: bool,
+        listeners: Callable[[AnyMission], tuple[Listener, ...]] | None,
+        live: Callable[[Converter], Pump] | None,
+        flushed: Callable[[int], None] | None,
+    ) -> Run:
+        mission = self.mission
+        self.drawn = getattr(rig, "provenance", dict)()
+        self.trace = Trace(rig.witness if witness else None)
+        real = rig.witness is None  # coils of a world that tells the truth are made anew each time
+        memory = HeatMemory.of(mission.rig.name) if real else None
+        extra = listeners(mission) if listeners else ()
+        self.tapes = self._begin(live, flushed)
+        try:
+            loop = make_loop(rig, mission, (self._hear, *extra), self.latch, memory, self.tapes, self.pause)
+            gc.freeze()  # what is there by now is not looked through again while the robot waits
+            try:
+                loop.fly()
+            finally:
+                gc.unfreeze()
+                self._settle(loop)
+        finally:
+            self.tapes.close()
+        return loop.run
+
+    def _begin(self, live: Callable[[Converter], Pump] | None, flushed: Callable[[int], None] | None) -> Tapes:
+        """Write what the run starts from, and tell it to whoever records or shows the run."""
+        converter = Converter.of(self.mission.rig.sections.sensors, self.mission.rig.sensor_gains)
+        pumps = [] if live is None else [live(converter)]
+        if self.folder is None and not pumps:
+            return Tapes(())
+        files = RunFiles.of(self.mission)
+        where = provenance(self.seed, self.settings, self.drawn)
+        if self.folder is not None:
+            self.folder.begin(files.contents, where)
+            pumps.insert(0, Recorder(self.folder.path, converter, flushed))
+        tapes = Tapes(tuple(pumps))
+        tapes.tell("/run/begin", 0.0, begin_message(files, where, converter))
+        return tapes
+
+    def _hear(self, record: CycleRecord) -> None:
+        self.trace(record)
+        moment = self.trace.moments[-1]
+        if self.folder is not None:
+            self.folder.record(moment)
+        self.tapes.cycle(len(self.trace.moments) - 1, moment)
+
+    def _settle(self, loop: Loop) -> None:
+        """Sum up a flight, however it ended, and complete its folder."""
+        flown, folder, trace = loop.run, self.folder, self.trace
+        if flown.status == "stopped":  # perhaps between a cycle and its record
+            for record in flown.cycles[len(trace.moments) :]:
+                trace(record)
+            if folder is not None:
+                for moment in trace.moments[folder.rows :]:
+                    folder.record(moment)
+        flown.true_trail = trace.true_positions() if trace.knows_truth else None
+        flown.folder = str(folder.path) if folder is not None else None
+        self.tapes.tell("/run/end", flown.duration, end_message(flown))
+        self.tapes.close()
+        flown.summary = sum_up(self.mission, flown, trace, self.seed, self.drawn)
         if folder is not None:
-            folder.record(trace.moments[-1])
-
-    extra = listeners(mission) if listeners else ()
-    real = rig.witness is None  # coils of a world that tells the truth are made anew each time
-    loop = make_loop(rig, mission, (write, *extra), latch, HeatMemory.of(mission.rig.name) if real else None)
-    gc.freeze()  # what is there by now is not looked through again while the robot waits
-    try:
-        loop.fly()
-    finally:
-        gc.unfreeze()
-        _settle(mission, loop, seed, drawn, folder, trace)
-    return loop.run
-
-
-def _settle(
-    mission: AnyMission, loop: Loop, seed: int, drawn: Mapping[str, Any], folder: RunFolder | None, trace: Trace
-) -> None:
-    """Sum up a flight, however it ended, and complete its folder."""
-    flown = loop.run
-    if flown.status == "stopped":  # perhaps between a cycle and its record
-        for record in flown.cycles[len(trace.moments) :]:
-            trace(record)
-        if folder is not None:
-            for moment in trace.moments[folder.rows :]:
-                folder.record(moment)
-    flown.true_trail = trace.true_positions() if trace.knows_truth else None
-    if isinstance(mission, Observation):
-        flown.summary = summarise_observation(mission, flown, trace)
-    else:
-        flown.summary = summarise(mission, flown, trace)
-    flown.summary["seed"] = seed
-    flown.summary["ideal"] = bool(drawn.get("ideal", False))
-    flown.summary["plant"] = str(drawn.get("plant", "full"))
-    flown.summary["run"] = str(folder.path) if folder is not None else None
-    if folder is not None:
-        if loop.array_filter is not None and loop.array_filter.recordings:
-            write_sensors(folder.path / LEARNED, learned_sensors(mission, loop.array_filter))
-        flown.folder = str(folder.path)
-        folder.end(flown.summary)
-        _draw(mission, flown, trace, folder.path / "path.png")
-
-
-def _draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
-    if isinstance(mission, Observation):
-        from smolbot.records.observation_picture import draw_observation
-
-        draw_observation(mission, run, trace, path)
-    else:
-        from smolbot.records.picture import draw_run
-
-        draw_run(mission, run, trace, path)
+            flown.summary["recording"] = self.tapes.figures()
+            if loop.array_filter is not None and loop.array_filter.recordings:
+                write_sensors(folder.path / LEARNED, learned_sensors(self.mission, loop.array_filter))
+            folder.end(flown.summary)
+            draw(self.mission, flown, trace, folder.path / "path.png")
 
 
 def make_loop(
@@ -215,6 +251,8 @@ def make_loop(
     listeners: tuple[Listener, ...] = (),
     latch: Latch | None = None,
     memory: HeatMemory | None = None,
+    tape: Tape | None = None,
+    pause: Pause | None = None,
 ) -> Loop:
     """The loop of a mission on an open rig, every part made from the mission's files."""
     device, cycle = mission.robot.device, mission.cycle
@@ -234,7 +272,7 @@ def make_loop(
         rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
         independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
         array_filter=None if isinstance(tracker, Glimpse) else make_array_filter(mission, locator),
-        safety=make_safety(rig, mission, latch, memory),
+        safety=make_safety(rig, mission, latch, memory), tape=tape, pause=pause,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from smolbot.control import Command, Controller
 from smolbot.paths import Curve
-from smolbot.shots import Shot
+from smolbot.shots import Actuate, Shot
 from smolbot.tracking import Tracker
 from smolbot.watching import Glimpse
 
@@ -19,13 +19,18 @@ class Pilot(Protocol):
 
 
 class Follower:
-    """Lets a controller follow a path from the moment that two poses have agreed."""
+    """Lets a controller follow a path from the moment that two poses have agreed.
+
+    A controller that has a method ``unplayed()`` is told when its last command was not played, since the loop was held
+    or had lost the signal: a law that learns from what its commands do must not learn from that one.
+    """
 
     def __init__(self, path: Curve, controller: Controller) -> None:
         self.path = path
         self.controller = controller
         self._begun = False
         self._waiting: Command | None = None
+        self._sent: Command | None = None
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
         """The controller's command for the pose that is expected at the end of the shot."""
@@ -40,9 +45,15 @@ class Follower:
         if not self._begun:
             self.controller.reset(self.path, pose)
             self._begun = True
-        command = self.controller.command(pose)
+        if self._sent is not None and isinstance(self._sent.window, Actuate) and self._sent.window not in shot.windows:
+            getattr(self.controller, "unplayed", _nothing)()
+        command = self._sent = self.controller.command(pose)
         self._waiting = command if command.mechanical else None
         return command
+
+
+def _nothing() -> None:
+    """For a controller that does not ask."""
 
 
 class Watcher:

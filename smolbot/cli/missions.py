@@ -15,8 +15,8 @@ from smolbot.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from smolbot.anymission import AnyMission
+    from smolbot.flown import Listener, Run
     from smolbot.helixpreview import HelixPreview
-    from smolbot.loop import Listener, Run
     from smolbot.missionfile import Mission
     from smolbot.preview import Preview
 

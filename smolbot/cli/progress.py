@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from smolbot.anymission import AnyMission
-from smolbot.loop import CycleRecord
+from smolbot.flown import CycleRecord
 from smolbot.missionfile import Mission
 from smolbot.observationfile import Observation
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -13,9 +12,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import smolbot
-from smolbot.config import Document
+from smolbot.blas import kernel
 from smolbot.errors import InputError
-from smolbot.missionbase import MissionBase
 from smolbot.records.trace import Moment, row
 
 _PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
@@ -40,22 +38,15 @@ class RunFolder:
         self._writer: csv.DictWriter[str] | None = None
         self.rows = 0
 
-    def begin(self, mission: MissionBase, seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> None:
-        """Make the folder and write what the run starts from."""
+    def begin(self, contents: Mapping[str, bytes], provenance: Mapping[str, Any]) -> None:
+        """Make the folder and write what the run starts from: files by their names, and where it came from."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{self.path}: the run folder cannot be made: {error}.") from error
-        for name, document in (
-            ("mission.toml", mission.document),
-            ("rig.toml", mission.rig.document),
-            ("robot.toml", mission.robot.document),
-        ):
-            (self.path / name).write_text(as_used(document), encoding="utf-8")
-        sensors = mission.rig.sensors_file
-        if sensors is not None:
-            (self.path / "sensors.toml").write_text(sensors.read_text(encoding="utf-8"), encoding="utf-8")
-        self._json("provenance.json", provenance(seed, settings, world))
+        for name, content in contents.items():
+            (self.path / name).write_bytes(content)
+        self._json("provenance.json", provenance)
 
     def record(self, moment: Moment) -> None:
         """Append one cycle to ``cycles.csv``."""
@@ -81,12 +72,6 @@ class RunFolder:
 
 def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
     """Where a run came from: version, commit, seed, settings, drawn mismatches, packages."""
-    packages: dict[str, str] = {}
-    for name in _PACKAGES:
-        try:
-            packages[name] = version(name)
-        except PackageNotFoundError:
-            packages[name] = "not installed"
     return {
         "smolbot": smolbot.__version__,
         "commit": _commit(),
@@ -95,8 +80,20 @@ def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any])
         "world": dict(world),
         "python": platform.python_version(),
         "platform": platform.system(),
-        "packages": packages,
+        "linear_algebra": kernel(),
+        "packages": packages(),
     }
+
+
+def packages() -> dict[str, str]:
+    """Versions of the packages on which figures depend."""
+    found: dict[str, str] = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
 
 
 def _commit() -> str | None:
@@ -116,54 +113,3 @@ def _commit() -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout.strip() or None
-
-
-def as_used(document: Document) -> str:
-    """Text of a file with its settings applied; the user's own text where nothing was set."""
-    return document.text if not document.settings else f"# as used, with settings applied\n{toml_text(document.data)}"
-
-
-def toml_text(data: Mapping[str, Any], prefix: str = "") -> str:
-    """TOML of nested dictionaries, lists, text, numbers and truth values.
-
-    Examples
-    --------
-    >>> print(toml_text({"a": 1.5, "t": {"b": [1, 2], "c": "x"}}))
-    a = 1.5
-    <BLANKLINE>
-    [t]
-    b = [1, 2]
-    c = "x"
-    <BLANKLINE>
-    """
-    lines = [f"{_key(k)} = {_value(v)}" for k, v in data.items() if not _is_table(v)]
-    text = "\n".join(lines) + "\n" if lines else ""
-    for key, value in data.items():
-        name = f"{prefix}{_key(key)}"
-        if isinstance(value, dict):
-            text += f"\n[{name}]\n{toml_text(value, name + '.')}"
-        elif _is_table(value):
-            text += "".join(f"\n[[{name}]]\n{toml_text(item, name + '.')}" for item in value)
-    return text
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, dict) or (
-        isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
-    )
-
-
-def _key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() else json.dumps(key)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if isinstance(value, list):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    return json.dumps(value, ensure_ascii=False)

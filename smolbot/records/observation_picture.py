@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.loop import Run
+from smolbot.flown import Run
 from smolbot.observationfile import Observation
 from smolbot.poses import Pose
 from smolbot.records.observation_summary import measurements

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.loop import Run
+from smolbot.flown import Run
 from smolbot.observationfile import Observation
 from smolbot.poses import Pose
 from smolbot.records.summary import against_truth, common_figures

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.loop import Run
+from smolbot.flown import Run
 from smolbot.missionfile import Mission
 from smolbot.records import helixpicture
 from smolbot.records.summary import label_of, tracking_distance

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.loop import Run
+from smolbot.flown import Run
 from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.poses import Pose

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.arrays import FloatArray
-from smolbot.loop import CycleRecord
+from smolbot.flown import CycleRecord
 from smolbot.poses import Pose
 from smolbot.shots import Actuate
 from smolbot.worlds import Witness
@@ -40,10 +40,17 @@ class Moment:
 
 
 class Trace:
-    """Collects every cycle of a run; the only holder of the truth besides the report."""
+    """Collects every cycle of a run; the only holder of the truth besides record and report.
+
+    Attributes
+    ----------
+    knows_truth : bool
+        True with a witness, and for a run that was recorded with one.
+    """
 
     def __init__(self, witness: Witness | None) -> None:
         self._witness = witness
+        self.knows_truth = witness is not None
         self.moments: list[Moment] = []
 
     def __call__(self, record: CycleRecord) -> None:
@@ -65,11 +72,6 @@ class Trace:
             return places
         moved = np.linalg.norm(np.diff(places, axis=0), axis=1) > RESTING
         return places[1:][moved]
-
-    @property
-    def knows_truth(self) -> bool:
-        """True with a witness."""
-        return self._witness is not None
 
     @property
     def following(self) -> list[Moment]:

@@ -15,6 +15,7 @@ from smolbot.errors import ConfigError, InputError, MissingFileError
 from smolbot.localization.localizer import Localizer
 from smolbot.missionfile import load_mission
 from smolbot.poses import Pose
+from smolbot.recording.files import RunFiles
 from smolbot.records.folder import RunFolder
 from smolbot.rigfile import load_rig
 from smolbot.robotfile import load_robot
@@ -127,7 +128,7 @@ def test_the_section_can_be_pasted_into_a_rig_file(stage, calibrated, tmp_path):
 
 def test_a_run_keeps_the_sensors_file_that_it_believed(stage, tmp_path):
     mission = load_mission("line", None, {"rig.sensors.calibrated": str(stage[0] / "sensors.toml")})
-    RunFolder(tmp_path / "run").begin(mission, 1, {}, {})
+    RunFolder(tmp_path / "run").begin(RunFiles.of(mission).contents, {})
     assert (tmp_path / "run" / "sensors.toml").read_text() == (stage[0] / "sensors.toml").read_text()
 
 

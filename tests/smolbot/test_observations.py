@@ -13,9 +13,9 @@ from smolbot.anymission import load_mission
 from smolbot.cli import app as command_line
 from smolbot.control import Command
 from smolbot.errors import ConfigError
+from smolbot.flown import CycleRecord
 from smolbot.flying import fly, make_loop, run
 from smolbot.localization.localizer import Localizer
-from smolbot.loop import CycleRecord
 from smolbot.observationfile import Observation
 from smolbot.poses import Pose
 from smolbot.records.observation_summary import observation_verdict, scatter, watching
@@ -167,7 +167,7 @@ def test_gaps_are_runs_of_shots_that_gave_no_pose():
         shot = Shot((Excite((1.0, 0.0), 100.0, 1), RingDown(0.05), Listen(8, 100.0)), "track", 0.1 * number)
         seen = pose((0, 0, 0), time=shot.end - 0.02) if good == "x" else None
         cycles.append(CycleRecord(shot, seen, seen, Command(None), 0.0))
-    from smolbot.loop import Run
+    from smolbot.flown import Run
 
     found = watching(Run(cycles=cycles))
     assert found["gaps"] == {"count": 2, "shots": 2, "longest_s": pytest.approx(0.2)}

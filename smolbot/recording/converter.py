@@ -1,0 +1,84 @@
+"""Samples as a converter's counts: a quarter of their size, and exact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smolbot.arrays import FloatArray
+from smolbot.sensorsfile import SensorsSection
+
+FIELD, TESLA, VOLTS, BOTH = 0, 1, 2, 3
+"""Scalings: how counts become a field; see ``run.proto``."""
+
+Counts = NDArray[np.int16]
+
+
+@dataclass(frozen=True, eq=False)
+class Converter:
+    """What turned fields into counts.
+
+    Attributes
+    ----------
+    bits : int
+    range : float, in V
+        To either side.
+    volts_per_tesla : float
+        Of the sensors.
+    gains : ndarray, shape (n_sensors,)
+        As believed; readings were divided by them.
+    """
+
+    bits: int
+    range: float
+    volts_per_tesla: float
+    gains: FloatArray
+
+    @classmethod
+    def of(cls, section: SensorsSection, gains: FloatArray) -> Converter:
+        """As a rig file's ``[sensors]`` describes it."""
+        return cls(section.adc_bits, section.adc_range_v, section.sensitivity_v_per_ut * 1e6, np.asarray(gains, float))
+
+    def counts(self, field: FloatArray) -> tuple[int, Counts | None]:
+        """The scaling by which `field` (n_sensors, n), in T, are whole counts, and these; (FIELD, None) if by none.
+
+        What is returned decodes to `field` bit for bit: that is how it is found.
+        """
+        if self.bits > 16 or len(field) != len(self.gains):
+            return FIELD, None
+        with np.errstate(invalid="ignore"):
+            rounded = np.rint(field * self.gains[:, None] / self._tesla)
+        if not _fits(rounded):
+            return FIELD, None
+        counts = rounded.astype(np.int16)
+        for scaling in (TESLA, VOLTS, BOTH):
+            if np.array_equal(self.field(scaling, counts), field):
+                return scaling, counts
+        return FIELD, None
+
+    def field(self, scaling: int, counts: Counts) -> FloatArray:
+        """Counts (n_sensors, n) as a field, in T."""
+        return self._scalings[scaling](counts.astype(float))
+
+    @cached_property
+    def _tesla(self) -> float:
+        return 2.0 * (self.range / self.volts_per_tesla) / 2.0**self.bits
+
+    @cached_property
+    def _scalings(self) -> dict[int, Callable[[FloatArray], FloatArray]]:
+        gains, per_tesla, tesla = self.gains[:, None], self.volts_per_tesla, self._tesla
+        volts = 2.0 * self.range / 2.0**self.bits
+        return {
+            TESLA: lambda counts: counts * tesla / gains,
+            VOLTS: lambda counts: counts * volts / per_tesla / gains,
+            BOTH: lambda counts: counts * tesla * per_tesla / per_tesla / gains,
+        }
+
+
+def _fits(counts: FloatArray) -> bool:
+    """Whether these are numbers that 16 bits hold."""
+    return bool(np.isfinite(counts).all() and counts.min() >= -(2.0**15) and counts.max() <= 2.0**15 - 1)

@@ -1,0 +1,305 @@
+"""Reads the record of a run again: whole, cut short by a kill, or not one of ours at all."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.anymission import AnyMission
+from smolbot.control import Command
+from smolbot.errors import InputError
+from smolbot.flown import CycleRecord, Event, Run
+from smolbot.poses import Pose
+from smolbot.recording import messages
+from smolbot.recording import run_pb2 as pb
+from smolbot.recording.converter import Converter
+from smolbot.recording.files import RunFiles
+from smolbot.recording.recorder import RECORD
+from smolbot.records.trace import Moment, Trace
+from smolbot.sensing import Recording
+from smolbot.shots import Shot
+
+CUT_SHORT = "the record ends without an end: the process was ended from outside, or the machine stopped"
+
+
+@dataclass(frozen=True)
+class Played:
+    """A shot that was played: its number, until when (s), and the samples that came of it, if any were."""
+
+    number: int
+    shot: Shot
+    ended: float
+    samples: pb.Samples | None
+
+    def recording(self, converter: Converter) -> Recording | None:
+        """What the sensors heard, as the rig gave it, bit for bit."""
+        return None if self.samples is None else messages.recording_of(self.samples, converter, self.shot)
+
+
+@dataclass
+class RecordedRun:
+    """A run as it was recorded.
+
+    Attributes
+    ----------
+    path : Path
+        The record.
+    begin : Begin message
+    played : list of Played
+        Every shot, those from which noise and decay were learned too.
+    moments : list of Moment
+        Every cycle, with the truth where it was known.
+    shot_of_cycle : list of int
+        Number of the shot of each cycle.
+    events : list of Event
+    end : End message, or None
+        None where the record was cut short.
+    whole : bool
+        False where the file was not finished.
+    dropped : int
+        Messages that the recorder could not take.
+    messages : int
+        Messages that were read.
+    """
+
+    path: Path
+    begin: pb.Begin
+    played: list[Played] = field(default_factory=list)
+    moments: list[Moment] = field(default_factory=list)
+    shot_of_cycle: list[int] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    end: pb.End | None = None
+    whole: bool = True
+    dropped: int = 0
+    messages: int = 0
+
+    @property
+    def folder(self) -> Path:
+        """The run folder."""
+        return self.path.parent
+
+    @cached_property
+    def provenance(self) -> dict[str, Any]:
+        """Version, commit, seed, settings, what was drawn."""
+        found: dict[str, Any] = json.loads(self.begin.provenance)
+        return found
+
+    @cached_property
+    def converter(self) -> Converter:
+        """What turned fields into counts."""
+        return messages.converter_of(self.begin.converter)
+
+    @property
+    def files(self) -> RunFiles:
+        """The files that the run started from."""
+        return RunFiles(dict(self.begin.files), dict(self.begin.names))
+
+    def mission(self, settings: dict[str, str] | None = None) -> AnyMission:
+        """The mission as it was flown, from the record itself; `settings` are laid over it."""
+        import tempfile
+
+        with tempfile.TemporaryDirectory() as folder:
+            for name, content in self.begin.files.items():
+                (Path(folder) / name).write_bytes(content)
+            return self.files.load(Path(folder), settings)
+
+    @property
+    def knows_truth(self) -> bool:
+        """Whether a witness told where the device truly was."""
+        return any(moment.truth is not None or moment.truth_at_end is not None for moment in self.moments)
+
+    def recordings(self) -> Iterator[tuple[Played, Recording]]:
+        """Every shot that was heard, with what was."""
+        for played in self.played:
+            recording = played.recording(self.converter)
+            if recording is not None:
+                yield played, recording
+
+    def trace(self) -> Trace:
+        """The cycles as they were collected in flight."""
+        trace = Trace(None)
+        trace.moments = list(self.moments)
+        trace.knows_truth = self.knows_truth
+        return trace
+
+    def run(self) -> Run:
+        """The flight as it ended; one whose record was cut short, as failed."""
+        cycles = [moment.cycle for moment in self.moments]
+        last = max((p.ended for p in self.played), default=0.0)
+        run = Run("failed", CUT_SHORT, last, cycles=cycles, events=list(self.events))
+        first = next((self.played[number].shot.start for number in self.shot_of_cycle[:1]), 0.0)
+        run.begun = first
+        if self.end is not None:
+            end = self.end
+            run.status, run.stop_reason = end.status, end.stop_reason  # type: ignore[assignment]
+            run.duration, run.wall, run.begun = end.duration, end.wall, end.begun
+            run.recovered, run.safety = json.loads(end.recovered), json.loads(end.safety)
+        run.folder = str(self.folder)
+        run.true_trail = self.trace().true_positions() if self.knows_truth else None
+        return run
+
+
+def record_path(run: str | Path) -> Path:
+    """The record of a run that is given by its folder, or by the record itself.
+
+    Raises
+    ------
+    InputError
+        Where there is none.
+    """
+    path = Path(run)
+    if path.is_dir():
+        inside = path / RECORD
+        if not inside.is_file():
+            raise InputError(f"{path}: holds no {RECORD}; is it a run folder? It holds: {_listed(path)}.")
+        return inside
+    if not path.is_file():
+        near = sorted(p.name for p in path.parent.iterdir())[-5:] if path.parent.is_dir() else []
+        beside = f" Beside it: {', '.join(near)}." if near else ""
+        raise InputError(f"{path}: no such run.{beside}")
+    return path
+
+
+def read_run(run: str | Path) -> RecordedRun:
+    """Read the record of a run, given by its folder or by the file itself.
+
+    A record that was cut short gives what is in it; `whole` is False then.
+
+    Raises
+    ------
+    InputError
+        Where there is no record, or it is none of smolbot's.
+    """
+    path = record_path(run)
+    found: RecordedRun | None = None
+    parts: dict[int, dict[str, Any]] = {}
+    shots: dict[int, pb.Shot] = {}
+    samples: dict[int, pb.Samples] = {}
+    timings: list[pb.Timing] = []
+    state = _Reading(path)
+    for topic, data in state.messages():
+        message = _parsed(path, topic, data)
+        if found is None:
+            if topic != "/run/begin":
+                raise InputError(f"{path}: begins with {topic}, not with /run/begin: this is no record of a run.")
+            if message.format != messages.FORMAT:
+                raise InputError(
+                    f"{path}: was written in format {message.format}; this version of smolbot reads {messages.FORMAT}."
+                )
+            found = RecordedRun(path, message)
+        elif topic == "/shots":
+            shots[message.number] = message
+        elif topic == "/windows":
+            samples[message.number] = message
+        elif topic in ("/poses/raw", "/poses/tracked", "/poses/true", "/commands"):
+            parts.setdefault(message.number, {})[topic] = message
+        elif topic == "/timing":
+            timings.append(message)
+        elif topic == "/events":
+            found.events.append(messages.event_of(message))
+        elif topic == "/run/dropped":
+            found.dropped = message.messages
+        elif topic == "/run/end":
+            found.end = message
+        found.messages += 1
+    if found is None:
+        raise InputError(f"{path}: holds no message of a run{'' if state.whole else ', and is cut short'}.")
+    found.whole = state.whole and found.end is not None
+    for number in sorted(shots):
+        told = shots[number]
+        if told.heard and number not in samples:
+            continue  # its samples were not flushed any more
+        found.played.append(Played(number, messages.shot_of(told), told.ended, samples.get(number)))
+    shots_by_number = {p.number: p.shot for p in found.played}
+    for timing in sorted(timings, key=lambda timing: timing.number):
+        told_parts = parts.get(timing.number, {})
+        shot = shots_by_number.get(timing.shot)
+        wanted = {"/commands"} | ({"/poses/raw"} if timing.has_pose else set())
+        wanted |= {"/poses/tracked"} if timing.has_tracked else set()
+        if shot is None or not wanted <= told_parts.keys():
+            continue  # part of it was dropped
+        found.moments.append(_moment(shot, timing, told_parts))
+        found.shot_of_cycle.append(timing.shot)
+    return found
+
+
+def _moment(shot: Shot, timing: pb.Timing, parts: dict[str, Any]) -> Moment:
+    def pose(topic: str) -> Pose | None:
+        return messages.pose_of(parts[topic]) if topic in parts else None
+
+    command: Command = messages.command_of(parts["/commands"])
+    record = CycleRecord(
+        shot, pose("/poses/raw"), pose("/poses/tracked"), command, timing.compute, timing.ended, timing.rig
+    )
+    true = parts.get("/poses/true")
+    if true is None:
+        return Moment(record, None, None)
+    at = messages.pose_of(true.pose) if true.HasField("pose") else None
+    end = messages.pose_of(true.end) if true.HasField("end") else None
+    return Moment(record, at, end, np.array(true.way).reshape(-1, 3))
+
+
+def _parsed(path: Path, topic: str, data: bytes) -> Any:
+    from google.protobuf.message import DecodeError
+
+    kind = messages.TOPICS.get(topic)
+    if kind is None:
+        raise InputError(
+            f"{path}: has a topic {topic}, which no record of smolbot has; those are {', '.join(messages.TOPICS)}."
+        )
+    try:
+        return kind.FromString(data)
+    except DecodeError as error:
+        raise InputError(f"{path}: a message of {topic} is none of smolbot's: {error}.") from error
+
+
+class _Reading:
+    """The messages of an MCAP file in the order in which they were written, as far as they go."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.whole = False
+
+    def messages(self) -> Iterator[tuple[str, bytes]]:
+        """Topic and bytes of each. `whole` is True afterwards if the file was finished."""
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, DataEnd, Message
+        from mcap.stream_reader import StreamReader
+        from zstandard import ZstdError
+
+        torn = (McapError, struct.error, ValueError, EOFError, ZstdError)  # cut short, or damaged from here on
+        topics: dict[int, str] = {}
+        with self._path.open("rb") as file:
+            start = file.read(8)
+            if start != b"\x89MCAP0\r\n":
+                raise InputError(
+                    f"{self._path}: is no MCAP file"
+                    + (", but empty." if not start else f"; it begins with {start!r}. A run's record is {RECORD}.")
+                )
+            file.seek(0)
+            records = StreamReader(file, validate_crcs=True).records
+            while True:
+                try:
+                    record = next(records)
+                except StopIteration:
+                    return
+                except torn:
+                    return
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message):
+                    yield topics[record.channel_id], record.data
+                elif isinstance(record, DataEnd):
+                    self.whole = True
+
+
+def _listed(folder: Path) -> str:
+    names = sorted(p.name for p in folder.iterdir())
+    return ", ".join(names[:12]) + (", …" if len(names) > 12 else "") or "nothing"

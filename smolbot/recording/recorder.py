@@ -1,0 +1,116 @@
+"""Writes ``run.mcap``, the record of a run, while the run goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from smolbot.errors import InputError
+from smolbot.flown import Run
+from smolbot.recording import messages
+from smolbot.recording import run_pb2 as pb
+from smolbot.recording.converter import Converter
+from smolbot.recording.files import RunFiles
+from smolbot.recording.pump import Message, Pump
+
+RECORD = "run.mcap"
+"""File of a run folder."""
+
+CHUNK = 4 * 2**20
+"""Bytes of a chunk; a flush ends one earlier."""
+
+
+class McapFile:
+    """A record as an MCAP file. What was flushed survives the process, however that ends.
+
+    Parameters
+    ----------
+    path : Path
+    flushed : callable, optional
+        Told after each flush of the messages that are in the file by then.
+    """
+
+    def __init__(self, path: Path, flushed: Callable[[int], None] | None = None) -> None:
+        import foxglove
+        from foxglove.mcap import MCAPWriteOptions
+
+        self._context = foxglove.Context()
+        options = MCAPWriteOptions(chunk_size=CHUNK, compression_threads=0, profile="smolbot")
+        try:
+            self._writer = foxglove.open_mcap(path, context=self._context, writer_options=options)
+        except (OSError, RuntimeError) as error:
+            raise InputError(f"{path}: the record cannot be made: {error}.") from error
+        self._channels: dict[str, Any] = {}
+        self._flushed = flushed
+        self._count = 0
+
+    def write(self, message: Message) -> None:
+        """Append one message."""
+        self._channel(message).log(message.content.SerializeToString(), log_time=message.nanoseconds)
+        self._count += 1
+
+    def flush(self) -> None:
+        """Hand everything so far to the operating system."""
+        self._writer.flush()
+        if self._flushed is not None:
+            self._flushed(self._count)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+    def _channel(self, message: Message) -> Any:
+        known = self._channels.get(message.topic)
+        if known is None:
+            from foxglove import Channel, Schema
+
+            name = message.content.DESCRIPTOR.full_name
+            schema = Schema(name=name, encoding="protobuf", data=_schema())
+            known = Channel(message.topic, schema=schema, message_encoding="protobuf", context=self._context)
+            self._channels[message.topic] = known
+        return known
+
+
+def _schema() -> bytes:
+    """Every message's description, as MCAP wants it."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    found = FileDescriptorSet()
+    pb.DESCRIPTOR.CopyToProto(found.file.add())
+    return found.SerializeToString()
+
+
+class Recorder(Pump):
+    """The record of one run, in its folder. Hears of the run as its tape, and of every cycle."""
+
+    def __init__(
+        self, folder: Path, converter: Converter, flushed: Callable[[int], None] | None = None, **options: Any
+    ) -> None:
+        self.path = folder / RECORD
+        super().__init__(McapFile(self.path, flushed), converter, **options)
+
+
+def begin_message(files: RunFiles, provenance: dict[str, Any], converter: Converter) -> pb.Begin:
+    """What a run starts from: its files, where it came from, and how its samples are counted."""
+    return pb.Begin(
+        format=messages.FORMAT,
+        files=files.contents,
+        names=files.names,
+        provenance=json.dumps(provenance, default=str),
+        converter=messages.converter_message(converter),
+    )
+
+
+def end_message(run: Run) -> pb.End:
+    """How a run ended."""
+    return pb.End(
+        status=run.status,
+        stop_reason=run.stop_reason,
+        duration=run.duration,
+        wall=run.wall,
+        begun=run.begun,
+        recovered=json.dumps(run.recovered),
+        safety=json.dumps(run.safety, default=str),
+    )
