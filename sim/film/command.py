@@ -42,14 +42,11 @@ def film(
         raise InputError("not yet")
     from sim.film.filming import film as shoot
     from sim.film.trail import read_trail
-    from smolbot.rigfile import load_rig
-    from smolbot.robotfile import load_robot
 
     assert run is not None
-    trail = read_trail(run)
-    rig, robot = load_rig(str(run / "rig.toml")), load_robot(str(run / "robot.toml"))
+    trail, mission = read_trail(run)
     made = shoot(
-        trail, rig, robot, out, seed=seed, fps=25.0 if fps is None else fps, begin=begin_s, end=end_s,
+        trail, mission.rig, mission.robot, out, seed=seed, fps=25.0 if fps is None else fps, begin=begin_s, end=end_s,
         size=_size(size), hidden=[_span(text) for text in hide or []], posts=not flat,
     )  # fmt: skip
     fiducials = out.with_suffix(".toml")

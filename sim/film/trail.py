@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from smolbot.anymission import AnyMission
 from smolbot.arrays import FloatArray
-from smolbot.errors import InputError, MissingFileError
-
-PLACE = ("true_x_m", "true_y_m", "true_z_m")
-TURN = ("true_qw", "true_qx", "true_qy", "true_qz")
+from smolbot.errors import InputError
+from smolbot.recording.reader import read_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,36 +45,20 @@ class Trail:
         return places, turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
-def read_trail(run: str | Path) -> Trail:
-    """The trail of a run folder, from the ``true_*`` columns of its ``cycles.csv``.
+def read_trail(run: str | Path) -> tuple[Trail, AnyMission]:
+    """The trail of a recorded run, its true poses when the device was heard and when each shot ended; and its mission.
 
     Raises
     ------
-    MissingFileError
-        If there is no such run.
-    InputError
-        If it holds no truth, as on a bench.
+    InputError, MissingFileError
+        If there is no record, or it holds no truth, as on a bench.
     """
-    path = Path(run) / "cycles.csv"
-    if not path.is_file():
-        raise MissingFileError(f"{path}: no such file; name the folder of a run, as smolbot run leaves it.")
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    wanted = ("end_s", "pose_time_s", *PLACE, *TURN)
-    if rows and any(name not in rows[0] for name in wanted):
-        raise InputError(f"{path}: is no record of a run; the columns {', '.join(wanted)} are needed.")
-    try:
-        known = [
-            # the truth of a cycle that listened to nothing is that of its end
-            [float(r["pose_time_s"] or r["end_s"]), *(float(r[name]) for name in (*PLACE, *TURN))]
-            for r in rows
-            if r[PLACE[0]]
-        ]
-    except ValueError as error:
-        raise InputError(f"{path}: {error}.") from error
+    record = read_run(run)
+    known = [p for m in record.moments for p in (m.truth, m.truth_at_end) if p is not None]
     if len(known) < 2:
-        raise InputError(f"{path}: holds no true poses; only a run in the simulated tank can be filmed.")
-    table = np.array(known)
-    table = table[np.argsort(table[:, 0], kind="stable")]
-    table = table[np.concatenate([[True], np.diff(table[:, 0]) > 0])]
-    return Trail(table[:, 0], table[:, 1:4], table[:, 4:])
+        raise InputError(f"{record.path}: holds no true poses; only a run in the simulated tank can be filmed.")
+    times = np.array([pose.time for pose in known])
+    order = np.argsort(times, kind="stable")
+    kept = order[np.concatenate([[True], np.diff(times[order]) > 1e-9])]
+    trail = Trail(times[kept], np.array([known[i].position for i in kept]), np.array([known[i].orientation for i in kept]))
+    return trail, record.mission()

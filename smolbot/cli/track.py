@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from smolbot.arrays import FloatArray
     from smolbot.optics.opticaltrack import OpticalTrack
     from smolbot.optics.outline import Body
+    from smolbot.optics.runposes import RunPoses
     from smolbot.optics.video import Video
     from smolbot.optics.view import View
     from smolbot.robotfile import RobotConfig
@@ -89,14 +90,14 @@ def track(
         from smolbot.optics.view import check_points
 
         check_points(*points)
-    config = _robot(robot, run)
     poses = None
     if run is not None:
         from smolbot.optics.runposes import read_run_poses
 
         poses = read_run_poses(run)
+    config = _robot(robot, poses)
     film = Video(video, fps)
-    height, told = _height(robot_z_mm, run, poses, fiducials, corners_z_mm)
+    height, told = _height(robot_z_mm, poses, fiducials, corners_z_mm)
     view, notes = _view(film, fiducials, points, corners_z_mm, camera_height_mm, height)
     body = _body(config, mark)
     found = _follow(film, view, body, height, background, json)
@@ -130,12 +131,11 @@ def _pairs(text: str, option: str) -> FloatArray:
     return np.array(values)
 
 
-def _robot(name: str | None, run: Path | None) -> RobotConfig:
+def _robot(name: str | None, poses: RunPoses | None) -> RobotConfig:
     from smolbot.robotfile import load_robot
 
-    own = None if run is None else run / "robot.toml"
-    if name is None and own is not None and own.is_file():
-        return load_robot(str(own))
+    if name is None and poses is not None and poses.mission is not None:
+        return poses.mission.robot
     return load_robot(name or "gradient")
 
 
@@ -153,19 +153,15 @@ def _body(config: RobotConfig, mark: str) -> Body:
 
 
 def _height(
-    robot_z_mm: float | None, run: Path | None, poses: Any, fiducials: Path | None, corners_z_mm: float | None
+    robot_z_mm: float | None, poses: RunPoses | None, fiducials: Path | None, corners_z_mm: float | None
 ) -> tuple[float, str]:
     """z of the robot, in m, and where it is known from."""
     if robot_z_mm is not None:
         return 1e-3 * robot_z_mm, "as given"
-    if run is not None:
-        from smolbot.rigfile import load_rig
-
-        rig = run / "rig.toml"
-        if rig.is_file():
-            sections = load_rig(str(rig)).sections
-            if sections.medium is not None and sections.medium.yield_stress_pa == 0 and sections.container is not None:
-                return 1e-3 * sections.container.surface_z_mm, "the liquid's surface, by the run's rig"
+    if poses is not None:
+        mission = poses.mission
+        if mission is not None and mission.robot.kind == "gradient":
+            return 1e-3 * mission.rig.sections.container.surface_z_mm, "the liquid's surface: it floats"
         return float(poses.positions[:, 2].mean()), "mean of the run's poses"
     if fiducials is not None:
         from smolbot.optics.fiducials import read_fiducials
@@ -219,14 +215,14 @@ def _follow(film: Video, view: View, body: Body, height: float, background: Path
 
 
 def _report(
-    found: OpticalTrack, film: Video, view: View, height: float, config: RobotConfig, poses: Any, run: Path | None,
+    found: OpticalTrack, film: Video, view: View, height: float, config: RobotConfig, poses: RunPoses | None, run: Path | None,
     offset_s: float | None, folder: Path, json: bool, *, told: str, notes: list[str], known: bool,
 ) -> None:  # fmt: skip
     import numpy as np
 
     from smolbot.cli.show import as_json, echo_json, table
     from smolbot.optics.picture import draw_track
-    from smolbot.optics.trackfigures import planned_path, tracking_error
+    from smolbot.optics.trackfigures import tracking_error
     from smolbot.optics.opticaltrack import write_optical_track
 
     figures: dict[str, Any] = {
@@ -259,14 +255,11 @@ def _report(
         figures |= {"run": str(run), "offset_s": alignment.offset, "offset_sigma_s": alignment.sigma,
                     "correlation": alignment.correlation} | analysis.figures()  # fmt: skip
         rows += _compared(figures, alignment.given)
-        path, why = planned_path(run)
-        if path is not None:
-            error = tracking_error(found, path, poses)
-            if error is not None:
-                figures["tracking_error_mm"] = error
-                rows.append(("tracking error", f"{_plain(error)} mm, of the robot as seen to the path"))
-        elif why:
-            rows.append(("note", f"no tracking error: {why}"))
+        path = getattr(poses.mission, "path", None)  # a mission that only looks has none
+        error = None if path is None else tracking_error(found, path, poses)
+        if error is not None:
+            figures["tracking_error_mm"] = error
+            rows.append(("tracking error", f"{_plain(error)} mm, of the robot as seen to the path"))
         e = figures["position_error_mm"]
         line = f"{len(analysis.times)} poses   ·   position error {e['mean']:.2f} ± {e['std']:.2f} mm   ·   " \
             f"angle error {figures['angle_error_deg']['mean']:.1f} ± {figures['angle_error_deg']['std']:.1f}°   ·   " + line  # fmt: skip

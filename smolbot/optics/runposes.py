@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from smolbot.anymission import AnyMission
 from smolbot.arrays import BoolArray, FloatArray
-from smolbot.errors import InputError, MissingFileError
-from smolbot.rotations import matrix_from_quaternion
+from smolbot.errors import InputError
+from smolbot.recording.reader import read_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,9 @@ class RunPoses:
     axes : ndarray, shape (n, 3)
         World direction of body z, as located.
     following : ndarray of bool, shape (n,)
-        Poses after the path's start was reached; all of them where nothing was steered.
+        Poses after the path's start was reached.
+    mission : Mission or Observation, optional
+        As it was flown, with rig and robot.
     """
 
     folder: Path
@@ -35,6 +37,7 @@ class RunPoses:
     tracked: FloatArray
     axes: FloatArray
     following: BoolArray
+    mission: AnyMission | None = None
 
     @property
     def headings(self) -> FloatArray:
@@ -43,30 +46,27 @@ class RunPoses:
 
 
 def read_run_poses(folder: str | Path) -> RunPoses:
-    """Poses of a run folder, from its ``cycles.csv``.
+    """Poses of a recorded run.
 
     Raises
     ------
-    MissingFileError
-        If there is no such run.
-    InputError
-        If it is no record of a run, or holds no trusted pose.
+    InputError, MissingFileError
+        If there is no record of a run, or it holds no trusted pose.
     """
-    folder = Path(folder)
-    path = folder / "cycles.csv"
-    if not path.is_file():
-        raise MissingFileError(f"{path}: no such file; --run names the folder of a run, as smolbot run leaves it.")
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.DictReader(file) if row["pose_time_s"] and row["trusted"] == "1"]
-        times = np.array([float(r["pose_time_s"]) for r in rows])
-        positions = np.array([[float(r[f"pose_{a}_m"]) for a in "xyz"] for r in rows])
-        tracked = np.array([[float(r[f"tracked_{a}_m"] or "nan") for a in "xyz"] for r in rows])
-        turns = [np.array([float(r[f"pose_q{a}"]) for a in "wxyz"]) for r in rows]
-    except (KeyError, ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is no record of a run ({type(error).__name__}: {error}).") from error
-    if not rows:
-        raise InputError(f"{path}: holds no trusted pose to compare with.")
-    axes = np.array([matrix_from_quaternion(q / np.linalg.norm(q))[:, 2] for q in turns])
-    phases = np.array([r.get("phase") == "follow" for r in rows])
-    return RunPoses(folder, times, positions, tracked, axes, phases if phases.any() else np.ones(len(rows), dtype=bool))
+    record = read_run(folder)
+    heard = [m.cycle for m in record.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    if not heard:
+        raise InputError(f"{record.path}: holds no trusted pose to compare with.")
+    poses = [cycle.pose for cycle in heard if cycle.pose is not None]
+    begun = {m.cycle.shot.start for m in record.trace().following}
+    nowhere = np.full(3, np.nan)
+    mission = record.mission()
+    return RunPoses(
+        folder=record.folder,
+        times=np.array([pose.time for pose in poses]),
+        positions=np.array([pose.position for pose in poses]),
+        tracked=np.array([nowhere if c.tracked is None else c.tracked.position for c in heard]),
+        axes=np.array([pose.body_axis("z") for pose in poses]),
+        following=np.array([cycle.shot.start in begun for cycle in heard]),
+        mission=mission,
+    )

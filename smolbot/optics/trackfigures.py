@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from smolbot.errors import SmolbotError
 from smolbot.optics.opticaltrack import OpticalTrack
 from smolbot.optics.runposes import RunPoses
-
-if TYPE_CHECKING:
-    from smolbot.paths import Path as PlannedPath
+from smolbot.paths import Path
 
 
-def planned_path(run: str | Path) -> tuple[PlannedPath | None, str]:
-    """The path of a run folder's mission; or None, and why there is none."""
-    from smolbot.anymission import load_mission
-    from smolbot.missionfile import Mission
-
-    folder = Path(run)
-    if not (folder / "mission.toml").is_file():
-        return None, f"{folder} has no mission.toml"
-    try:
-        rig = folder / "rig.toml"
-        mission = load_mission(str(folder / "mission.toml"), str(rig) if rig.is_file() else None)
-    except SmolbotError as error:
-        return None, str(error).splitlines()[0]
-    return (mission.path, "") if isinstance(mission, Mission) else (None, "")
-
-
-def tracking_error(track: OpticalTrack, path: PlannedPath, run: RunPoses) -> dict[str, float] | None:
+def tracking_error(track: OpticalTrack, path: Path, run: RunPoses) -> dict[str, float] | None:
     """Distance of the robot as seen to the path, in mm, from when its start was reached to the last pose.
 
     `track` must be on the run's clock. None where no frame shows the robot then.
