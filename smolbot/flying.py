@@ -255,7 +255,7 @@ class _Flight:
                     folder.record(moment)
         flown.true_trail = trace.true_positions() if trace.knows_truth else None
         flown.folder = str(folder.path) if folder is not None else None
-        self.tapes.tell("/run/end", flown.duration, end_message(flown))
+        self.tapes.tell("/run/end", flown.duration, end_message(flown), wait=True)
         self.tapes.close()
         flown.summary = sum_up(self.mission, flown, trace, self.seed, self.drawn)
         if folder is not None:
