@@ -9,7 +9,7 @@ import numpy as np
 
 from smolbot.anymission import AnyMission
 from smolbot.missionfile import Mission
-from smolbot.records.picture import LOCATED, PLANNED, TRUE
+from smolbot.records.ink import LOCATED, PLANNED, TRUE
 from smolbot.records.summary import label_of
 
 if TYPE_CHECKING:

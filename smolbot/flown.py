@@ -47,7 +47,8 @@ class Run:
     `begun` is when the first cycle started, after the noise was learned; `duration` counts from the start.
     `recovered` counts what went wrong and ended nothing, by kind; `safety` has duty and heat of the coils.
 
-    `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only.
+    `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only. `report` says where the report
+    is, or why there is none.
     """
 
     status: Status = "stopped"
@@ -60,6 +61,7 @@ class Run:
     summary: dict[str, object] = field(default_factory=dict)
     folder: str | None = None
     true_trail: FloatArray | None = None
+    report: str = ""
     recovered: dict[str, int] = field(default_factory=dict)
     safety: dict[str, object] = field(default_factory=dict)
 

@@ -22,7 +22,7 @@ from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_fra
 from smolbot.localization.array_terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
-from smolbot.loop import Loop, Quiet, StopRules
+from smolbot.loop import Loop, StopRules
 from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.motion.robot import magnet_inertia
@@ -31,6 +31,7 @@ from smolbot.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.pausing import Pause
 from smolbot.pilots import Follower, Measurer, Pilot, Watcher
 from smolbot.plugins import load, load_world
+from smolbot.preparation import Quiet
 from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
 from smolbot.recording.pump import Pump, Tapes
@@ -61,6 +62,7 @@ def run(
     gui: bool = False,
     witness: bool = True,
     operator: Operator | None = None,
+    report: bool = True,
     **overrides: Any,
 ) -> Run:
     """Fly a mission, or carry out an observation; the same from a notebook as from the command line.
@@ -81,6 +83,8 @@ def run(
         Ask the simulated world for the truth; without it, poses and commands are the same.
     operator : Operator, optional
         Who moves what only a hand can move; by default, whoever sits at the terminal.
+    report : bool
+        Whether to write ``report.html`` into the run folder, once nothing moves any more.
     **overrides
         Settings laid over the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
 
@@ -104,7 +108,7 @@ def run(
     with stop_signals(latch):
         return fly(
             mission, seed, folder=folder, settings=settings, gui=gui, witness=witness,
-            operator=operator or TerminalOperator(), latch=latch,
+            operator=operator or TerminalOperator(), latch=latch, report=report,
         )  # fmt: skip
 
 
@@ -123,6 +127,7 @@ def fly(
     pause: Pause | None = None,
     live: Callable[[Converter], Pump] | None = None,
     flushed: Callable[[int], None] | None = None,
+    report: bool = False,
 ) -> Run:
     """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar.
 
@@ -132,6 +137,9 @@ def fly(
 
     `opener` opens another rig than the world that the rig file names, from mission and seed; for example
     ``sim.reduced.rig.open_reduced``. `operator` is handed to the world. Whoever holds the `latch` may end the run.
+
+    With `report`, the page of the run is written into the folder once the rig is closed. One that fails costs the page
+    alone: `Run.report` says why.
 
     An error that nobody foresaw is raised once every output is at zero and the folder is written.
     """
@@ -146,9 +154,23 @@ def fly(
     try:
         latch.bind(rig.stop)
         flight = _Flight(mission, seed, folder, settings or {}, latch, pause)
-        return flight.fly(rig, witness, listeners, live, flushed)
+        flown = flight.fly(rig, witness, listeners, live, flushed)
     finally:
         rig.close()
+    if report and folder is not None:
+        flown.report = _report(mission, folder.path)
+    return flown
+
+
+def _report(mission: AnyMission, folder: Path) -> str:
+    """Write the page of a run that is over; whatever goes wrong with it is said, and costs nothing else."""
+    from smolbot.reports.flight import Flight
+    from smolbot.reports.report import save_report
+
+    try:
+        return str(save_report(Flight.read(folder, mission)))
+    except Exception as error:
+        return f"could not be written: {type(error).__name__}: {error}"
 
 
 class _Flight:

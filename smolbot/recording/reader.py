@@ -287,6 +287,17 @@ class _Reading:
             found.wall = timing.wall
 
 
+def stream(run: str | Path) -> Iterator[tuple[str, bytes]]:
+    """Topic and bytes of every message of a record, in the order in which they were written; as far as it goes.
+
+    Raises
+    ------
+    InputError
+        Where there is no record, or it is no MCAP file.
+    """
+    return _Reading(record_path(run)).messages()
+
+
 def _moment(shot: Shot, timing: pb.Timing, parts: dict[str, Any]) -> Moment:
     def pose(topic: str) -> Pose | None:
         return messages.pose_of(parts[topic]) if topic in parts else None

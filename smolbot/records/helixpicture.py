@@ -8,6 +8,7 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.missionfile import Mission
+from smolbot.records.ink import LOCATED, PLANNED, STIFF, TRUE, nothing
 from smolbot.records.summary import axis_angle
 from smolbot.records.trace import Moment, Trace
 from smolbot.shots import Rotate
@@ -15,7 +16,6 @@ from smolbot.shots import Rotate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PLANNED, TRUE, LOCATED, STIFF = "#b9bec7", "#1b4965", "#e4572e", "#f3e3c3"
 ARROW = 3.5
 """Length of an arrow along a propulsion axis, in mm."""
 
@@ -69,7 +69,7 @@ def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
             axes.plot(at * 1e3, off * 1e3, "o", color=TRUE, ms=4.5, mfc="white", mew=1.4, label="pauses")
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
     else:
-        _nothing(axes, "no truth on this rig")
+        nothing(axes, "no truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -83,7 +83,7 @@ def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
         angles = np.degrees([axis_angle(m.cycle.pose, m.truth) for m in known if m.cycle.pose and m.truth])
         axes.plot(arc * 1e3, angles, ".", color=LOCATED, ms=5, alpha=0.7)
     else:
-        _nothing(axes, "no truth on this rig")
+        nothing(axes, "no truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("Propulsion axis of each pose against the true one, in degrees", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -116,7 +116,3 @@ def subline_parts(summary: dict[str, Any]) -> list[str]:
     if "axis_error_deg" in summary:
         parts.append(f"axis error {summary['axis_error_deg']['mean']:.1f}°")
     return parts
-
-
-def _nothing(axes: Axes, text: str) -> None:
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="#888888")

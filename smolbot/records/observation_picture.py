@@ -11,8 +11,8 @@ from smolbot.arrays import FloatArray
 from smolbot.flown import Run
 from smolbot.observationfile import Observation
 from smolbot.poses import Pose
+from smolbot.records.ink import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
 from smolbot.records.observation_summary import measurements
-from smolbot.records.picture import LOCATED, TRUE
 from smolbot.records.summary import label_of, orientation_error
 from smolbot.records.trace import Moment, Trace
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PALE = "#b9bec7"
 ARROW = 6.5  # mm: length of a tip's arrow
 ARROWS = 36  # shown of a whole track
 
@@ -75,28 +74,28 @@ def _draw_watched(figure: Figure, mission: Observation, trace: Trace) -> None:
     split = grid[:, 0].subgridspec(2, 1, height_ratios=[sy + 8.0, sides[2][1] - sides[2][0] + 8.0], hspace=0.17)
     above, front = figure.add_subplot(split[0]), figure.add_subplot(split[1])
     for axes, across in ((above, 1), (front, 2)):
-        _draw_view(axes, trace, sides, across)
+        draw_view(axes, trace, sides, across)
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
     above.tick_params(labelbottom=False)
     front.set_xlabel("x in mm")
     errors = figure.add_subplot(grid[0, 1])
     turns = figure.add_subplot(grid[1, 1], sharex=errors)
     rates = figure.add_subplot(grid[2, 1], sharex=errors)
-    _draw_errors(errors, turns, trace, along=mission.robot.device.along_cantilever)
-    _draw_rate(rates, mission, trace)
+    draw_errors(errors, turns, trace, along=mission.robot.device.along_cantilever)
+    draw_rate(rates, mission, trace)
 
 
-def _draw_view(axes: Axes, trace: Trace, sides: list[tuple[float, float]], across: int) -> None:
+def draw_view(axes: Axes, trace: Trace, sides: list[tuple[float, float]], across: int) -> None:
     """The track from above (`across` 1) or from the front (2), in the container."""
     (x0, x1), (y0, y1) = sides[0], sides[across]
-    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PALE, lw=1.2)
+    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PLANNED, lw=1.2)
     truth = 1e3 * trace.true_positions()
     if len(truth):
         axes.plot(truth[:, 0], truth[:, across], color=TRUE, lw=0.9, label="true", zorder=4)
     seen = [m.cycle.pose for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
     if seen:
         places = 1e3 * np.array([p.position for p in seen])
-        axes.scatter(places[:, 0], places[:, across], s=14, color=LOCATED, alpha=0.4, lw=0, label="localized", zorder=3)
+        dots(axes, places[:, 0], places[:, across], 3.7, LOCATED, alpha=0.4, label="localized", zorder=3)
         chosen = seen[:: max(len(seen) // ARROWS, 1)]
         start, ahead = 1e3 * np.array([p.position for p in chosen]), np.array([p.rotation[:, 2] for p in chosen])
         axes.quiver(
@@ -111,19 +110,20 @@ def _draw_view(axes: Axes, trace: Trace, sides: list[tuple[float, float]], acros
     axes.grid(color="#eeeeee", zorder=0)
 
 
-def _draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None:
+def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None:
+    """Errors of place and orientation of each trusted pose over time."""
     known = [(p, t) for p, t in _known(trace.moments)]
     if known:
         times = [p.time for p, _ in known]
         away = [1e3 * float(np.linalg.norm(p.position - t.position)) for p, t in known]
         angle = [float(np.degrees(orientation_error(p, t, along))) for p, t in known]
-        errors.plot(times, away, ".", color=LOCATED, ms=3, alpha=0.7)
+        dots(errors, times, away, 1.6, LOCATED, alpha=0.7)
         errors.axhline(float(np.mean(away)), color=TRUE, lw=1)
-        turns.plot(times, angle, ".", color=LOCATED, ms=3, alpha=0.7)
+        dots(turns, times, angle, 1.6, LOCATED, alpha=0.7)
         turns.axhline(float(np.mean(angle)), color=TRUE, lw=1)
     else:
         for axes in (errors, turns):
-            axes.text(0.5, 0.5, "no truth on this rig", transform=axes.transAxes, ha="center", color="#888888")
+            nothing(axes, "no truth on this rig")
     errors.set_title("Localization error of each pose, in mm; line: mean", loc="left", fontsize=11)
     turns.set_title("Orientation error, in degrees", loc="left", fontsize=11)
     for axes in (errors, turns):
@@ -131,7 +131,7 @@ def _draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> Non
         axes.tick_params(labelbottom=False)
 
 
-def _draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
+def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
     """Trusted poses in every second, and shots that gave none."""
     times = np.array([m.cycle.pose.time for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted])
     if len(times) > 1:
@@ -156,12 +156,18 @@ def _draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
 def _draw_measured(figure: Figure, mission: Observation, trace: Trace) -> None:
     """Each measurement from above and from the front, about their mean, with the ellipse of one standard deviation."""
     grid = figure.add_gridspec(1, 2, wspace=0.22, left=0.07, right=0.975, top=0.835, bottom=0.1)
+    draw_measurements(figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1]), trace)
+
+
+def draw_measurements(above: Axes, front: Axes, trace: Trace) -> None:
+    """Each measurement about their mean, from above and from the front, and where the mean is off the truth."""
     moments = measurements(trace)
     places = 1e3 * np.array([m.cycle.pose.position for m in moments if m.cycle.pose is not None]).reshape(-1, 3)
-    for column, (i, j) in enumerate(((0, 1), (0, 2))):
-        axes = figure.add_subplot(grid[0, column])
-        if len(places) > 1:
-            _draw_scatter(axes, places[:, [i, j]], ("xyz"[i], "xyz"[j]))
+    for axes, i, j in ((above, 0, 1), (front, 0, 2)):
+        if len(places) < 2:
+            nothing(axes, "fewer than two measurements")
+        else:
+            draw_scatter(axes, places[:, [i, j]], ("xyz"[i], "xyz"[j]))
         truth = next((m.truth for m in moments if m.truth is not None), None)
         if truth is not None and len(places) > 1:
             off = places.mean(axis=0) - 1e3 * truth.position
@@ -171,12 +177,10 @@ def _draw_measured(figure: Figure, mission: Observation, trace: Trace) -> None:
             )  # fmt: skip
 
 
-def _draw_scatter(axes: Axes, places: FloatArray, names: tuple[str, str]) -> None:
+def draw_scatter(axes: Axes, places: FloatArray, names: tuple[str, str]) -> None:
+    """Measurements about their mean, with the ellipse of one standard deviation; `places` (n, 2) in mm."""
     away = 1e3 * (places - places.mean(axis=0))
-    values, vectors = np.linalg.eigh(np.cov(away.T))
-    angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    ellipse = (vectors * np.sqrt(np.maximum(values, 0.0))) @ np.array([np.cos(angle), np.sin(angle)])
-    axes.plot(*ellipse, color=TRUE, lw=1.4, label="one standard deviation")
+    axes.plot(*ellipse(np.cov(away.T), n=181).T, color=TRUE, lw=1.4, label="one standard deviation")
     axes.plot(away[:, 0], away[:, 1], "o", color=LOCATED, ms=7, alpha=0.8, mew=0, label="measurements")
     for number, (x, y) in enumerate(away, 1):
         axes.annotate(str(number), (x, y), xytext=(5, 4), textcoords="offset points", fontsize=9, color="#777777")

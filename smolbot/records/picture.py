@@ -10,14 +10,12 @@ import numpy as np
 from smolbot.flown import Run
 from smolbot.missionfile import Mission
 from smolbot.records import helixpicture
+from smolbot.records.ink import COILS, LOCATED, PLANNED, TRUE, dots, nothing
 from smolbot.records.summary import label_of, tracking_distance
 from smolbot.records.trace import Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-PLANNED, TRUE, LOCATED = "#b9bec7", "#1b4965", "#e4572e"
-COILS = ("#1b4965", "#5fa8d3", "#e4572e", "#f2a541", "#7b2d8b", "#4c956c")
 
 
 def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
@@ -41,10 +39,10 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
             helixpicture.draw_axis_error(middle, mission, trace)
             helixpicture.draw_turns(low, mission, trace)
         else:
-            _draw_path(left, mission, trace)
-            _draw_tracking(errors, mission, trace)
-            _draw_localization(middle, trace)
-            _draw_currents(low, mission, trace)
+            draw_path(left, mission, trace)
+            draw_tracking(errors, mission, trace)
+            draw_localization(middle, trace)
+            draw_currents(low, mission, trace)
         figure.text(0.06, 0.945, headline(mission, run), fontsize=17, fontweight="bold", color="#222222")
         figure.text(0.06, 0.905, subline(run.summary), fontsize=11.5, color="#555555")
         figure.savefig(path)
@@ -70,13 +68,14 @@ def subline(summary: dict[str, Any]) -> str:
     return "   ·   ".join([*parts, f"seed {summary.get('seed', '-')}"])
 
 
-def _draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
+def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Planned path, true way and trusted poses, from above."""
     planned = mission.path.points * 1e3
     axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
     heard = [m.cycle.pose for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
     if heard:
         located = np.array([p.position for p in heard]) * 1e3
-        axes.scatter(located[:, 0], located[:, 1], s=9, color=LOCATED, alpha=0.55, lw=0, label="localized", zorder=2)
+        dots(axes, located[:, 0], located[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
     truth = trace.true_positions() * 1e3
     if len(truth):
         axes.plot(truth[:, 0], truth[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
@@ -92,54 +91,52 @@ def _draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
 
 
-def _draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
+def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Distance of the true robot to the path over time."""
     moments = [m for m in trace.following if m.truth_at_end is not None]
     if moments:
-        times = [m.cycle.shot.end for m in moments for _ in (0, 1)]
         times = [t for m in moments for t in (m.truth.time if m.truth else m.cycle.shot.end, m.cycle.shot.end)]
         axes.plot(times, tracking_distance(mission, moments) * 1e3, color=TRUE, lw=1.3)
         axes.axhline(mission.tolerance * 1e3, color="#999999", lw=1, ls="--")
         axes.text(1.0, mission.tolerance * 1e3, " arrival ", color="#777777", fontsize=9, va="bottom", ha="right",
                   transform=axes.get_yaxis_transform())  # fmt: skip
     else:
-        _nothing(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
+        nothing(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
 
 
-def _draw_localization(axes: Axes, trace: Trace) -> None:
+def draw_localization(axes: Axes, trace: Trace) -> None:
+    """Distance of each trusted pose, and of the tracked ones, to the truth over time."""
     known = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
     if known:
         times = [m.truth.time for m in known if m.truth]
         raw = [
             np.linalg.norm(m.cycle.pose.position - m.truth.position) * 1e3 for m in known if m.cycle.pose and m.truth
         ]
-        axes.plot(times, raw, ".", color=LOCATED, ms=3, alpha=0.6, label="each pose")
+        dots(axes, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
         both = [(m.truth.time, np.linalg.norm(m.cycle.tracked.position - m.truth.position) * 1e3)
                 for m in known if m.cycle.tracked and m.truth]  # fmt: skip
         axes.plot(*np.array(both).T, color=TRUE, lw=1.3, label="tracked")
         axes.set_ylim(0.0, 1.15 * float(np.percentile(raw, 99.5)))
         axes.legend(loc="upper right", ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
     else:
-        _nothing(axes, "no truth on this rig")
+        nothing(axes, "no truth on this rig")
     axes.set_title("Localization error, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
 
 
-def _draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
+def draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Current of each coil in every pull."""
     names = mission.rig.coil_names
     starts, _, currents = trace.currents(len(names))
     for index, name in enumerate(names):
         if len(starts):
-            axes.plot(starts, currents[:, index], ".", ms=3.2, color=COILS[index % len(COILS)], label=name)
+            dots(axes, starts, currents[:, index], 2.2, COILS[index % len(COILS)], label=name)
     axes.set_ylim(0.0 if mission.rig.limits.unipolar else None, mission.rig.limits.max_current * 1.08)
     axes.set_title("Coil currents while actuating, in A", loc="left", fontsize=11)
     axes.set_xlabel("time in s")
     if len(starts):
-        axes.legend(loc="lower right", ncol=len(names), frameon=False, fontsize=9, markerscale=3,
+        axes.legend(loc="lower right", ncol=len(names), frameon=False, fontsize=9,
                     bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0, handletextpad=0.1)  # fmt: skip
-
-
-def _nothing(axes: Axes, text: str) -> None:
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="#888888")
