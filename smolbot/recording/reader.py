@@ -295,7 +295,8 @@ def stream(run: str | Path) -> Iterator[tuple[str, bytes]]:
     InputError
         Where there is no record, or it is no MCAP file.
     """
-    return _Reading(record_path(run)).messages()
+    scan = Scan(record_path(run))
+    return ((found.topic, found.data) for found in scan.messages() if found.topic is not None)
 
 
 def _moment(shot: Shot, timing: pb.Timing, parts: dict[str, Any]) -> Moment:
