@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import platform
@@ -29,6 +30,8 @@ class RunFolder:
     ----------
     rows : int
         Cycles that were recorded.
+    error : str or None
+        Why ``cycles.csv`` ends before the run.
     """
 
     def __init__(self, path: Path) -> None:
@@ -40,6 +43,7 @@ class RunFolder:
         self._file: TextIO | None = None
         self._writer: csv.DictWriter[str] | None = None
         self.rows = 0
+        self.error: str | None = None
 
     def begin(self, contents: Mapping[str, bytes], provenance: Mapping[str, Any]) -> None:
         """Make the folder and write what the run starts from: files by their names, and where it came from."""
@@ -52,21 +56,28 @@ class RunFolder:
             raise InputError(f"{self.path}: the run folder cannot be made: {error}.") from error
 
     def record(self, moment: Moment) -> None:
-        """Append one cycle to ``cycles.csv``."""
-        line = row(self.rows, moment)
-        if self._writer is None:
+        """Append one cycle to ``cycles.csv``; a disk that refuses ends that table, not the run."""
+        try:
+            if self.error is None:
+                self._append(row(self.rows, moment))
+        except OSError as error:
+            self.error = f"{CYCLES}: {error.strerror or error}"
+        self.rows += 1
+
+    def _append(self, line: dict[str, Any]) -> None:
+        if self._file is None:
             self._file = (self.path / CYCLES).open("w", newline="", encoding="utf-8")
             self._writer = csv.DictWriter(self._file, fieldnames=list(line))
             self._writer.writeheader()
+        assert self._writer is not None
         self._writer.writerow(line)
-        self.rows += 1
-        assert self._file is not None
         self._file.flush()
 
     def end(self, summary: dict[str, Any]) -> None:
-        """Close the record and write the summary."""
+        """Close the table of cycles and write the summary."""
         if self._file is not None:
-            self._file.close()
+            with contextlib.suppress(OSError):  # of what could not be flushed, which is known
+                self._file.close()
         write_whole(self.path / SUMMARY, json_bytes(summary))
 
 

@@ -6,6 +6,7 @@ import resource
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -217,6 +218,80 @@ def test_a_flight_whose_recorder_fails_goes_on_and_says_so(tmp_path, monkeypatch
     assert run.summary["recording"]["error"] == "OSError: [Errno 28] No space left on device"
     assert run.summary["recording"]["dropped"] > 0
     assert (tmp_path / "run" / "path.png").is_file()
+
+
+def test_a_flight_goes_on_while_its_sink_blocks_and_the_summary_and_the_record_tell_what_is_missing(
+    tmp_path, monkeypatch, same_cycle
+):
+    mission, opened, played = load_mission("line", settings=SHORT), threading.Event(), []
+    append = McapFile.append
+
+    def blocks(self, topic, nanoseconds, data):
+        assert topic != "/shots" or opened.wait(60)
+        append(self, topic, nanoseconds, data)
+
+    def listener(record):
+        played.append(record)
+        if len(played) == 12:
+            opened.set()
+
+    monkeypatch.setattr(McapFile, "append", blocks)
+    monkeypatch.setitem(Pump.__init__.__kwdefaults__, "capacity", 10)
+    folder = tmp_path / "run"
+    run = fly(mission, 3, folder=RunFolder(folder), listeners=lambda _: (listener,))
+    free = fly(mission, 3)
+    assert run.status == "completed"
+    assert len(run.cycles) == len(free.cycles)
+    assert all(a.pose.position.tobytes() == b.pose.position.tobytes() for a, b in zip(run.cycles, free.cycles))
+    read = read_run(folder)
+    dropped = run.summary["recording"]["dropped"]
+    assert read.dropped == dropped > 0
+    assert read.whole
+    assert all(same_cycle(c, run.cycles[n]) for n, c in zip(read.number_of_cycle, read.run().cycles))
+    assert len(read.moments) < len(run.cycles)
+
+
+def test_a_process_ends_while_its_sink_blocks():
+    script = """
+import threading
+import numpy as np
+from smolbot.flown import Event
+from smolbot.recording.converter import Converter
+from smolbot.recording.pump import Pump
+
+class Blocked:
+    def write(self, message): threading.Event().wait()
+    def flush(self): pass
+    def close(self): pass
+
+pump = Pump(Blocked(), Converter(16, 10.0, 5e4, np.ones(2)), patience=0.05)
+pump.happened(Event(0.0, "x"))
+pump.close()
+print(pump.error)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
+    assert "left to itself" in done.stdout
+    assert done.stderr == ""
+
+
+def test_a_full_disk_ends_the_table_of_cycles_and_not_the_run(tmp_path, monkeypatch):
+    def refuse(self, line):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(RunFolder, "_append", refuse)
+    run = fly(load_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
+    assert run.status == "completed"
+    assert run.summary["recording"]["error"] == "cycles.csv: No space left on device"
+    assert read_run(tmp_path / "run").whole
+
+
+def test_a_folder_that_cannot_be_written_into_is_an_input_error_before_anything_moves(tmp_path, monkeypatch):
+    def refuse(self, content):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    with pytest.raises(InputError, match="the run folder cannot be made"):
+        fly(load_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
 
 
 def test_a_full_disk_tears_the_record_and_what_was_flushed_before_can_be_read(recorded, tmp_path):
