@@ -84,6 +84,13 @@ class Pump:
         Entries, and bytes of samples, that may wait.
     patience : float, in s
         How long `close` waits for what is not yet written.
+
+    Attributes
+    ----------
+    error : str or None
+        Why something could not be handed on: the first reason.
+    computing : float, in s
+        Processor time of its thread, once that ended.
     """
 
     def __init__(
