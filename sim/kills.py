@@ -282,8 +282,10 @@ def main() -> None:
             outcomes.append(outcome)
     failed = sum(bool(o.faults) or o.late for o in outcomes)
     longest = max((o.missing for o in outcomes), default=0.0)
+    before = sum(not o.messages for o in outcomes)
     tell(
-        f"{len(outcomes)} kills, {failed} failed; {sum(o.torn for o in outcomes)} left a torn record; "
+        f"{len(outcomes)} kills, {failed} failed; {before} came before anything was recorded or played; "
+        f"{sum(o.torn for o in outcomes)} left a torn record; "
         f"at most {longest:.3f} s missing (allowed: {ALLOWED:g} s)"
     )
     if given.json:

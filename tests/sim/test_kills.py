@@ -21,4 +21,5 @@ def test_of_fifty_killed_missions_each_is_recovered_and_misses_half_a_second_at_
     outcomes = list(kill_all(50, 1, "r_small", {}, tmp_path))
     assert [o for o in outcomes if o.faults or o.late] == []
     assert {o.phase for o in outcomes} == set(PHASES)
-    assert sum(o.torn for o in outcomes) > 25
+    assert sum(o.torn for o in outcomes) > 20
+    assert all(o.cycles == 0 for o in outcomes if not o.messages)
