@@ -69,6 +69,8 @@ def recover(run: str | Path) -> Recovery:
         If it is no record, its run still goes on, or the disk refuses.
     """
     path = _record(run)
+    if path.name == TORN and path.with_name(RECORD).exists():
+        raise InputError(f"{path}: {RECORD} stands beside it; recover that one, or the folder.")
     _refuse_living(path)
     done = Recovery(read_run(path))
     try:
@@ -123,17 +125,18 @@ def _rewrite(found: RecordedRun, target: Path) -> Path:
         part.replace(target)
         return found.path
     kept = _free_name(target)
-    try:
-        os.link(target, kept)  # so that there is no moment without a record
-    except OSError:
-        target.rename(kept)
+    if not kept.exists():
+        try:
+            os.link(target, kept)  # so that there is no moment without a record
+        except OSError:
+            target.rename(kept)
     part.replace(target)
     return kept
 
 
 def _free_name(target: Path) -> Path:
     kept, number = target.with_name(f"{target.stem}.torn{target.suffix}"), 2
-    while kept.exists():
+    while kept.exists() and not kept.samefile(target):  # the same: another recovery was cut short just here
         kept, number = target.with_name(f"{target.stem}.torn-{number}{target.suffix}"), number + 1
     return kept
 

@@ -139,6 +139,35 @@ def test_a_recovery_that_was_itself_cut_short_is_taken_up(copied):
     assert not (copied / "run.mcap.part").exists()
 
 
+def test_a_recovery_that_ended_between_keeping_and_replacing_is_taken_up(copied):
+    torn = cut(copied, 0.9)
+    os.link(copied / "run.mcap", copied / "run.torn.mcap")
+    recover(copied)
+    assert read_run(copied).whole
+    assert sorted(p.name for p in copied.glob("*.mcap")) == ["run.mcap", "run.torn.mcap"]
+    assert (copied / "run.torn.mcap").read_bytes() == torn
+
+
+def test_a_torn_record_does_not_take_the_place_of_one_that_is_there(copied):
+    before = (copied / "run.mcap").read_bytes()
+    (copied / "run.torn.mcap").write_bytes(before[:-9])
+    with pytest.raises(InputError, match="stands beside it"):
+        recover(copied / "run.torn.mcap")
+    assert (copied / "run.mcap").read_bytes() == before
+
+
+def test_a_record_that_was_copied_elsewhere_is_recovered_alone(copied, tmp_path):
+    cut(copied, 0.9)
+    own = tmp_path / "downloads"
+    own.mkdir()
+    (copied / "run.mcap").rename(own / "tuesday.mcap")
+    done = recover(own / "tuesday.mcap")
+    assert read_run(own / "tuesday.mcap").whole
+    assert sorted(p.name for p in own.iterdir()) == ["tuesday.mcap", "tuesday.torn.mcap"]
+    assert not recover(own / "tuesday.mcap").needed
+    assert done.written == []
+
+
 def test_a_run_that_goes_on_is_not_touched(copied):
     (copied / "run.mcap").rename(copied / "old.mcap")
     writing = McapFile(copied / "run.mcap")
