@@ -118,8 +118,8 @@ def run(
             return (progress,)
 
         flown = fly(
-            loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator, latch=latch,
-            report=report,
+            loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator,
+            latch=latch, report=report,
         )  # fmt: skip
     _show_run(loaded, flown, json)
     raise typer.Exit(_exit_code(flown))

@@ -11,7 +11,6 @@ from smolbot.cli.missions import JsonOption
 from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import InputError
 
-
 RunsArgument = Annotated[
     list[Path], typer.Argument(help="Run folder, or its record; several are compared.", metavar="RUN …")
 ]
@@ -66,14 +65,11 @@ def _report(run: Path, out: Path | None, json: bool) -> None:
 
 def _compare(runs: list[Path], out: Path | None, json: bool) -> None:
     from smolbot.reports.comparison import compare
-    from smolbot.reports.comparisonpage import write_comparison
+    from smolbot.reports.comparisonpage import said, write_comparison
 
     found = compare(runs)
     path = write_comparison(found, out if out is not None else Path("comparison.html"))
-    rows = [
-        (figure.name, "   ".join(f"{e.value:.3g} ({e.low:.3g} to {e.high:.3g})" if e else "-" for e in figure.of_run))
-        for figure in found.figures
-    ]
+    rows = [(figure.name, "   ".join(map(said, figure.of_run))) for figure in found.figures]
     table(f"{', '.join(found.labels)}: value (95 % interval)", [*rows, ("page", str(path))], err=json)
     if json:
         echo_json(as_json({**found.as_dict(), "page": str(path)}))

@@ -79,7 +79,7 @@ def number(value: float) -> str:
     """A number as people read it: three digits that matter."""
     if isinstance(value, bool | str):
         return str(value)
-    if isinstance(value, int) or abs(value) >= 1000:
+    if isinstance(value, int) or abs(value) >= 1000 or (abs(value) >= 100 and value == round(value)):
         return f"{value:.0f}"
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.1f}"
 
