@@ -14,8 +14,9 @@ from smolbot.errors import InputError
 from smolbot.observationfile import Observation
 from smolbot.poses import Pose
 from smolbot.records.ink import LOCATED, PLANNED, TRUE
+from smolbot.records.trace import Moment
 from smolbot.reports.flight import Flight
-from smolbot.reports.svg import FAINT, INK, page_style
+from smolbot.reports.svg import FAINT, GRID, INK, page_style
 from smolbot.shots import Actuate, Excite, MoveMagnet, Rotate, Window
 
 if TYPE_CHECKING:
@@ -28,11 +29,11 @@ SIZE = (6.4, 4.8)
 """In inches, at `DPI`."""
 
 DPI = 90
-COLORS = 48
-"""Of a GIF's palette: few, for a small file."""
+SHADES = 6
+"""Of each colour in a GIF, from white: few colours make a small file."""
 
-HEADING = 2.2
-"""Length of the arrow along the robot's heading, in mm."""
+HEADING = 0.07
+"""Length of the line along the robot's heading, as a share of the picture's width."""
 
 _REST = 1.0  # s for which the last picture stays
 
@@ -66,6 +67,18 @@ class Track:
         ahead = np.array([(p.rotation @ body_axis)[:2] for p in ordered]).reshape(-1, 2)
         places = np.array([p.position for p in ordered]).reshape(-1, 3)
         return cls(np.array([p.time for p in ordered]), places, ahead)
+
+    def through(self, times: FloatArray, places: FloatArray) -> Track:
+        """The same, through further places (n, 3) at `times` (n,), headings between those that are known."""
+        if not len(times) or not len(self.times):
+            return self
+        headings = np.column_stack([np.interp(times, self.times, column) for column in self.headings.T])
+        order = np.argsort(np.concatenate([self.times, times]), kind="stable")
+        return Track(
+            np.concatenate([self.times, times])[order],
+            np.vstack([self.places, places])[order],
+            np.vstack([self.headings, headings])[order],
+        )
 
     def at(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Place and heading at `time` s, between poses joined by lines; both nan without any pose."""
@@ -132,6 +145,18 @@ def _span(flight: Flight) -> tuple[float, float]:
     return first, max(m.cycle.shot.end for m in moments)
 
 
+def _ways(moments: list[Moment]) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) and places (n, 3) on the way while a magnet turns, spread evenly: only where it moved is recorded."""
+    times, places = [np.zeros(0)], [np.zeros((0, 3))]
+    for moment in moments:
+        shot = moment.cycle.shot
+        turns = [(at, at + w.duration) for at, w in shot.timed() if isinstance(w, Rotate)]
+        if turns and len(moment.way):
+            times.append(shot.start + np.linspace(turns[0][0], turns[-1][1], len(moment.way)))
+            places.append(moment.way)
+    return np.concatenate(times), np.vstack(places)
+
+
 class Scene:
     """Everything that a picture shows; drawn anew for each time."""
 
@@ -145,7 +170,7 @@ class Scene:
         ahead = np.array([0.0, 0.0, 1.0]) if flight.helical else device.moment_in_body
         moments = flight.trace.moments
         truths = [p for m in moments for p in (m.truth, m.truth_at_end) if p is not None]
-        self._true = Track.of(list({p.time: p for p in truths}.values()), ahead)
+        self._true = Track.of(list({p.time: p for p in truths}.values()), ahead).through(*_ways(moments))
         heard = [m.cycle.pose for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted]
         self._heard = Track.of(heard, ahead)
         self._trail = self._true if len(self._true.times) else self._heard
@@ -161,8 +186,9 @@ class Scene:
         canvas = FigureCanvasAgg(self.figure)
         for time in times:
             self.show(float(time))
-            canvas.draw()
-            yield Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+            canvas.draw()  # type: ignore[no-untyped-call]
+            picture = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+            yield Image.fromarray(picture).convert("RGB")
 
     def show(self, time: float) -> None:
         """Move everything to `time` s."""
@@ -172,7 +198,8 @@ class Scene:
         self._way.set_data(trail[:, 0], trail[:, 1])
         self._robot.set_data([1e3 * place[0]], [1e3 * place[1]])
         length = max(float(np.hypot(*ahead)), 1e-9)
-        tip = 1e3 * place[:2] + HEADING * ahead / length
+        low, high = self._axes.get_xlim()
+        tip = 1e3 * place[:2] + HEADING * (high - low) * ahead / length
         self._heading.set_data([1e3 * place[0], tip[0]], [1e3 * place[1], tip[1]])
         past = self._heard.times <= time
         latest = 1e3 * self._heard.places[past]
@@ -205,7 +232,7 @@ class Scene:
         (self._located,) = axes.plot([], [], "o", color=LOCATED, ms=7, mfc="none", mew=1.8, label="localized")
         (self._heading,) = axes.plot([], [], color=TRUE, lw=2.4, solid_capstyle="round", zorder=5)
         (self._robot,) = axes.plot([], [], "o", color=TRUE, ms=8, zorder=6)
-        _fit(axes, *_limits(flight, self._trail))
+        _fit(axes, *_limits(flight, self._trail, self._heard))
         axes.set_xlabel("x in mm")
         axes.set_ylabel("y in mm")
         axes.grid()
@@ -214,7 +241,7 @@ class Scene:
         bars.set_xticks(range(len(self._names)), self._names, fontsize=8.5)
         low = 0.0 if flight.mission.rig.limits.unipolar or not flight.mission.rig.coil_names else -self._limit
         bars.set_ylim(low, self._limit)
-        bars.set_title("turns" if flight.helical else "current, A", fontsize=9)
+        bars.set_title("turns so far" if flight.helical else "current, A", fontsize=9)
         bars.tick_params(labelsize=8)
 
     def _values(self, time: float) -> list[float]:
@@ -228,7 +255,7 @@ class Scene:
             elif isinstance(window, Excite):
                 values = [abs(c) for c in window.currents]
             elif isinstance(window, Rotate):
-                values = [window.turns if start + window.duration > time else 0.0]
+                values[0] += window.turns * min(1.0, (time - start) / window.duration)
         return values
 
     def _note(self, time: float) -> str:
@@ -249,7 +276,7 @@ def _bars_of(flight: Flight) -> tuple[tuple[str, ...], float, list[tuple[float, 
     kind: type = Actuate
     top = limits.max_current
     if flight.helical:
-        kind, names, top = Rotate, ("turns",), 1.0
+        kind, names, top = Rotate, ("magnet",), 1.0
     elif not names or flight.steered is None:
         kind, names, top = Excite, ("x", "y"), limits.max_excitation_current
     windows = [
@@ -259,7 +286,7 @@ def _bars_of(flight: Flight) -> tuple[tuple[str, ...], float, list[tuple[float, 
         if isinstance(window, kind)
     ]
     if flight.helical:
-        top = max((w.turns for _, w in windows if isinstance(w, Rotate)), default=1.0)
+        top = max(sum(w.turns for _, w in windows if isinstance(w, Rotate)), 1.0)
     return names, top, windows
 
 
@@ -274,9 +301,9 @@ def _fit(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     axes.set_ylim(y0, y1)
 
 
-def _limits(flight: Flight, trail: Track) -> tuple[FloatArray, FloatArray]:
+def _limits(flight: Flight, trail: Track, heard: Track) -> tuple[FloatArray, FloatArray]:
     """What must be in the picture, in mm: the way, and the container of a device that is only watched."""
-    shown = [1e3 * trail.places[:, :2]]
+    shown = [1e3 * trail.places[:, :2], 1e3 * heard.places[:, :2]]
     if flight.steered is not None:
         shown.append(1e3 * flight.steered.path.points[:, :2])
     if isinstance(flight.mission, Observation) and flight.mission.sections.observe.measurements is None:
@@ -285,19 +312,31 @@ def _limits(flight: Flight, trail: Track) -> tuple[FloatArray, FloatArray]:
         shown.append(np.array([[cx - 0.5 * sx, cy - 0.5 * sy], [cx + 0.5 * sx, cy + 0.5 * sy]]))
     places = np.vstack(shown)
     low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
-    return low, np.maximum(high, low + 1.0)
+    half = np.maximum(0.5 * (high - low), 0.5)
+    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
 
 def _write_gif(path: Path, pictures: Iterator[Any], fps: int) -> None:
     """A GIF with one palette for all pictures, so that only what moves is stored."""
     from PIL import Image
 
-    frames = list(pictures)
-    palette = frames[-1].quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(_palette())
+    flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     each = round(1000.0 / fps)
     lasting = [each] * (len(flat) - 1) + [round(1000.0 * _REST)]
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=lasting, loop=0, optimize=True, disposal=1)
+
+
+def _palette() -> list[int]:
+    """White, and every colour of the scene in some shades, as bytes of red, green and blue."""
+    from matplotlib.colors import to_rgb
+
+    shades = np.linspace(0.0, 1.0, SHADES + 1)[1:, None]
+    colors = np.array([to_rgb(color) for color in (INK, FAINT, PLANNED, TRUE, LOCATED)])
+    mixed = 1.0 - shades[None] * (1.0 - colors[:, None])
+    rows = np.vstack([np.ones(3), to_rgb(GRID), mixed.reshape(-1, 3)])
+    return [int(value) for value in np.round(255.0 * rows).ravel()]
 
 
 def _write_mp4(path: Path, scene: Scene, times: FloatArray, fps: int) -> None:
