@@ -142,7 +142,8 @@ figcaption b { color: var(--text); font-weight: 600; }
 .badge.failed { background: #c0392b; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(116px, 1fr)); gap: 10px; margin: 16px 0 4px; }
 .tile { background: var(--panel); border: 1px solid var(--line); border-radius: 8px; padding: 9px 10px; }
-.tile .value { display: block; font-size: 20px; white-space: nowrap; font-weight: 600; font-variant-numeric: tabular-nums; }
+.tile .value { display: block; font-size: 20px; font-weight: 600; white-space: nowrap;
+  font-variant-numeric: tabular-nums; }
 .tile .value small { font-size: 13px; font-weight: 400; color: var(--soft); margin-left: 4px; }
 .tile .what { color: var(--soft); font-size: 12.5px; line-height: 1.3; display: block; }
 .scroll { overflow-x: auto; }

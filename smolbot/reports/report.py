@@ -79,7 +79,7 @@ def _lead(flight: Flight) -> list[str]:
     ended = f"{s['status']}: {s['stop_reason']}" if s["stop_reason"] else s["status"]
     return [
         *([told] if told else []),
-        f"{mission.robot.name} on {mission.rig.name}{label_of(s)}, seed {flight.seed}. {ended}.",
+        f"{mission.robot.name} on {mission.rig.name}{label_of(s)}, seed {flight.seed}. {ended[0].upper()}{ended[1:]}.",
     ]
 
 
