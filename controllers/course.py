@@ -17,7 +17,7 @@ BACK, AHEAD = 2e-3, 4e-3
 class Course:
     """A path cut into legs at its corners, and how much of it lies behind.
 
-    A leg is left when its end is within `handover`, or has been passed.
+    A leg is left when its end is within `handover`, or has been passed; where a path closes, not from its other side.
 
     Parameters
     ----------
@@ -79,7 +79,9 @@ class Course:
             self.arc_length = near[0]
             self.progress = max(self.progress, self.arc_length)
             end = float(self.arc[last])
-            if self._away(x, y, last) > handover and self.arc_length < end - 1e-9:
+            left = end - self.arc_length
+            close = self._away(x, y, last) <= handover and left <= max(2 * handover, 0.5 * (end - self.arc[first]))
+            if not close and left > 1e-9:
                 return
             self.leg += 1
             self.arc_length = self.progress = end

@@ -41,6 +41,8 @@ _HOME = {
     "Witness": "worlds",
     "load_mission": "anymission",
     "load_rig": "rigfile",
+    "read_run": "recording.reader",
+    "replay": "replaying",
     "run": "flying",
 }
 
@@ -76,6 +78,8 @@ __all__ = [
     "__version__",
     "load_mission",
     "load_rig",
+    "read_run",
+    "replay",
     "run",
 ]
 
@@ -104,6 +108,8 @@ if TYPE_CHECKING:
     from smolbot.observationfile import Observation
     from smolbot.paths import Curve
     from smolbot.poses import Pose
+    from smolbot.recording.reader import read_run
+    from smolbot.replaying import replay
     from smolbot.rigfile import load_rig
     from smolbot.sensing import Device, Recording, SensorArray
     from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot

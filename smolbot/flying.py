@@ -22,7 +22,7 @@ from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_fra
 from smolbot.localization.array_terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
-from smolbot.loop import Loop, Quiet, StopRules
+from smolbot.loop import Loop, StopRules
 from smolbot.missionbase import MissionBase
 from smolbot.missionfile import Mission
 from smolbot.motion.robot import magnet_inertia
@@ -31,6 +31,7 @@ from smolbot.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.pausing import Pause
 from smolbot.pilots import Follower, Measurer, Pilot, Watcher
 from smolbot.plugins import load, load_world
+from smolbot.preparation import Quiet
 from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
 from smolbot.recording.pump import Pump, Tapes
@@ -254,7 +255,7 @@ class _Flight:
                     folder.record(moment)
         flown.true_trail = trace.true_positions() if trace.knows_truth else None
         flown.folder = str(folder.path) if folder is not None else None
-        self.tapes.tell("/run/end", flown.duration, end_message(flown))
+        self.tapes.tell("/run/end", flown.duration, end_message(flown), wait=True)
         self.tapes.close()
         flown.summary = sum_up(self.mission, flown, trace, self.seed, self.drawn)
         if folder is not None:

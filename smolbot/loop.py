@@ -6,24 +6,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from lookup_tables.errors import OutsideTableError
+from smolbot.blas import one_thread
 from smolbot.control import Command
 from smolbot.errors import InputError, InterlockError, OperatorStopError, RigError
 from smolbot.flown import CycleRecord, Event, Listener, Run, Status, Tape
 from smolbot.localization.array_filter import ArrayFilter
-from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer, Swing
-from smolbot.localization.noise import NoiseModel
-from smolbot.localization.tails import CoilTails, Tail, learn_tail
-from smolbot.localization.transients import QUIET_AFTER, learn_time_constant
+from smolbot.localization.tails import CoilTails
 from smolbot.noisewatch import NoiseWatch
 from smolbot.pausing import Pause
 from smolbot.pilots import Pilot
 from smolbot.poses import Pose
+from smolbot.preparation import Preparation, Quiet
 from smolbot.resonance import Resonance
-from smolbot.rotations import quaternion_from_axes
 from smolbot.safety import Safety, unbounded
 from smolbot.scheduler import Scheduler
 from smolbot.sensing import Recording, SensorArray
@@ -43,24 +39,6 @@ class StopRules:
 
     max_duration: float
     lost_shots: int
-
-
-@dataclass(frozen=True)
-class Quiet:
-    """What is learned before the first cycle.
-
-    Attributes
-    ----------
-    duration : float, in s
-        How long to listen to the noise alone; 0: not at all.
-    sample_rate : float, in Hz
-    learn_ring_down : bool
-        Whether to learn the excitation coils' decay, so that listening may start before it is over.
-    """
-
-    duration: float
-    sample_rate: float
-    learn_ring_down: bool = False
 
 
 def as_lists(sensors: SensorArray) -> dict[str, object]:
@@ -136,7 +114,8 @@ class Loop:
         run = self.run
         try:
             try:
-                self._cycle_on(run)
+                with one_thread():
+                    self._cycle_on(run)
             finally:
                 self.safety.end()
         except KeyboardInterrupt as stop:
@@ -161,10 +140,10 @@ class Loop:
 
     def _cycle_on(self, run: Run) -> None:
         """Learn what is to be learned, then cycle until there is a reason to end."""
-        self._learn_noise()
-        self._learn_ring_down()
-        self._learn_tails()
-        self._warm_up()
+        first = Preparation(self.localizer, self.scheduler, self.quiet, self._played, self.rig.now, self._happened)
+        first.learn()
+        self.localizer, self.tails = first.localizer, first.tails
+        first.warm_up(None if self.array_filter is None else self.array_filter.belief.frames)
         run.begun = self._started = self.rig.now()
         command, reason = Command(None, note="no pose yet"), None
         while reason is None:
@@ -192,7 +171,7 @@ class Loop:
         return found
 
     def _played(self, shot: Shot) -> Recording | None:
-        """Play one shot of those from which something is learned, as the safety allows it."""
+        """Play one shot as the safety allows it, and let the tape hear of it."""
         self.safety.before(shot, self.rig.now(), self.tracker.pose)
         recording = self.rig.play(shot)
         ended = self.rig.now()
@@ -211,81 +190,6 @@ class Loop:
         if self.pause.held != self.scheduler.paused:
             self.scheduler.paused = self.pause.held
             self._happened(self.rig.now(), "paused" if self.pause.held else "resumed", {})
-
-    def _listened(self, shot: Shot) -> Recording | None:
-        """The same; a window that was lost is listened to once more."""
-        heard = self._played(shot)
-        return heard if heard is not None else self._played(replace(shot, start=self.rig.now()))
-
-    def _learn_noise(self) -> None:
-        """Listen to the noise alone, and let the localizer know it."""
-        if self.quiet.duration <= 0.0:
-            return
-        heard = [self._played(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
-        if isinstance(self.localizer, Sightings):
-            return
-        try:
-            noise = NoiseModel.learn([recording for recording in heard if recording is not None])
-        except InputError as error:
-            raise RigError(f"The noise cannot be learned from {len(heard)} quiet shots: {error}") from error
-        self.localizer = self.localizer.with_noise(noise)
-        lines = [round(float(f), 3) for f in noise.line_frequencies]
-        self._happened(self.rig.now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines})
-
-    def _learn_ring_down(self) -> None:
-        """Learn the excitation coils' decay, and listen as soon as it can be told from a signal."""
-        if not self.quiet.learn_ring_down:
-            return
-        heard = [self._listened(shot) for shot in self.scheduler.probe_shots()]
-        if isinstance(self.localizer, Sightings):
-            constants = self.localizer.time_constants
-        else:
-            frequency = self.localizer.device.frequency
-            constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
-            if len(constants) < len(heard):  # listening later, as the mission says, is right for any coil
-                self._happened(self.rig.now(), "ring-down not learned", {"lost": len(heard) - len(constants)})
-                return
-            self.localizer = self.localizer.with_transients(constants)
-        ring_down = max(QUIET_AFTER * max(constants), self.scheduler.limits.min_ring_down)
-        self.scheduler.cycle = replace(self.scheduler.cycle, ring_down=ring_down)
-        detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
-        self._happened(self.rig.now(), "ring-down learned", detail)
-
-    def _learn_tails(self) -> None:
-        """Learn what a pull of each actuation coil leaves, where listening starts before it is over."""
-        if not self.quiet.learn_ring_down or isinstance(self.localizer, Sightings):
-            return
-        self.tails = CoilTails(tuple(self._tail(coil) for coil in range(len(self.scheduler.limits.coils))))
-        learned = [tail for tail in self.tails.tails if tail is not None]
-        if learned:
-            detail: dict[str, object] = {
-                "time_constants_ms": [None if t is None else 1e3 * t.time_constant for t in self.tails.tails],
-                "sizes_t_per_a": [None if t is None else t.size.tolist() for t in self.tails.tails],
-            }
-            self._happened(self.rig.now(), "coil tails learned", detail)
-
-    def _tail(self, coil: int) -> Tail | None:
-        for shot in self.scheduler.tail_shots(coil):
-            heard = self._listened(shot)
-            if heard is not None and not heard.saturated.any():
-                return learn_tail(shot, [heard], self.scheduler.device.frequency)
-        return None
-
-    def _warm_up(self) -> None:
-        """Use every compiled kernel once, on a made-up recording, so that the first cycles are as quick as the rest."""
-        if isinstance(self.localizer, Sightings):
-            return
-        device, cycle, rate = self.localizer.device, self.scheduler.cycle, self.quiet.sample_rate
-        orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
-        samples = round(cycle.half_periods * rate / (2.0 * device.frequency))
-        time_ = cycle.ring_down + np.arange(samples) / rate
-        theta = deflection(device, time_, 0.5 * device.theta_max, 0.3)
-        middle = 0.5 * np.add(self.localizer.volume.low, self.localizer.volume.high)
-        heard = sensor_field(self.localizer.sensors, device, middle, orientation, theta)
-        recording = Recording(heard, rate, cycle.ring_down)
-        _, swing = self.localizer.locate_swing(recording, self.localizer.locate(recording))
-        if self.array_filter is not None:
-            swing.of_the_array(self.array_filter.belief.frames)
 
     def _cycle(self, command: Command) -> CycleRecord:
         begin = self._clock()

@@ -93,13 +93,20 @@ class RobotFile(FileModel):
 
 
 class RobotConfig:
-    """A robot file that holds together, in SI."""
+    """A robot file that holds together, in SI.
+
+    Attributes
+    ----------
+    calibrated : Device or None
+        Believed in place of the file's own device, where it is given.
+    """
 
     def __init__(self, document: Document, sections: RobotFile) -> None:
         self.document = document
         self.sections = sections
         self.name = sections.name
         self.kind = sections.kind
+        self.calibrated: Device | None = None
 
     @property
     def device_tolerances(self) -> tuple[float, float]:
@@ -109,6 +116,9 @@ class RobotConfig:
 
     @property
     def device(self) -> Device:
+        """The device as it is believed to be."""
+        if self.calibrated is not None:
+            return self.calibrated
         section = self.sections.device
         return Device(
             moment=section.moment_ma_m2 * 1e-3,

@@ -91,12 +91,18 @@ def _root(
     """Steers a magnetic millirobot along a path and sees it only through magnetism."""
 
 
-def main() -> None:
-    """Entry point of the console script; every error on purpose is one message and an exit code."""
-    from smolbot.cli import check, missions
+def register_own() -> None:
+    """Add the commands that are no entry points."""
+    from smolbot.cli import check, console, missions
 
     missions.register(app)
     check.register(app)
+    console.register(app)
+
+
+def main() -> None:
+    """Entry point of the console script; every error on purpose is one message and an exit code."""
+    register_own()
     try:
         app()
     except (InterlockError, RigError) as error:

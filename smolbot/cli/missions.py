@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -91,11 +92,13 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
+    live: Annotated[bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")] = False,
     report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
     from smolbot.anymission import load_mission
+    from smolbot.cli.live import watched
     from smolbot.cli.progress import shown_progress
     from smolbot.flying import fly, new_folder
     from smolbot.keyboard import KEY, Keyboard
@@ -117,10 +120,11 @@ def run(
         def listeners(_: AnyMission) -> tuple[Listener, ...]:
             return (progress,)
 
-        flown = fly(
-            loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator,
-            latch=latch, report=report,
-        )  # fmt: skip
+        with watched(loaded, seed, latch, operator.say) if live else nullcontext((None, None)) as (pause, pump):
+            flown = fly(
+                loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator,
+                latch=latch, report=report, pause=pause, live=pump,
+            )  # fmt: skip
     _show_run(loaded, flown, json)
     raise typer.Exit(_exit_code(flown))
 

@@ -42,3 +42,20 @@ def as_json(value: Any) -> Any:
 def echo_json(data: Any) -> None:
     """One JSON object on standard output."""
     sys.stdout.write(json.dumps(as_json(data), indent=2, default=str) + "\n")
+
+
+def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table with a header on standard output; the first column names, the others hold figures."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    for index, name in enumerate(header):
+        shown.add_column(name, style="cyan" if index == 0 else None, justify="left" if index == 0 else "right")
+    for row in rows:
+        shown.add_row(*(Text(cell) for cell in row))
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=120)
+    console.print(shown)

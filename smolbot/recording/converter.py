@@ -48,7 +48,7 @@ class Converter:
 
         What is returned decodes to `field` bit for bit: that is how it is found.
         """
-        if self.bits > 16 or len(field) != len(self.gains):
+        if self.bits > 16 or len(field) != len(self.gains) or not field.size:
             return FIELD, None
         with np.errstate(invalid="ignore"):
             rounded = np.rint(field * self.gains[:, None] / self._tesla)
@@ -56,7 +56,7 @@ class Converter:
             return FIELD, None
         counts = rounded.astype(np.int16)
         for scaling in (TESLA, VOLTS, BOTH):
-            if np.array_equal(self.field(scaling, counts), field):
+            if _same_bits(self.field(scaling, counts), field):
                 return scaling, counts
         return FIELD, None
 
@@ -82,3 +82,8 @@ class Converter:
 def _fits(counts: FloatArray) -> bool:
     """Whether these are numbers that 16 bits hold."""
     return bool(np.isfinite(counts).all() and counts.min() >= -(2.0**15) and counts.max() <= 2.0**15 - 1)
+
+
+def _same_bits(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two arrays are the same to the last bit; a zero has a sign."""
+    return np.array_equal(a.view(np.int64), np.ascontiguousarray(b).view(np.int64))

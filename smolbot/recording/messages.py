@@ -30,6 +30,7 @@ TOPICS: dict[str, Any] = {
     "/timing": pb.Timing,
     "/events": pb.Event,
     "/run/dropped": pb.Dropped,
+    "/run/recovered": pb.Recovered,
     "/run/end": pb.End,
 }
 """Topics of a record, and the type of their messages."""
@@ -198,7 +199,12 @@ def command_of(message: pb.Command) -> Command:
 
 def event_message(event: Event) -> pb.Event:
     """Something that happened."""
-    return pb.Event(time=event.time, what=event.what, detail=json.dumps(event.detail, default=str))
+    return pb.Event(time=event.time, what=event.what, detail=json.dumps(event.detail, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has no word for: numbers and arrays of numpy as they are, anything else as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def event_of(message: pb.Event) -> Event:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 import time
@@ -24,7 +25,11 @@ CAPACITY = 4096
 FLUSH_EVERY = 0.25
 """Seconds between two flushes."""
 
-_PATIENCE = 10.0  # s for what waits at the end to be written
+MEMORY = 64 * 2**20
+"""Bytes of samples that may wait."""
+
+PATIENCE = 10.0
+"""Seconds that the end of a run waits for what is not yet written."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +68,8 @@ class Sink(Protocol):
 class Pump:
     """Makes messages of what was played and what happened, and hands them to a sink, in its own thread.
 
-    Its queue is bounded: what does not fit is dropped and counted. A sink that fails is given no more; `error` says
-    why, and the flight goes on.
+    Its queue is bounded, in entries and in bytes of samples: what does not fit is dropped and counted. A sink that
+    fails is given no more; `error` says why, what comes is counted as dropped, and the flight goes on.
 
     Parameters
     ----------
@@ -72,24 +77,49 @@ class Pump:
     converter : Converter
     windows : bool
         Whether to hand on what the sensors heard; most of a record is that.
+    capacity, memory : int
+        Entries, and bytes of samples, that may wait.
+    patience : float, in s
+        How long `close` waits for what is not yet written.
     """
 
-    def __init__(self, sink: Sink, converter: Converter, *, windows: bool = True, capacity: int = CAPACITY) -> None:
-        self.dropped = 0
+    def __init__(
+        self,
+        sink: Sink,
+        converter: Converter,
+        *,
+        windows: bool = True,
+        capacity: int = CAPACITY,
+        memory: int = MEMORY,
+        patience: float = PATIENCE,
+    ) -> None:
         self.error: str | None = None
+        self.computing = 0.0
         self._sink = sink
         self._converter = converter
         self._windows = windows
+        self._memory = memory
+        self._patience = patience
         self._queue: queue.Queue[_Job] = queue.Queue(capacity)
         self._over = threading.Event()
+        self._closed = False
         self._shots = 0
+        self._refused = self._lost = 0  # dropped by the loop's thread, and by the pump's: each counts its own
+        self._put_in = self._taken_out = 0  # bytes; likewise
         self._told = 0
+        self._now = 0.0
+        self._begun = time.monotonic()
         self._thread = threading.Thread(target=self._run, name=type(sink).__name__, daemon=True)
         self._thread.start()
 
+    @property
+    def dropped(self) -> int:
+        """Messages that could not be handed on so far."""
+        return self._refused + self._lost
+
     def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
         """A shot was played; see `smolbot.flown.Tape`."""
-        self._put(_Played(self._shots, shot, recording, ended))
+        self._put(_Played(self._shots, shot, recording if self._windows else None, ended, _is_heard(recording)))
         self._shots += 1
 
     def happened(self, event: Event) -> None:
@@ -98,52 +128,94 @@ class Pump:
 
     def cycle(self, number: int, moment: Moment) -> None:
         """The cycle of that number is over; its shot was the last that was played."""
-        self._put(_Cycle(number, self._shots - 1, moment))
+        self._put(_Cycle(number, self._shots - 1, moment, time.monotonic() - self._begun))
 
-    def tell(self, topic: str, when: float, content: Any) -> None:
-        """Any other message."""
-        self._put(_Told(Message(topic, when, content)))
+    def tell(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
+        """Any other message. One that tells of the end may `wait` for its place."""
+        self._put(_Told(Message(topic, when, content)), self._patience if wait else 0.0)
 
     def close(self) -> None:
         """Write what still waits, then end; harmless when repeated."""
+        if self._closed:
+            return
+        self._closed = True
         self._over.set()
-        self._thread.join(_PATIENCE)
+        self._thread.join(self._patience)
+        if self._thread.is_alive():
+            self.error = (
+                self.error or f"was still being written {self._patience:g} s after the run, and is left to itself"
+            )
+        else:
+            self._drain()
 
-    def _put(self, job: _Job) -> None:
+    def _put(self, job: _Job, patience: float = 0.0) -> None:
+        waiting = self._put_in - self._taken_out
+        if self._over.is_set() or (waiting and waiting + job.size > self._memory):
+            self._refused += job.count
+            return
         try:
-            self._queue.put_nowait(job)
+            self._queue.put(job, block=patience > 0.0, timeout=patience)
+            self._put_in += job.size
         except queue.Full:
-            self.dropped += 1
+            self._refused += job.count
 
     def _run(self) -> None:
-        flushed = time.monotonic()
         try:
-            while True:
-                over = self._over.is_set()  # before the look into the queue: what was put before the end is written
-                try:
-                    job = self._queue.get(timeout=0.0 if over else max(flushed + FLUSH_EVERY - time.monotonic(), 0.0))
-                except queue.Empty:
-                    if over:
-                        break
-                else:
-                    for message in job.messages(self._converter):
-                        if self._windows or message.topic != "/windows":
-                            self._sink.write(message)
-                if time.monotonic() - flushed >= FLUSH_EVERY:
-                    self._tell_of_drops()
-                    self._sink.flush()
-                    flushed = time.monotonic()
-            self._tell_of_drops()
-            self._sink.flush()
-        except Exception as error:
-            self.error = f"{type(error).__name__}: {error}"
-        finally:
+            self._serve()
             self._sink.close()
+        except Exception as error:
+            self.error = self.error or _said(error)
+            self._over.set()  # what comes now is refused
+            self._drain()
+            with contextlib.suppress(Exception):  # the first error is the one that matters
+                self._sink.close()
+        finally:
+            self.computing = time.thread_time()
+
+    def _serve(self) -> None:
+        flushed = time.monotonic()
+        while True:
+            over = self._over.is_set()  # before the look into the queue: what was put before the end is written
+            try:
+                job = self._queue.get(timeout=0.0 if over else max(flushed + FLUSH_EVERY - time.monotonic(), 0.0))
+            except queue.Empty:
+                if over:
+                    break
+            else:
+                self._hand_on(job)
+            if time.monotonic() - flushed >= FLUSH_EVERY:
+                self._tell_of_drops()
+                self._sink.flush()
+                flushed = time.monotonic()
+        self._tell_of_drops()
+        self._sink.flush()
+
+    def _hand_on(self, job: _Job) -> None:
+        self._taken_out += job.size
+        try:
+            made = tuple(job.messages(self._converter))
+        except Exception as error:  # one that cannot be told must not cost those that can
+            self.error = self.error or _said(error)
+            self._lost += job.count
+            return
+        for message in made:
+            self._now = message.time
+            self._sink.write(message)
+
+    def _drain(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._lost += self._queue.get_nowait().count
 
     def _tell_of_drops(self) -> None:
-        if self.dropped != self._told:
-            self._told = self.dropped
-            self._sink.write(Message("/run/dropped", 0.0, pb.Dropped(messages=self._told)))
+        dropped = self.dropped
+        if dropped != self._told:
+            self._told = dropped
+            self._sink.write(Message("/run/dropped", self._now, pb.Dropped(messages=dropped)))
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 class Tapes:
@@ -167,10 +239,10 @@ class Tapes:
         for pump in self._pumps:
             pump.cycle(number, moment)
 
-    def tell(self, topic: str, when: float, content: Any) -> None:
-        """Any other message."""
+    def tell(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
+        """Any other message; see `Pump.tell`."""
         for pump in self._pumps:
-            pump.tell(topic, when, content)
+            pump.tell(topic, when, content, wait=wait)
 
     def close(self) -> None:
         """Let each write what still waits."""
@@ -184,12 +256,22 @@ class Tapes:
 
 
 class _Job(Protocol):
+    @property
+    def count(self) -> int:
+        """Messages that it makes."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of samples that it holds."""
+
     def messages(self, converter: Converter) -> Iterable[Message]: ...
 
 
 @dataclass(frozen=True)
 class _Told:
     message: Message
+    count = 1
+    size = 0
 
     def messages(self, converter: Converter) -> Iterable[Message]:
         yield self.message
@@ -198,6 +280,8 @@ class _Told:
 @dataclass(frozen=True)
 class _Happened:
     event: Event
+    count = 1
+    size = 0
 
     def messages(self, converter: Converter) -> Iterable[Message]:
         yield Message("/events", self.event.time, messages.event_message(self.event))
@@ -209,15 +293,31 @@ class _Played:
     shot: Shot
     recording: Recording | None
     ended: float
+    heard: bool
+
+    @property
+    def count(self) -> int:
+        return 1 + self._samples
+
+    @property
+    def size(self) -> int:
+        return 0 if self.recording is None else self.recording.field.nbytes
+
+    @property
+    def _samples(self) -> bool:
+        return self.heard and self.recording is not None
 
     def messages(self, converter: Converter) -> Iterable[Message]:
-        heard = self.recording is not None and not isinstance(self.recording, Sighting)
-        shot = messages.shot_message(self.number, self.shot, self.ended, heard=heard)
+        shot = messages.shot_message(self.number, self.shot, self.ended, heard=self.heard)
         yield Message("/shots", self.shot.start, shot)
-        if heard:
+        if self._samples:
             assert self.recording is not None
             samples = messages.samples_message(self.number, self.recording, converter)
             yield Message("/windows", self.recording.clock, samples)
+
+
+def _is_heard(recording: Recording | None) -> bool:
+    return recording is not None and not isinstance(recording, Sighting)
 
 
 @dataclass(frozen=True)
@@ -225,6 +325,17 @@ class _Cycle:
     number: int
     shot: int
     moment: Moment
+    wall: float
+    size = 0
+
+    @property
+    def count(self) -> int:
+        cycle = self.moment.cycle
+        return 2 + (cycle.pose is not None) + (cycle.tracked is not None) + self._knows_truth
+
+    @property
+    def _knows_truth(self) -> bool:
+        return self.moment.truth is not None or self.moment.truth_at_end is not None
 
     def messages(self, converter: Converter) -> Iterable[Message]:
         cycle, number = self.moment.cycle, self.number
@@ -233,12 +344,12 @@ class _Cycle:
             yield Message("/poses/raw", cycle.pose.time, messages.pose_message(number, cycle.pose))
         if cycle.tracked is not None:
             yield Message("/poses/tracked", cycle.tracked.time, messages.pose_message(number, cycle.tracked))
-        truth, end = self.moment.truth, self.moment.truth_at_end
-        if truth is not None or end is not None:
-            yield Message("/poses/true", at, messages.truth_message(number, truth, end, self.moment.way))
+        if self._knows_truth:
+            truth = messages.truth_message(number, self.moment.truth, self.moment.truth_at_end, self.moment.way)
+            yield Message("/poses/true", at, truth)
         yield Message("/commands", at, messages.command_message(number, cycle.command))
         timing = pb.Timing(
             number=number, shot=self.shot, ended=cycle.ended, compute=cycle.compute, rig=cycle.rig,
-            has_pose=cycle.pose is not None, has_tracked=cycle.tracked is not None,
+            has_pose=cycle.pose is not None, has_tracked=cycle.tracked is not None, wall=self.wall,
         )  # fmt: skip
         yield Message("/timing", at, timing)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,6 +21,7 @@ from smolbot.recording import run_pb2 as pb
 from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
 from smolbot.recording.recorder import RECORD
+from smolbot.recording.scan import Found, Scan
 from smolbot.records.trace import Moment, Trace
 from smolbot.sensing import Recording
 from smolbot.shots import Shot
@@ -56,8 +56,8 @@ class RecordedRun:
         Every shot, those from which noise and decay were learned too.
     moments : list of Moment
         Every cycle, with the truth where it was known.
-    shot_of_cycle : list of int
-        Number of the shot of each cycle.
+    shot_of_cycle, number_of_cycle : list of int
+        Number of the shot of each cycle, and its own; where part of a record is lost, numbers are missing.
     events : list of Event
     end : End message, or None
         None where the record was cut short.
@@ -67,6 +67,14 @@ class RecordedRun:
         Messages that the recorder could not take.
     messages : int
         Messages that were read.
+    nameless : int
+        Messages that were read, but of which the file does not say any more what they are.
+    lost : int
+        Bytes of the file that hold nothing that can be read.
+    recovered : Recovered message, or None
+        Where this record was written anew by ``smolbot recover``.
+    wall : float, in s
+        Wall time from the record's beginning to the last cycle.
     """
 
     path: Path
@@ -79,6 +87,11 @@ class RecordedRun:
     whole: bool = True
     dropped: int = 0
     messages: int = 0
+    nameless: int = 0
+    lost: int = 0
+    recovered: pb.Recovered | None = None
+    wall: float = 0.0
+    number_of_cycle: list[int] = field(default_factory=list)
 
     @property
     def folder(self) -> Path:
@@ -134,8 +147,8 @@ class RecordedRun:
         cycles = [moment.cycle for moment in self.moments]
         last = max((p.ended for p in self.played), default=0.0)
         run = Run("failed", CUT_SHORT, last, cycles=cycles, events=list(self.events))
-        first = next((self.played[number].shot.start for number in self.shot_of_cycle[:1]), 0.0)
-        run.begun = first
+        run.begun = cycles[0].shot.start if cycles else last
+        run.wall = self.wall
         if self.end is not None:
             end = self.end
             run.status, run.stop_reason = end.status, end.stop_reason  # type: ignore[assignment]
@@ -170,7 +183,7 @@ def record_path(run: str | Path) -> Path:
 def read_run(run: str | Path) -> RecordedRun:
     """Read the record of a run, given by its folder or by the file itself.
 
-    A record that was cut short gives what is in it; `whole` is False then.
+    A record that was cut short or damaged gives what is in it; `whole` is False then.
 
     Raises
     ------
@@ -178,56 +191,108 @@ def read_run(run: str | Path) -> RecordedRun:
         Where there is no record, or it is none of smolbot's.
     """
     path = record_path(run)
-    found: RecordedRun | None = None
-    parts: dict[int, dict[str, Any]] = {}
-    shots: dict[int, pb.Shot] = {}
-    samples: dict[int, pb.Samples] = {}
-    timings: list[pb.Timing] = []
-    state = _Reading(path)
-    for topic, data in state.messages():
-        message = _parsed(path, topic, data)
-        if found is None:
-            if topic != "/run/begin":
-                raise InputError(f"{path}: begins with {topic}, not with /run/begin: this is no record of a run.")
+    scan = Scan(path)
+    reading = _Reading(path)
+    for message in scan.messages():
+        reading.take(message)
+    return reading.run(scan)
+
+
+class _Reading:
+    """Puts messages together, whatever is missing between them."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._found: RecordedRun | None = None
+        self._parts: dict[int, dict[str, Any]] = {}
+        self._shots: dict[int, pb.Shot] = {}
+        self._samples: dict[int, pb.Samples] = {}
+        self._timings: dict[int, pb.Timing] = {}
+        self._events: list[pb.Event] = []
+        self._nameless = 0
+
+    def take(self, told: Found) -> None:
+        """The next message."""
+        if told.topic is None:
+            self._nameless += 1
+            return
+        topic, message = told.topic, _parsed(self._path, told.topic, told.data)
+        if topic == "/run/begin":
             if message.format != messages.FORMAT:
                 raise InputError(
-                    f"{path}: was written in format {message.format}; this version of smolbot reads {messages.FORMAT}."
+                    f"{self._path}: was written in format {message.format}; "
+                    f"this version of smolbot reads {messages.FORMAT}."
                 )
-            found = RecordedRun(path, message)
+            self._found = RecordedRun(self._path, message)
         elif topic == "/shots":
-            shots[message.number] = message
+            self._shots[message.number] = message
         elif topic == "/windows":
-            samples[message.number] = message
+            self._samples[message.number] = message
         elif topic in ("/poses/raw", "/poses/tracked", "/poses/true", "/commands"):
-            parts.setdefault(message.number, {})[topic] = message
+            self._parts.setdefault(message.number, {})[topic] = message
         elif topic == "/timing":
-            timings.append(message)
+            self._timings[message.number] = message
         elif topic == "/events":
-            found.events.append(messages.event_of(message))
-        elif topic == "/run/dropped":
-            found.dropped = message.messages
-        elif topic == "/run/end":
-            found.end = message
-        found.messages += 1
-    if found is None:
-        raise InputError(f"{path}: holds no message of a run{'' if state.whole else ', and is cut short'}.")
-    found.whole = state.whole and found.end is not None
-    for number in sorted(shots):
-        told = shots[number]
-        if told.heard and number not in samples:
-            continue  # its samples were not flushed any more
-        found.played.append(Played(number, messages.shot_of(told), told.ended, samples.get(number)))
-    shots_by_number = {p.number: p.shot for p in found.played}
-    for timing in sorted(timings, key=lambda timing: timing.number):
-        told_parts = parts.get(timing.number, {})
-        shot = shots_by_number.get(timing.shot)
-        wanted = {"/commands"} | ({"/poses/raw"} if timing.has_pose else set())
-        wanted |= {"/poses/tracked"} if timing.has_tracked else set()
-        if shot is None or not wanted <= told_parts.keys():
-            continue  # part of it was dropped
-        found.moments.append(_moment(shot, timing, told_parts))
-        found.shot_of_cycle.append(timing.shot)
-    return found
+            self._events.append(message)
+        elif self._found is not None:
+            if topic == "/run/dropped":
+                self._found.dropped = message.messages
+            elif topic == "/run/recovered":
+                self._found.recovered = message
+            elif topic == "/run/end":
+                self._found.end = message
+        if self._found is not None:
+            self._found.messages += 1
+
+    def run(self, scan: Scan) -> RecordedRun:
+        """The run, once all was taken."""
+        found = self._found
+        if found is None:
+            raise InputError(f"{self._path}: {self._beginless(scan)}")
+        found.lost, found.nameless = scan.lost, self._nameless
+        found.whole = scan.finished and found.end is not None
+        try:
+            self._assemble(found)
+        except (ValueError, TypeError, KeyError, IndexError) as error:  # e.g. a pose of five numbers
+            raise InputError(f"{self._path}: its messages are none of smolbot's: {error}") from error
+        return found
+
+    def _beginless(self, scan: Scan) -> str:
+        if self._shots or self._timings or self._nameless:
+            return "its beginning, /run/begin, is lost: without it, the rest cannot be understood."
+        return f"holds no message of a run{'' if scan.finished else ', and is cut short'}."
+
+    def _assemble(self, found: RecordedRun) -> None:
+        found.events = [messages.event_of(event) for event in self._events]
+        for number in sorted(self._shots):
+            told = self._shots[number]
+            if told.heard and number not in self._samples:
+                continue  # its samples were not flushed any more
+            found.played.append(Played(number, messages.shot_of(told), told.ended, self._samples.get(number)))
+            found.played[-1].recording(found.converter)  # to fail here if it must
+        shots = {p.number: p.shot for p in found.played}
+        for number in sorted(self._timings):
+            timing, parts = self._timings[number], self._parts.get(number, {})
+            shot = shots.get(timing.shot)
+            wanted = {"/commands"} | ({"/poses/raw"} if timing.has_pose else set())
+            wanted |= {"/poses/tracked"} if timing.has_tracked else set()
+            if shot is None or not wanted <= parts.keys():
+                continue  # part of it was dropped
+            found.moments.append(_moment(shot, timing, parts))
+            found.shot_of_cycle.append(timing.shot)
+            found.number_of_cycle.append(number)
+            found.wall = timing.wall
+
+
+def stream(run: str | Path) -> Iterator[tuple[str, bytes]]:
+    """Topic and bytes of every message of a record, in the order in which they were written; as far as it goes.
+
+    Raises
+    ------
+    InputError
+        Where there is no record, or it is no MCAP file.
+    """
+    return _Reading(record_path(run)).messages()
 
 
 def _moment(shot: Shot, timing: pb.Timing, parts: dict[str, Any]) -> Moment:
@@ -258,46 +323,6 @@ def _parsed(path: Path, topic: str, data: bytes) -> Any:
         return kind.FromString(data)
     except DecodeError as error:
         raise InputError(f"{path}: a message of {topic} is none of smolbot's: {error}.") from error
-
-
-class _Reading:
-    """The messages of an MCAP file in the order in which they were written, as far as they go."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.whole = False
-
-    def messages(self) -> Iterator[tuple[str, bytes]]:
-        """Topic and bytes of each. `whole` is True afterwards if the file was finished."""
-        from mcap.exceptions import McapError
-        from mcap.records import Channel, DataEnd, Message
-        from mcap.stream_reader import StreamReader
-        from zstandard import ZstdError
-
-        torn = (McapError, struct.error, ValueError, EOFError, ZstdError)  # cut short, or damaged from here on
-        topics: dict[int, str] = {}
-        with self._path.open("rb") as file:
-            start = file.read(8)
-            if start != b"\x89MCAP0\r\n":
-                raise InputError(
-                    f"{self._path}: is no MCAP file"
-                    + (", but empty." if not start else f"; it begins with {start!r}. A run's record is {RECORD}.")
-                )
-            file.seek(0)
-            records = StreamReader(file, validate_crcs=True).records
-            while True:
-                try:
-                    record = next(records)
-                except StopIteration:
-                    return
-                except torn:
-                    return
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic
-                elif isinstance(record, Message):
-                    yield topics[record.channel_id], record.data
-                elif isinstance(record, DataEnd):
-                    self.whole = True
 
 
 def _listed(folder: Path) -> str:

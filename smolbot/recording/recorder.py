@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ from smolbot.recording.pump import Message, Pump
 RECORD = "run.mcap"
 """File of a run folder."""
 
+PROFILE = "smolbot"
+"""Profile in the file's header, by which a record of ours is told from another MCAP file."""
+
 CHUNK = 4 * 2**20
 """Bytes of a chunk; a flush ends one earlier."""
 
@@ -25,26 +29,37 @@ CHUNK = 4 * 2**20
 class McapFile:
     """A record as an MCAP file. What was flushed survives the process, however that ends.
 
+    The library that makes chunks holds Python's lock while it writes, so it writes into memory; a flush hands that on
+    to the operating system without the lock: a disk that stalls does not stall the loop.
+
     Parameters
     ----------
     path : Path
     flushed : callable, optional
         Told after each flush of the messages that are in the file by then.
+
+    Raises
+    ------
+    InputError
+        If the file stands there already, or cannot be made.
     """
 
     def __init__(self, path: Path, flushed: Callable[[int], None] | None = None) -> None:
         import foxglove
         from foxglove.mcap import MCAPWriteOptions
 
-        self._context = foxglove.Context()
-        options = MCAPWriteOptions(chunk_size=CHUNK, compression_threads=0, profile="smolbot")
         try:
-            self._writer = foxglove.open_mcap(path, context=self._context, writer_options=options)
-        except (OSError, RuntimeError) as error:
-            raise InputError(f"{path}: the record cannot be made: {error}.") from error
+            self._file = path.open("xb", buffering=0)
+        except OSError as error:
+            raise InputError(f"{path}: the record cannot be made: {error.strerror or error}.") from error
+        self._made = _Made()
+        self._context = foxglove.Context()
+        options = MCAPWriteOptions(chunk_size=CHUNK, compression_threads=0, profile=PROFILE, disable_seeking=True)
+        self._writer = foxglove.open_mcap(self._made, context=self._context, writer_options=options)  # type: ignore[arg-type]
         self._channels: dict[str, Any] = {}
         self._flushed = flushed
         self._count = 0
+        self._torn = False
 
     def write(self, message: Message) -> None:
         """Append one message."""
@@ -54,12 +69,31 @@ class McapFile:
     def flush(self) -> None:
         """Hand everything so far to the operating system."""
         self._writer.flush()
+        self._hand_on()
         if self._flushed is not None:
             self._flushed(self._count)
 
     def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
+        """Finish the file; one that could not be written stays torn as it is."""
+        try:
+            self._writer.close()
+            if not self._torn:
+                self._hand_on()
+                os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
+            for channel in self._channels.values():
+                channel.close()
+            self._channels.clear()
+
+    def _hand_on(self) -> None:
+        made = memoryview(self._made.taken())
+        while made:
+            try:
+                made = made[self._file.write(made) :]
+            except OSError:
+                self._torn = True
+                raise
 
     def _channel(self, message: Message) -> Any:
         known = self._channels.get(message.topic)
@@ -71,6 +105,33 @@ class McapFile:
             known = Channel(message.topic, schema=schema, message_encoding="protobuf", context=self._context)
             self._channels[message.topic] = known
         return known
+
+
+class _Made:
+    """What was made of a file and not handed on yet; looks like a file that is only appended to."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self._before = 0
+
+    def write(self, data: bytes) -> int:
+        self._bytes += data
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        end = self._before + len(self._bytes)
+        if (whence, offset) not in ((1, 0), (2, 0), (0, end)):
+            raise OSError("a record is only appended to")
+        return end
+
+    def flush(self) -> None:
+        """Nothing to do: what is made is taken."""
+
+    def taken(self) -> bytes:
+        taken = bytes(self._bytes)
+        self._before += len(taken)
+        self._bytes.clear()
+        return taken
 
 
 def _schema() -> bytes:

@@ -225,7 +225,7 @@ class Command(_message.Message):
     def __init__(self, number: _Optional[int] = ..., windows: _Optional[_Iterable[_Union[Window, _Mapping]]] = ..., several: _Optional[bool] = ..., saturated: _Optional[bool] = ..., note: _Optional[str] = ..., progress: _Optional[float] = ..., phase: _Optional[str] = ..., done: _Optional[bool] = ..., stuck: _Optional[bool] = ..., event: _Optional[str] = ...) -> None: ...
 
 class Timing(_message.Message):
-    __slots__ = ("number", "shot", "ended", "compute", "rig", "has_pose", "has_tracked")
+    __slots__ = ("number", "shot", "ended", "compute", "rig", "has_pose", "has_tracked", "wall")
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     SHOT_FIELD_NUMBER: _ClassVar[int]
     ENDED_FIELD_NUMBER: _ClassVar[int]
@@ -233,6 +233,7 @@ class Timing(_message.Message):
     RIG_FIELD_NUMBER: _ClassVar[int]
     HAS_POSE_FIELD_NUMBER: _ClassVar[int]
     HAS_TRACKED_FIELD_NUMBER: _ClassVar[int]
+    WALL_FIELD_NUMBER: _ClassVar[int]
     number: int
     shot: int
     ended: float
@@ -240,7 +241,8 @@ class Timing(_message.Message):
     rig: str
     has_pose: bool
     has_tracked: bool
-    def __init__(self, number: _Optional[int] = ..., shot: _Optional[int] = ..., ended: _Optional[float] = ..., compute: _Optional[float] = ..., rig: _Optional[str] = ..., has_pose: _Optional[bool] = ..., has_tracked: _Optional[bool] = ...) -> None: ...
+    wall: float
+    def __init__(self, number: _Optional[int] = ..., shot: _Optional[int] = ..., ended: _Optional[float] = ..., compute: _Optional[float] = ..., rig: _Optional[str] = ..., has_pose: _Optional[bool] = ..., has_tracked: _Optional[bool] = ..., wall: _Optional[float] = ...) -> None: ...
 
 class Event(_message.Message):
     __slots__ = ("time", "what", "detail")
@@ -257,6 +259,14 @@ class Dropped(_message.Message):
     MESSAGES_FIELD_NUMBER: _ClassVar[int]
     messages: int
     def __init__(self, messages: _Optional[int] = ...) -> None: ...
+
+class Recovered(_message.Message):
+    __slots__ = ("lost_bytes", "ended")
+    LOST_BYTES_FIELD_NUMBER: _ClassVar[int]
+    ENDED_FIELD_NUMBER: _ClassVar[int]
+    lost_bytes: int
+    ended: bool
+    def __init__(self, lost_bytes: _Optional[int] = ..., ended: _Optional[bool] = ...) -> None: ...
 
 class End(_message.Message):
     __slots__ = ("status", "stop_reason", "duration", "wall", "begun", "recovered", "safety")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import smolbot
+from smolbot.blas import kernel
 from smolbot.errors import InputError
 from smolbot.records.trace import Moment, row
 
@@ -71,12 +72,6 @@ class RunFolder:
 
 def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
     """Where a run came from: version, commit, seed, settings, drawn mismatches, packages."""
-    packages: dict[str, str] = {}
-    for name in _PACKAGES:
-        try:
-            packages[name] = version(name)
-        except PackageNotFoundError:
-            packages[name] = "not installed"
     return {
         "smolbot": smolbot.__version__,
         "commit": _commit(),
@@ -85,8 +80,20 @@ def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any])
         "world": dict(world),
         "python": platform.python_version(),
         "platform": platform.system(),
-        "packages": packages,
+        "linear_algebra": kernel(),
+        "packages": packages(),
     }
+
+
+def packages() -> dict[str, str]:
+    """Versions of the packages on which figures depend."""
+    found: dict[str, str] = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
 
 
 def _commit() -> str | None:

@@ -63,3 +63,16 @@ def test_the_nearest_place_is_that_of_the_curve():
         place = path.at(s) + np.array([1e-4, 1e-4, 0.0])
         course.locate(place, 2e-4)
         assert course.arc_length == pytest.approx(path.project(place[None])[0][0], abs=1e-12)
+
+
+@pytest.mark.parametrize("handover", [3e-4, 8e-4])
+def test_a_closed_path_ends_after_one_round_and_not_where_it_begins(handover):
+    angle = np.linspace(0.0, 2 * np.pi, 181)
+    circle = Curve(6e-3 * np.column_stack([np.cos(angle), np.sin(angle), np.full(len(angle), 10.0)]))
+    course = Course(circle)
+    for s in np.arange(0.0, circle.length - 2 * handover, 2e-4):
+        course.locate(circle.at(s), handover)
+        assert not course.done
+        assert course.progress == pytest.approx(s, abs=2e-5)
+    course.locate(circle.at(circle.length - 0.5 * handover), handover)
+    assert course.done

@@ -22,10 +22,10 @@ from smolbot.sensing import Recording
 from smolbot.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
 
 FILES = {
-    *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json", "path.png"),
-    LEARNED,
+    *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json"),
+    *("path.png", "run.mcap", LEARNED),
 }
-WALL = ("wall_s", "compute_ms", "realtime_factor", "run")
+WALL = ("wall_s", "compute_ms", "realtime_factor", "run", "recording")
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "2.0"}
 
 
@@ -314,7 +314,7 @@ def test_pause_holds_the_robot_and_resume_lets_it_go_on(plain):
 
     def pause(record):
         modes.append(record.shot.mode)
-        loop.scheduler.paused = 10 <= len(modes) < 20
+        loop.pause.held = 10 <= len(modes) < 20
 
     loop = make_loop(rig, plain, (pause,))
     run = loop.fly()
@@ -322,6 +322,43 @@ def test_pause_holds_the_robot_and_resume_lets_it_go_on(plain):
     assert run.status == "completed"
     assert modes[10:20] == ["hold"] * 10
     assert modes[20] == "track"
+    told = [(event.what, modes_before(run, event.time)) for event in run.events if event.what in ("paused", "resumed")]
+    assert told == [("paused", 10), ("resumed", 20)]
+
+
+def modes_before(run, time):
+    """How many cycles had begun before `time` s."""
+    return sum(cycle.shot.start < time - 1e-9 for cycle in run.cycles)
+
+
+def test_time_in_a_pause_does_not_count_towards_the_longest_duration(plain):
+    held = 40.0
+
+    def pause(record):
+        loop.pause.held = 2.0 <= record.shot.end - begun[0] < 2.0 + held if begun else not begun.append(record.shot.end)
+
+    begun: list[float] = []
+    brief = load_mission("line", settings={**SHORT, "stop.max_duration_s": "30"})
+    rig = load_world("tank", brief.rig.document).open(brief.rig, brief.robot, brief.start, 3)
+    loop = make_loop(rig, brief, (pause,))
+    run = loop.fly()
+    rig.close()
+    assert run.status == "completed"
+    assert run.duration - run.begun > held
+
+
+def test_a_law_that_learns_is_told_of_a_command_that_was_not_played(plain):
+    rig = load_world("tank", plain.rig.document).open(plain.rig, plain.robot, plain.start, 3)
+    told: list[int] = []
+
+    def pause(record):
+        loop.pause.held = 10 <= len(loop.run.cycles) < 20
+
+    loop = make_loop(rig, plain, (pause,))
+    loop.pilot.controller.unplayed = lambda: told.append(len(loop.run.cycles))
+    loop.fly()
+    rig.close()
+    assert told == list(range(10, 20))
 
 
 def test_a_sensor_that_becomes_noisy_on_the_way_is_found_and_weighed_less(fly_wrapped):

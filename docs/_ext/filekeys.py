@@ -1,0 +1,241 @@
+"""Tables of the keys that a user's file may have, made from the models that check it.
+
+    {filekeys} smolbot.missionfile:MissionFile
+    :example: missions/r_path.toml
+
+`section` puts a header in front of the names of tables. `example` is a file of the package whose values and comments
+stand beside the keys.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from numpydoc.docscrape import NumpyDocString
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+import smolbot
+from smolbot.config import _inner_model
+
+UNITS = {
+    "mm": "mm", "ms": "ms", "s": "s", "a": "A", "hz": "Hz", "deg": "°", "percent": "%", "mm_s": "mm/s",
+    "mm_s2": "mm/s²", "deg_s": "°/s", "deg_per_s": "°/s", "per_s": "1/s", "t": "T", "mt": "mT", "ut": "µT", "nt": "nT",
+    "nt_per_s": "nT/s", "nt_per_m": "nT/m", "pt_per_rthz": "pT/√Hz", "v": "V", "v_per_ut": "V/µT", "a_per_v": "A/V",
+    "c": "°C", "ohm": "Ω", "pa_s": "Pa s", "pa": "Pa", "kg_m3": "kg/m³", "ma_m2": "mA m²", "mg": "mg",
+    "j_per_k": "J/K", "k_per_w": "K/W", "n_per_m2": "N/m²", "n_per_m": "N/m", "baud": "Bd",
+}  # fmt: skip
+
+COLUMNS = ("key", "unit", "value", "default", "meaning")
+WIDTHS = (24, 7, 24, 14, 40)
+
+
+def unit_of(key: str) -> str:
+    """Unit that the end of a key names."""
+    parts = key.split("_")
+    for start in range(1, len(parts)):
+        if (unit := UNITS.get("_".join(parts[start:]))) is not None:
+            return unit
+    return UNITS.get(key, "") if key == "baud" else ""
+
+
+class Schema:
+    """JSON schema of a model, with what it refers to."""
+
+    def __init__(self, model: Any) -> None:
+        self.root: dict[str, Any] = model.model_json_schema()
+        self._defined: dict[str, Any] = self.root.get("$defs", {})
+
+    def resolved(self, part: dict[str, Any]) -> dict[str, Any]:
+        """`part` with its reference followed and the alternative "nothing" taken away."""
+        part = dict(part)
+        options = [option for option in part.get("anyOf", ()) if option.get("type") != "null"]
+        if len(options) == 1:
+            part = {**part, **options[0]}
+            part.pop("anyOf")
+        if "$ref" in part:
+            part = {**self._defined[part.pop("$ref").rsplit("/", 1)[1]], **part}
+        return part
+
+    def section(self, part: dict[str, Any]) -> tuple[dict[str, Any], bool] | None:
+        """The section that `part` is, and whether there may be several of it; None of a plain key."""
+        part = self.resolved(part)
+        if "properties" in part:
+            return part, False
+        if part.get("type") == "array" and isinstance(part.get("items"), dict):
+            inner = self.resolved(part["items"])
+            if "properties" in inner:
+                return inner, True
+        return None
+
+    def value(self, part: dict[str, Any]) -> str:
+        """What may stand there, in words."""
+        part = self.resolved(part)
+        if "anyOf" in part:
+            return " or ".join(dict.fromkeys(self.value(option) for option in part["anyOf"]))
+        if "const" in part:
+            return f"{part['const']!r}".replace("'", '"')
+        if "enum" in part:
+            return ", ".join(f"{item!r}" for item in part["enum"]).replace("'", '"')
+        kind = part.get("type")
+        if kind == "array":
+            return self._array(part)
+        if kind == "object":
+            values = part.get("additionalProperties")
+            return "a table" + (f" of {self.value(values)}" if isinstance(values, dict) else "")
+        name = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
+        return (name.get(str(kind), str(kind)) + _limits(part)).strip()
+
+    def _array(self, part: dict[str, Any]) -> str:
+        if "prefixItems" in part:
+            each = [self.value(item) for item in part["prefixItems"]]
+            return f"{len(each)} × {each[0]}" if len(set(each)) == 1 else f"[{', '.join(each)}]"
+        least = part.get("minItems", 0)
+        return f"list of {self.value(part['items'])}" + (f", at least {least}" if least else "")
+
+
+def _limits(part: dict[str, Any]) -> str:
+    low, above = part.get("minimum"), part.get("exclusiveMinimum")
+    high, below = part.get("maximum"), part.get("exclusiveMaximum")
+    said = [
+        f"{sign} {limit:g}"
+        for sign, limit in (("≥", low), (">", above), ("≤", high), ("<", below))
+        if limit is not None
+    ]
+    return " " + ", ".join(said) if said else ""
+
+
+def _models(model: Any) -> list[Any]:
+    """The model and those of its sections."""
+    found = [model]
+    for info in model.model_fields.values():
+        inner = _inner_model(info.annotation)
+        if inner is not None:
+            found += _models(inner)
+    return found
+
+
+class Example:
+    """Values and comments of a TOML file by section and key."""
+
+    _HEADER = re.compile(r"^\[+([^\]]+)\]+")
+    _KEY = re.compile(r"^([a-z0-9_]+) = (.+?)(?:\s{2,}# (.*))?$")
+
+    def __init__(self, text: str) -> None:
+        self.held: dict[tuple[str, str], tuple[str, str]] = {}
+        section = ""
+        for line in text.splitlines():
+            if header := self._HEADER.match(line):
+                section = header[1]
+            elif key := self._KEY.match(line):
+                self.held.setdefault((section, key[1]), (key[2], key[3] or ""))
+
+    def of(self, section: str, key: str) -> str:
+        """`value: comment` of a key, or nothing."""
+        value, comment = self.held.get((section, key), ("", ""))
+        if not value or len(value) > 40 or value in ("[", "{"):
+            return ""
+        return f"{value}: {comment}" if comment else value
+
+
+class FileKeys(SphinxDirective):
+    """See the module."""
+
+    required_arguments = 1
+    option_spec = {"example": directives.unchanged, "section": directives.unchanged}  # noqa: RUF012
+
+    def run(self) -> list[nodes.Node]:
+        module, name = self.arguments[0].split(":")
+        model = getattr(import_module(module), name)
+        self.env.note_dependency(str(import_module(module).__file__))
+        schema = Schema(model)
+        self._homes = {found.__name__: f"{found.__module__}.{found.__name__}" for found in _models(model)}
+        path = Path(str(smolbot.__file__)).parent / self.options.get("example", "")
+        example = Example(path.read_text(encoding="utf-8")) if path.is_file() else Example("")
+        return self._tables(schema, schema.root, self.options.get("section", ""), False, example, path.name)
+
+    def _tables(
+        self, schema: Schema, part: dict[str, Any], title: str, many: bool, example: Example, source: str
+    ) -> list[nodes.Node]:
+        """The table of one section, then those of the sections in it."""
+        found: list[nodes.Node] = self._targets(part.get("title", ""))
+        told = NumpyDocString(part.get("description", ""))
+        meanings = {
+            key.strip(): " ".join(item.desc) for item in told["Attributes"] for key in item.name.split(",")
+        }
+        if title:
+            shown = f"[[{title}]]" if many else f"[{title}]"
+            found.append(nodes.rubric("", "", nodes.literal(text=shown), classes=["section-of-file"]))
+        summary = " ".join(told["Summary"])
+        for paragraph in [summary, *" ".join(told["Extended Summary"]).split("  ")]:
+            if paragraph.strip():
+                found.append(self._paragraph(paragraph))
+        rows, inner = [], []
+        for key, property_ in part["properties"].items():
+            section = schema.section(property_)
+            if section is not None:
+                inner.append((key, *section))
+                continue
+            needed = key in part.get("required", ())
+            default = property_.get("default")
+            shown = "needed" if needed else ("" if default is None else _toml(default))
+            said = [meanings.get(key, "")]
+            if given := example.of(title, key):
+                said.append(f"{source}: {given}")
+            rows.append((key, unit_of(key), schema.value(property_), shown, ". ".join(s.rstrip(".") for s in said if s)))
+        if rows:
+            found.append(_table(rows))
+        for key, section_part, several in inner:
+            below = f"{title}.{key}" if title else key
+            found += self._tables(schema, section_part, below, several, example, source)
+        return found
+
+    def _targets(self, name: str) -> list[nodes.Node]:
+        """What signatures in the API reference lead to; each model once."""
+        home = self._homes.get(name)
+        domain: Any = self.env.get_domain("py")
+        if home is None or home in domain.objects:
+            return []
+        identifier = nodes.make_id(home)
+        domain.note_object(home, "class", identifier)
+        return [nodes.target(ids=[identifier])]
+
+    def _paragraph(self, text: str) -> nodes.Node:
+        paragraph = nodes.paragraph()
+        for index, piece in enumerate(re.split(r"``?([^`]+)``?", text)):
+            paragraph += nodes.literal(text=piece) if index % 2 else nodes.Text(piece)
+        return paragraph
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else f"{value}"
+
+
+def _table(rows: list[tuple[str, ...]]) -> nodes.Node:
+    group = nodes.tgroup(cols=len(COLUMNS))
+    for width in WIDTHS:
+        group += nodes.colspec(colwidth=width)
+    group += nodes.thead("", _row(COLUMNS, literal=()))
+    group += nodes.tbody("", *(_row(row, literal=(0, 3)) for row in rows))
+    return nodes.table("", group, classes=["filekeys"])
+
+
+def _row(cells: tuple[str, ...], literal: tuple[int, ...]) -> nodes.row:
+    made = nodes.row()
+    for index, cell in enumerate(cells):
+        plain = index not in literal or not cell or cell == "needed"
+        inner = nodes.Text(cell) if plain else nodes.literal(text=cell)
+        made += nodes.entry("", nodes.paragraph("", "", inner))
+    return made
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    app.add_directive("filekeys", FileKeys)
+    return {"version": "1", "parallel_read_safe": True}

@@ -1,0 +1,79 @@
+"""``smolbot film``: what a camera over the simulated tank would have recorded of a run, or of a swinging cantilever."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smolbot.cli.missions import JsonOption
+from smolbot.cli.show import echo_json, table
+from smolbot.errors import InputError
+
+
+def film(
+    run: Annotated[Path | None, typer.Argument(help="Folder of a run in the simulated tank.", metavar="RUN")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Video to write: .avi, or .mp4, smaller and blockier.")] = Path("film.avi"),
+    fps: Annotated[float | None, typer.Option(help="Frames per second; default: 25, or 5000 with --swing.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the camera: place, print, light, colours, noise.")] = 1,
+    begin_s: Annotated[float | None, typer.Option(help="Film from here on, on the run's clock.")] = None,
+    end_s: Annotated[float | None, typer.Option(help="Film until here.")] = None,
+    size: Annotated[str, typer.Option(help="Pixels.")] = "1280x960",
+    hide: Annotated[
+        list[str] | None, typer.Option("--hide", help="FROM..TO: seconds in which a rod lies over the robot.")
+    ] = None,
+    flat: Annotated[bool, typer.Option("--flat", help="Markers on the plate alone, none at the robot's height.")] = False,
+    swing: Annotated[
+        str | None, typer.Option(help="Film no run but the cantilever of this robot, excited and let go.")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="CSV to write with where everything truly was: to judge a tracker by.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Film a run from above, as a lab's camera would: tilt, print, uneven light, meniscus, blur, noise, compression.
+
+    Beside the video a TOML file says where its markers lie, for smolbot track --fiducials.
+    """
+    if (run is None) == (swing is None):
+        raise InputError("Name the folder of a run, or --swing ROBOT.")
+    if swing is not None:
+        raise InputError("not yet")
+    from sim.film.filming import film as shoot
+    from sim.film.trail import read_trail
+
+    assert run is not None
+    trail, mission = read_trail(run)
+    made = shoot(
+        trail, mission.rig, mission.robot, out, seed=seed, fps=25.0 if fps is None else fps, begin=begin_s, end=end_s,
+        size=_size(size), hidden=[_span(text) for text in hide or []], posts=not flat,
+    )  # fmt: skip
+    fiducials = out.with_suffix(".toml")
+    fiducials.write_text(made.fiducials_toml(), encoding="utf-8")
+    if truth is not None:
+        made.write_truth(truth)
+    rows = [
+        ("video", f"{out}, {len(made.times)} frames"),
+        ("from, to", f"{made.times[0]:.3f} to {made.times[-1]:.3f} s on the run's clock"),
+        ("markers", str(fiducials)),
+        ("to track it", f"smolbot track {out} --fiducials {fiducials} --run {run}"),
+    ]
+    table(f"film of {run.name}", rows, err=json)
+    if json:
+        echo_json({"video": str(out), "fiducials": str(fiducials), "frames": len(made.times), "begin_s": made.times[0]})
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 64):
+        raise InputError(f"--size needs WIDTHxHEIGHT in pixels, 64 or more each; got '{text}'.")
+    return int(width), int(height)
+
+
+def _span(text: str) -> tuple[float, float]:
+    first, _, last = text.partition("..")
+    try:
+        return float(first), float(last)
+    except ValueError:
+        raise InputError(f"--hide needs FROM..TO in seconds, such as 20..22.5; got '{text}'.") from None

@@ -1,0 +1,254 @@
+"""Films a trail: frame by frame, with noise, blur, flicker and the codec's own losses, into a video file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.film.camera import Camera, draw_camera
+from sim.film.robot import Looks, draw_looks, paint, shade
+from sim.film.stage import DICTIONARY, PRINT_ERROR, SIDE, Stage, draw_stage, photograph
+from sim.film.trail import Trail
+from smolbot.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+from smolbot.rotations import matrix_from_quaternion
+
+DISTANCE = 0.35  # m from camera to floor: a 35 mm lens over a coil set
+RULER = 2e-3  # m: how well a lab measures a camera's height
+NOISE_POOL = 5
+JITTER = 64
+LUMA = np.array([0.114, 0.587, 0.299])
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """What was filmed, and what the lab knows of its camera; the truth is for whoever judges a tracker.
+
+    Attributes
+    ----------
+    camera, stage, looks
+        As drawn.
+    times : ndarray, shape (n,), in s
+        Of the frames, on the run's clock.
+    positions, orientations : ndarray, shape (n, 3) and (n, 4)
+        True poses in the frames (rotation centre).
+    hidden : ndarray, shape (n,)
+        Frames in which something covers the robot.
+    camera_height : float, in m
+        Of the camera over the world's z = 0, by ruler.
+    """
+
+    camera: Camera
+    stage: Stage
+    looks: Looks
+    times: FloatArray
+    positions: FloatArray
+    orientations: FloatArray
+    hidden: Any
+    camera_height: float
+
+    @property
+    def headings(self) -> FloatArray:
+        """True azimuth of body z (n,), in rad."""
+        ahead = np.array([matrix_from_quaternion(q)[:, 2] for q in self.orientations])
+        return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
+
+    def fiducials_toml(self) -> str:
+        """The file that a lab writes about its markers and camera."""
+        lines = [
+            "# Markers around the container, and the camera over it; mm in the rig's world frame.",
+            "[fiducials]",
+            f'dictionary = "{DICTIONARY}"',
+            f"side_mm = {1e3 * SIDE:g}                # of the black square",
+            f"height_mm = {1e3 * self.stage.floor:g}             # z of the plate that they lie on",
+            f"place_tolerance_mm = {1e3 * PRINT_ERROR:g}  # print and ruler, one standard deviation",
+            "",
+            "[camera]",
+            f"height_mm = {1e3 * self.camera_height:.0f}.0           # z of the lens, by ruler",
+        ]
+        for marker in self.stage.markers:
+            x, y = (1e3 * v for v in marker.center)
+            lines += ["", "[[fiducials.markers]]", f"id = {marker.number}", f"center_mm = [{x:g}, {y:g}]"]
+            if marker.raised:
+                lines.append(f"height_mm = {1e3 * self.stage.surface:g}             # on a post, as high as the liquid")
+        return "\n".join(lines) + "\n"
+
+    def write_truth(self, path: Path) -> None:
+        """A CSV row per frame: time_s, rotation centre in m, heading_rad, hidden."""
+        rows = ["frame,time_s,x_m,y_m,z_m,heading_rad,hidden"]
+        for i, (time, place, heading) in enumerate(zip(self.times, self.positions, self.headings, strict=True)):
+            values = ",".join(f"{v:.9g}" for v in (time, *place, heading))
+            rows.append(f"{i},{values},{int(self.hidden[i])}")
+        path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def film(
+    trail: Trail, rig: RigConfig, robot: RobotConfig, path: Path, *, seed: int = 1, fps: float = 25.0,
+    begin: float | None = None, end: float | None = None, size: tuple[int, int] = (1280, 960),
+    hidden: Sequence[tuple[float, float]] = (), posts: bool = True,
+) -> Film:  # fmt: skip
+    """Film `trail` from above into the video `path`.
+
+    Parameters
+    ----------
+    trail : Trail
+    rig, robot : RigConfig, RobotConfig
+        Container, liquid and housing.
+    seed : int
+        Of everything about the camera: where it hangs, print and light, colours, meniscus, noise.
+    fps : float, in 1/s
+    begin, end : float, in s
+        On the run's clock; default: all of the trail.
+    hidden : sequence of (float, float), in s
+        When a rod lies over the robot.
+    posts : bool
+        Markers stand on posts too, not on the plate alone.
+
+    Raises
+    ------
+    InputError
+        If nothing is to be filmed, or the file cannot be written.
+    """
+    rng = np.random.default_rng([seed, 0xF11])
+    begin = float(trail.times[0]) if begin is None else begin
+    end = float(trail.times[-1]) if end is None else end
+    if not 0 < fps < 1e5:
+        raise InputError(f"A film needs a positive frame rate; got {fps:g} frames per second.")
+    times = begin + np.arange(math.floor((end - begin) * fps) + 1) / fps
+    if end <= begin or len(times) < 2:
+        raise InputError(f"A film needs two frames or more; got {begin:g} to {end:g} s at {fps:g} frames per second.")
+    positions, orientations = trail.at(times)
+    stage = draw_stage(rng, rig, posts=posts)
+    camera = draw_camera(rng, np.array([*stage.center, stage.floor]), stage.span, size, DISTANCE)
+    afloat = rig.sections.medium.yield_stress_pa == 0
+    looks = draw_looks(rng, robot, afloat)
+    covered = np.array([any(a <= t <= b for a, b in hidden) for t in times])
+    made = Film(
+        camera, stage, looks, times, positions, orientations, covered, float(camera.place[2] + rng.normal(0.0, RULER))
+    )
+    _write(made, path, fps, rng)
+    return made
+
+
+def _write(made: Film, path: Path, fps: float, rng: np.random.Generator) -> None:
+    camera, stage, looks = made.camera, made.stage, made.looks
+    empty = photograph(stage, camera, rng)
+    blur = rng.uniform(0.7, 1.1)
+    noise = Grain(rng, camera.size)
+    with Writer(path, fps, camera.size) as writer:
+        soft = blurred(empty, blur)
+        for i in range(len(made.times)):
+            frame = soft.copy()
+            sharp = empty.copy()
+            shade(sharp, stage, camera, looks, made.positions[i])
+            u0, v0, u1, v1 = paint(sharp, stage, camera, looks, made.positions[i], made.orientations[i])
+            _put(frame, blurred_region(sharp, _around(camera, stage, looks, made.positions[i], (u0, v0, u1, v1)), blur))
+            if made.hidden[i]:
+                _cover(frame, camera, made.positions[i])
+            writer.write(noise.over(frame))
+
+
+Region = tuple[int, int, int, int]
+
+
+def _around(camera: Camera, stage: Stage, looks: Looks, position: FloatArray, robot: Region) -> Region:
+    """The region that robot and shadow together may change."""
+    depth = position[2] - stage.floor
+    shadow = np.array([*(position[:2] + depth * stage.lamp), stage.floor])
+    reach = float(np.max(looks.half)) + 3.5e-3
+    pixels = camera.project(shadow + reach * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    return (
+        max(min(robot[0], int(low[0])) - 8, 0), max(min(robot[1], int(low[1])) - 8, 0),
+        min(max(robot[2], int(high[0])) + 8, camera.size[0]), min(max(robot[3], int(high[1])) + 8, camera.size[1]),
+    )  # fmt: skip
+
+
+def blurred(image: FloatArray, sigma: float) -> FloatArray:
+    """Image as a lens gives it that is sharp to `sigma` pixels."""
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma))
+
+
+def blurred_region(image: FloatArray, region: Region, sigma: float) -> tuple[Region, FloatArray]:
+    """A blurred region of an image, with enough around it that no edge shows."""
+    u0, v0, u1, v1 = region
+    a, b = max(u0 - 8, 0), max(v0 - 8, 0)
+    patch = blurred(image[b : v1 + 8, a : u1 + 8], sigma)
+    return region, patch[v0 - b : v1 - b, u0 - a : u1 - a]
+
+
+def _put(frame: FloatArray, patch: tuple[Region, FloatArray]) -> None:
+    (u0, v0, u1, v1), values = patch
+    frame[v0:v1, u0:u1] = values
+
+
+def _cover(frame: FloatArray, camera: Camera, position: FloatArray) -> None:
+    """A rod of 12 mm, held over the robot from the right edge of the picture."""
+    scale = camera.focal / float(np.linalg.norm(position - camera.place))
+    (u, v), half = camera.project(position[None])[0], 6e-3 * scale
+    rows = slice(max(int(v - half), 0), max(int(v + half), 0))
+    column = max(int(u - half), 0)
+    shape = frame[rows, column:].shape[:2]
+    across = np.linspace(-1.0, 1.0, max(shape[0], 1))[: shape[0], None, None]
+    frame[rows, column:] = 120.0 * np.sqrt(np.maximum(1.0 - 0.8 * across**2, 0.1)) * np.array([0.75, 0.8, 0.9])
+
+
+class Grain:
+    """A sensor's noise, flicker of the light, and rounding to 8 bits."""
+
+    def __init__(self, rng: np.random.Generator, size: tuple[int, int]) -> None:
+        width, height = size
+        self._rng = rng
+        self._pool = [
+            rng.standard_normal((height + JITTER, width + JITTER, 3), dtype=np.float32) for _ in range(NOISE_POOL)
+        ]
+
+    def over(self, frame: FloatArray) -> Any:
+        """The frame (height, width, 3) as 8-bit picture."""
+        height, width = frame.shape[:2]
+        pool = self._pool[int(self._rng.integers(NOISE_POOL))]
+        a, b = self._rng.integers(0, JITTER, 2)
+        bright = frame.astype(np.float32) * np.float32(1.0 + 0.004 * self._rng.standard_normal())
+        bright += np.sqrt(np.maximum(0.6 + 0.012 * bright, 0.0)) * pool[a : a + height, b : b + width]
+        return np.clip(np.rint(bright), 0, 255).astype(np.uint8)
+
+
+class Writer:
+    """A video file of 8-bit colour frames; MPEG-4 in .mp4, motion JPEG in .avi.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or its ending names no video.
+    """
+
+    def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
+        import cv2
+
+        codecs = {".mp4": "mp4v", ".avi": "MJPG"}
+        if path.suffix.lower() not in codecs:
+            raise InputError(f"{path}: a film is written to {' or '.join(codecs)}; got '{path.suffix}'.")
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: cannot be written; there is no folder {path.parent}.")
+        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codecs[path.suffix.lower()]), fps, size)
+        if not self._writer.isOpened():
+            raise InputError(f"{path}: cannot be written as a video.")
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.release()
+
+    def write(self, frame: Any) -> None:
+        """Append a frame (height, width, 3)."""
+        self._writer.write(frame)

@@ -1,0 +1,215 @@
+"""Compiled ray casting, a ray for each pixel or part of it; they call each other and so share this file."""
+
+# mypy: disable-error-code="untyped-decorator"
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from smolbot.arrays import FloatArray
+
+UNBENDING = 4
+"""Fixed-point steps that undo a distortion of some tenths of a per cent to below 1e-9."""
+
+# Rows of `lens`: place (3), axes (9, row by row), focal, middle (2), bend
+
+
+@njit(cache=True, error_model="numpy")
+def ray(u: float, v: float, lens: FloatArray) -> tuple[float, float, float]:
+    """World direction, of unit length, of what is seen at a pixel."""
+    bx, by = (u - lens[13]) / lens[12], (v - lens[14]) / lens[12]
+    x, y = bx, by
+    for _ in range(UNBENDING):
+        grow = 1.0 + lens[15] * (x * x + y * y)
+        x, y = bx / grow, by / grow
+    dx = x * lens[3] + y * lens[6] + lens[9]
+    dy = x * lens[4] + y * lens[7] + lens[10]
+    dz = x * lens[5] + y * lens[8] + lens[11]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    return dx / length, dy / length, dz / length
+
+
+@njit(cache=True, error_model="numpy")
+def rays(pixels: FloatArray, lens: FloatArray) -> FloatArray:
+    """World directions (n, 3) of what is seen at pixels (n, 2)."""
+    out = np.empty((len(pixels), 3))
+    for i in range(len(pixels)):
+        out[i] = ray(pixels[i, 0], pixels[i, 1], lens)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def refract(dx: float, dy: float, index: float) -> tuple[float, float, float]:
+    """Direction within a liquid of a unit ray that comes down from air on its level surface (Snell)."""
+    x, y = dx / index, dy / index
+    return x, y, -math.sqrt(1.0 - x * x - y * y)
+
+
+@njit(cache=True, error_model="numpy")
+def in_box(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, turn: FloatArray, middle: FloatArray,
+    half: FloatArray, first: float, last: float,
+) -> tuple[float, int]:  # fmt: skip
+    """Length of a ray inside a turned box between two parameters, and through which body axis' face it came in."""
+    ox, oy, oz = px - middle[0], py - middle[1], pz - middle[2]
+    enter, leave, face = -1e30, 1e30, 0
+    for k in range(3):
+        start = turn[0, k] * ox + turn[1, k] * oy + turn[2, k] * oz
+        speed = turn[0, k] * dx + turn[1, k] * dy + turn[2, k] * dz
+        if abs(speed) < 1e-12:
+            if abs(start) > half[k]:
+                return 0.0, 0
+            continue
+        a, b = (-half[k] - start) / speed, (half[k] - start) / speed
+        near, far = min(a, b), max(a, b)
+        if near > enter:
+            enter, face = near, k
+        leave = min(leave, far)
+    return max(min(leave, last) - max(enter, first), 0.0), face
+
+
+@njit(cache=True, error_model="numpy")
+def see_empty(
+    scale: float, width: int, height: int, lens: FloatArray, box: FloatArray, plate: FloatArray, caps: FloatArray,
+    corner: FloatArray, posts: FloatArray, tones: FloatArray, shading: FloatArray, relief: int,
+) -> FloatArray:  # fmt: skip
+    """The scene without a robot, (height, width, 3), each pixel the mean of `relief`² rays.
+
+    Entries of `box`: middle (2) and half sides (2) of the container's inside, floor, surface, top of the wall, its
+    thickness, refractive index. `plate` and `caps` are what is printed on the floor and on the posts' tops, `scale` pixels
+    per m; rows of `posts`: middle (3) and half sides (3).
+    """
+    out = np.empty((height, width, 3))
+    cx, cy, hx, hy, floor, surface, top, wall, index = box
+    rows, columns = plate.shape[0], plate.shape[1]
+    px, py, pz = lens[0], lens[1], lens[2]
+    colour = np.empty(3)
+    upright = np.eye(3)
+    for j in range(height):
+        for i in range(width):
+            out[j, i] = 0.0
+            for part in range(relief * relief):
+                u = i + (part % relief + 0.5) / relief - 0.5
+                v = j + (part // relief + 0.5) / relief - 0.5
+                dx, dy, dz = ray(u, v, lens)
+                t = (top - pz) / dz
+                ax, ay = abs(px + t * dx - cx), abs(py + t * dy - cy)
+                inside = ax < hx and ay < hy
+                wet = False
+                kind = 0  # plate, wall's top, wall's side
+                t = (floor - pz) / dz
+                gx, gy = px + t * dx, py + t * dy
+                if inside:
+                    t = (surface - pz) / dz
+                    wx, wy = px + t * dx, py + t * dy
+                    wet = abs(wx - cx) < hx and abs(wy - cy) < hy
+                    kind = 2
+                    if wet:
+                        ex, ey, ez = refract(dx, dy, index)
+                        gx, gy = wx + (floor - surface) / ez * ex, wy + (floor - surface) / ez * ey
+                        kind = 0 if abs(gx - cx) < hx and abs(gy - cy) < hy else 2
+                elif ax < hx + wall and ay < hy + wall:
+                    kind = 1
+                elif abs(gx - cx) < hx + wall and abs(gy - cy) < hy + wall:
+                    kind = 2
+                if not wet:
+                    for n in range(len(posts)):
+                        length, face = in_box(px, py, pz, dx, dy, dz, upright, posts[n, :3], posts[n, 3:], 0.0, 1e9)
+                        if length > 0:
+                            kind = 3 if face == 2 else 2
+                            t = (posts[n, 2] + posts[n, 5] - pz) / dz
+                            gx, gy = px + t * dx, py + t * dy
+                if kind == 0 or kind == 3:
+                    sheet = plate if kind == 0 else caps
+                    a = min(max((gx - corner[0]) * scale, 0.0), columns - 1.001)
+                    b = min(max((gy - corner[1]) * scale, 0.0), rows - 1.001)
+                    ia, ib = int(a), int(b)
+                    fa, fb = a - ia, b - ib
+                    for c in range(3):
+                        colour[c] = (1 - fb) * ((1 - fa) * sheet[ib, ia, c] + fa * sheet[ib, ia + 1, c]) + fb * (
+                            (1 - fa) * sheet[ib + 1, ia, c] + fa * sheet[ib + 1, ia + 1, c]
+                        )
+                else:
+                    for c in range(3):
+                        colour[c] = tones[2, c] * (1.0 if kind == 1 else 0.72)
+                su, sv = u / width - 0.5, v / height - 0.5
+                light = 1.0 + shading[0] * su + shading[1] * sv - shading[2] * (su * su + sv * sv)
+                glare = math.exp(-((su - shading[3]) ** 2 + (sv - shading[4]) ** 2) / (2 * 0.05**2))
+                for c in range(3):
+                    value = colour[c] * light
+                    if wet:
+                        value = value * tones[3, c] / 255.0 + 22.0 * glare
+                    out[j, i, c] += value / (relief * relief)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def see_robot(
+    behind: FloatArray, u0: int, v0: int, fine: int, lens: FloatArray, surface: float, index: float, turn: FloatArray,
+    boxes: FloatArray, resin: FloatArray, clear: float, ring: FloatArray, lamp: FloatArray, upright: int,
+) -> FloatArray:  # fmt: skip
+    """A region of the picture with the robot in it, (height, width, 3), each pixel the mean of `fine`² rays.
+
+    Parameters
+    ----------
+    behind : ndarray, shape (height, width, 3)
+        The region without the robot; its first pixel is (u0, v0).
+    turn : ndarray, shape (3, 3)
+        Takes body vectors to world vectors.
+    boxes : ndarray, shape (3, 2, 3)
+        Middle (world, m) and half sides of housing, magnet and blade.
+    resin : ndarray, shape (3,)
+        Colour of much resin; `clear` m of it leave 1/e of the light.
+    ring : ndarray, shape (3,)
+        Strength and width (m) of the meniscus, and how one-sided its light is; `lamp` (2,) is where it comes from.
+    upright : int
+        The body axis that stands upright.
+    """
+    height, width = behind.shape[0], behind.shape[1]
+    out = np.empty((height, width, 3))
+    px, py, pz = lens[0], lens[1], lens[2]
+    length, face = np.zeros(3), np.zeros(3, dtype=np.int64)
+    brightness = math.sqrt(lamp[0] ** 2 + lamp[1] ** 2)
+    for j in range(height):
+        for i in range(width):
+            out[j, i] = 0.0
+            for part in range(fine * fine):
+                u = u0 + i + (part % fine + 0.5) / fine - 0.5
+                v = v0 + j + (part // fine + 0.5) / fine - 0.5
+                dx, dy, dz = ray(u, v, lens)
+                down = (surface - pz) / dz
+                wx, wy = px + down * dx, py + down * dy
+                ex, ey, ez = refract(dx, dy, index)
+                for k in range(3):
+                    dry, side = in_box(px, py, pz, dx, dy, dz, turn, boxes[k, 0], boxes[k, 1], 0.0, down)
+                    under, low = in_box(wx, wy, surface, ex, ey, ez, turn, boxes[k, 0], boxes[k, 1], 0.0, 1e9)
+                    length[k], face[k] = dry + under, side if dry > 0 else low
+                if length[1] > 0:
+                    for c in range(3):
+                        out[j, i, c] += 52.0 - 2.0 * c
+                    continue
+                if length[0] > 0:
+                    kept = math.exp(-length[0] / clear)
+                    tone = 1.0 if face[0] == upright else 0.78
+                    blade = 0.6 if length[2] > 0 else 1.0
+                    for c in range(3):
+                        out[j, i, c] += blade * (0.96 * kept * behind[j, i, c] + (1.0 - kept) * tone * resin[c])
+                    continue
+                ox, oy, oz = wx - boxes[0, 0, 0], wy - boxes[0, 0, 1], surface - boxes[0, 0, 2]
+                away = 0.0
+                for k in range(3):
+                    if k != upright:
+                        local = abs(turn[0, k] * ox + turn[1, k] * oy + turn[2, k] * oz) - boxes[0, 1, k]
+                        away += max(local, 0.0) ** 2
+                away = math.sqrt(away)
+                facing = (ox * lamp[0] + oy * lamp[1]) / (max(math.sqrt(ox * ox + oy * oy), 1e-9) * brightness)
+                slope = math.exp(-away / ring[1])
+                thin = math.exp(-0.5 * ((away - 1.6 * ring[1]) / (0.25 * ring[1])) ** 2)
+                factor = 1.0 + ring[0] * (ring[2] * facing * slope - 0.5 * slope + 0.35 * thin)
+                for c in range(3):
+                    out[j, i, c] += factor * behind[j, i, c]
+            for c in range(3):
+                out[j, i, c] /= fine * fine
+    return out

@@ -1,0 +1,108 @@
+"""The robot before the camera: a clear printed housing, half in the liquid, with its magnet and the ring of a meniscus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.film.camera import Camera, crossing, refracted
+from sim.film.kernels import see_robot
+from sim.film.stage import Stage
+from smolbot.arrays import FloatArray
+from smolbot.robotfile import RobotConfig
+from smolbot.rotations import matrix_from_quaternion
+
+FINE = 3  # rays per pixel and direction
+AROUND = 2.2e-3  # m beyond the housing that its meniscus reaches
+BLADE = np.array([0.03e-3, 0.1e-3, 1.6e-3])  # half sides of the cantilever, m; thicker than steel, so that it is seen
+CLEAR = 2.6e-3  # m of resin that leave 1/e of the light
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """A robot as it was printed and put down.
+
+    Attributes
+    ----------
+    center, half : ndarray, shape (3,), in m
+        Middle of the housing from the rotation centre, and half its sides, body frame.
+    magnet_center, magnet_half : ndarray, shape (3,), in m
+        The magnet at rest, seen from the rotation centre.
+    resin : ndarray, shape (3,)
+        Colour, BGR.
+    ring : ndarray, shape (3,)
+        Strength, width (m) of the meniscus, and how one-sided its light is.
+    """
+
+    center: FloatArray
+    half: FloatArray
+    magnet_center: FloatArray
+    magnet_half: FloatArray
+    resin: FloatArray
+    ring: FloatArray
+
+    def boxes(self, position: FloatArray, rotation: FloatArray) -> FloatArray:
+        """Middles (world, m) and half sides of housing, magnet and blade, shape (3, 2, 3)."""
+        blade = np.array([0.0, 0.0, self.magnet_center[2] - BLADE[2]])
+        middles = position + np.array([self.center, self.magnet_center, blade]) @ rotation.T
+        return np.stack([middles, np.array([self.half, self.magnet_half, BLADE])], axis=1)
+
+
+def draw_looks(rng: np.random.Generator, robot: RobotConfig, afloat: bool) -> Looks:
+    """Housing and magnet by the robot file, printed to 50 µm, with a colour and a meniscus of its own."""
+    half = 0.5 * (np.array(robot.size) + rng.normal(0.0, 50e-6, 3))
+    device = robot.device
+    return Looks(
+        np.array(robot.center), half,
+        np.array([*rng.normal(0.0, 0.05e-3, 2), device.l0]), np.array([0.45e-3, 0.45e-3, 0.5e-3]),
+        np.array([rng.uniform(80, 120), rng.uniform(150, 185), rng.uniform(190, 215)]),
+        np.array([rng.uniform(0.10, 0.22) if afloat else 0.0, rng.uniform(0.35, 0.6) * 1e-3, rng.uniform(0.3, 0.8)]),
+    )  # fmt: skip
+
+
+def region(camera: Camera, looks: Looks, position: FloatArray, rotation: FloatArray) -> tuple[int, int, int, int]:
+    """First and last column and row (u0, v0, u1, v1) that robot and meniscus may fill, within the picture."""
+    signs = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+    corners = position + (looks.center + signs * (looks.half + AROUND)) @ rotation.T
+    pixels = camera.project(corners)
+    low, high = np.floor(pixels.min(axis=0)).astype(int) - 4, np.ceil(pixels.max(axis=0)).astype(int) + 5
+    width, height = camera.size
+    u0, v0 = max(int(low[0]), 0), max(int(low[1]), 0)
+    return u0, v0, max(min(int(high[0]), width), u0), max(min(int(high[1]), height), v0)
+
+
+def paint(
+    frame: FloatArray, stage: Stage, camera: Camera, looks: Looks, position: FloatArray, orientation: FloatArray
+) -> tuple[int, int, int, int]:
+    """Paint the robot into `frame` (height, width, 3), in place; return the region (u0, v0, u1, v1) that it fills."""
+    rotation = matrix_from_quaternion(orientation)
+    u0, v0, u1, v1 = region(camera, looks, position, rotation)
+    width, height = u1 - u0, v1 - v0
+    if width < 1 or height < 1:
+        return u0, v0, u1, v1
+    frame[v0:v1, u0:u1] = see_robot(
+        frame[v0:v1, u0:u1].copy(), u0, v0, FINE, camera.lens, stage.surface, stage.index, rotation,
+        looks.boxes(position, rotation), looks.resin, CLEAR, looks.ring, stage.lamp, int(np.argmax(np.abs(rotation[2]))),
+    )  # fmt: skip
+    return u0, v0, u1, v1
+
+
+def shade(frame: FloatArray, stage: Stage, camera: Camera, looks: Looks, position: FloatArray) -> None:
+    """Darken `frame` in place where the robot's soft shadow falls on the floor."""
+    depth = position[2] - stage.floor
+    middle = np.array([*(position[:2] + depth * stage.lamp), stage.floor])
+    reach = float(np.max(looks.half)) + 3e-3
+    corners = middle + reach * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    pixels = camera.project(corners)
+    (u0, v0), (u1, v1) = pixels.min(axis=0).astype(int), pixels.max(axis=0).astype(int)
+    u0, v0, u1, v1 = max(u0, 0), max(v0, 0), min(u1, camera.size[0]), min(v1, camera.size[1])
+    if u1 <= u0 or v1 <= v0:
+        return
+    columns, rows = np.meshgrid(np.arange(u0, u1, dtype=float), np.arange(v0, v1, dtype=float))
+    rays = camera.rays(np.column_stack([columns.ravel(), rows.ravel()]))
+    wet = crossing(camera.place, rays, stage.surface)
+    ground = crossing(wet, refracted(rays, stage.index), stage.floor)
+    away = np.linalg.norm(ground[:, :2] - middle[:2], axis=1)
+    dark = 0.16 * np.exp(-0.5 * (away / (0.8 * float(np.mean(looks.half)))) ** 2) * stage.inside(ground)
+    frame[v0:v1, u0:u1] *= (1.0 - dark).reshape(v1 - v0, u1 - u0, 1)

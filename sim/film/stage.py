@@ -1,0 +1,191 @@
+"""What stands still before the camera: plate with printed markers, container, liquid, uneven light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.film.camera import Camera
+from sim.film.kernels import see_empty
+from smolbot.arrays import BoolArray, FloatArray
+from smolbot.rigfile import RigConfig
+
+DICTIONARY = "4x4_50"
+SIDE = 8e-3  # of a marker's black square, in m
+QUIET = 1.2e-3  # white border around it
+WALL = 2e-3  # thickness of the container's walls
+GAP = 5e-3  # between wall and marker: seen from above, a wall hides some of the plate beside it
+PRINT = 24  # pixels of the printed plate per mm
+PRINT_ERROR = 50e-6  # m, of a marker's place; and a tenth of a degree
+RELIEF = 2  # rays per pixel and direction
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A printed marker: its number, its middle as it should be, where and how it truly lies (m, rad), on a post or not."""
+
+    number: int
+    center: tuple[float, float]
+    true_center: tuple[float, float]
+    turn: float
+    raised: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Container and plate, and how they are lit; lengths in m, world frame.
+
+    Attributes
+    ----------
+    center, half : ndarray, shape (2,)
+        Middle and half sides of the container's inside.
+    floor, surface, top : float
+        Heights of floor, liquid surface and wall.
+    index : float
+        Refractive index of what fills it.
+    markers : tuple of Marker
+    lamp : ndarray, shape (2,)
+        How far a shadow falls sideways, per metre of height.
+    tones : ndarray, shape (4, 3)
+        Colours (BGR, 0 to 255) of plate, ink, wall, and the tint of the liquid (a factor times 255).
+    shading : ndarray, shape (5,)
+        Of the light over the picture: slope right and down, falling off outwards, and where a lamp mirrors itself.
+    """
+
+    center: FloatArray
+    half: FloatArray
+    floor: float
+    surface: float
+    top: float
+    index: float
+    markers: tuple[Marker, ...]
+    lamp: FloatArray
+    tones: FloatArray
+    shading: FloatArray
+
+    @property
+    def span(self) -> float:
+        """Side of the square, in m, that a picture must hold."""
+        return 2.0 * float(np.max(np.abs([m.center for m in self.markers] - self.center))) + SIDE + 2.0 * QUIET
+
+    @property
+    def posts(self) -> FloatArray:
+        """Middle and half sides (m) of each post, shape (n, 6)."""
+        middle, half = 0.5 * (self.floor + self.surface), 0.5 * (self.surface - self.floor)
+        wide = 0.5 * SIDE + QUIET
+        rows = [[*m.center, middle, wide, wide, half] for m in self.markers if m.raised]
+        return np.array(rows).reshape(-1, 6)
+
+    def height_of(self, marker: Marker) -> float:
+        """z of a marker, in m."""
+        return self.surface if marker.raised else self.floor
+
+    def inside(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
+        """Which points (n, 2 or 3) lie over the container's floor, or within `margin` around it."""
+        away = np.abs(points[:, :2] - self.center) - margin
+        return np.asarray(np.all(away < self.half, axis=1))
+
+
+def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) -> Stage:
+    """The rig's container on a plate, printed and lit by hand: markers at its corners, and on posts at its sides.
+
+    The posts end at the liquid's surface: markers in two planes tell where the camera is, and those in the robot's own see it
+    without parallax. Print alone, all in one plane, leaves a camera's tilt unsure by half a degree.
+    """
+    section = rig.sections.container
+    center, half = 1e-3 * np.array(section.center_mm), 0.5e-3 * np.array(section.size_mm)
+    out = half + WALL + GAP + 0.5 * SIDE
+    markers = []
+    corners, sides = ((-1, 1), (1, 1), (1, -1), (-1, -1)), ((-1, 0), (0, 1), (1, 0), (0, -1))
+    for number, (sx, sy) in enumerate(corners + sides if posts else corners):
+        place = np.round(center + out * np.array([sx, sy]), 4)
+        true = place + rng.normal(0.0, PRINT_ERROR, 2)
+        markers.append(
+            Marker(number, (float(place[0]), float(place[1])), (float(true[0]), float(true[1])),
+                   float(np.radians(rng.normal(0.0, 0.1))), number >= len(corners))
+        )  # fmt: skip
+    light = rng.uniform(0.0, 2.0 * np.pi)
+    tones = np.array(
+        [
+            rng.uniform(150, 185) + rng.normal(0, 4, 3),
+            rng.uniform(25, 45) + rng.normal(0, 2, 3),
+            rng.uniform(95, 125) + rng.normal(0, 4, 3),
+            255.0 * np.array([0.90, 0.95, 0.96]),
+        ]
+    )
+    slope = rng.uniform(0.10, 0.25) * np.array([np.cos(light), np.sin(light)])
+    glare = rng.uniform(-0.25, 0.25, 2)
+    return Stage(
+        center, half, 1e-3 * section.floor_z_mm, 1e-3 * section.surface_z_mm,
+        1e-3 * (section.floor_z_mm + section.wall_height_mm),
+        1.34 if rig.sections.medium.yield_stress_pa > 0 else 1.47,  # gel is water; glycerol
+        tuple(markers), rng.uniform(0.2, 0.4) * np.array([np.cos(light), np.sin(light)]), tones,
+        np.array([*slope, rng.uniform(0.1, 0.2), *glare]),
+    )  # fmt: skip
+
+
+Sheet = npt.NDArray[np.float32]
+
+
+def printed_sheets(stage: Stage, rng: np.random.Generator) -> tuple[Sheet, Sheet, FloatArray]:
+    """The plate and the posts' tops from straight above, (n, n, 3), and their lower left corner (2,) in m.
+
+    Row 0 is the lowest y.
+    """
+    import cv2
+
+    reach = 0.5 * stage.span + 12e-3
+    low = stage.center - reach
+    n = int(2e3 * reach * PRINT)
+    grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (n, n)).astype(np.float32), (0, 0), 0.06 * PRINT)
+    blotches = cv2.resize(rng.normal(0.0, 1.0, (9, 9)).astype(np.float32), (n, n), interpolation=cv2.INTER_CUBIC)
+    tone = 1.0 + 0.012 * grain / grain.std() + 0.015 * blotches
+    plate = (stage.tones[0] * tone[:, :, None]).astype(np.float32)
+    caps = np.full_like(plate, 0.0)
+    caps[:] = stage.tones[0]
+    lines = 1e3 * (np.arange(n) / (1e3 * PRINT) + low[:, None])  # in mm
+    for axis in (0, 1):  # a faint grid of 10 mm, as on a cutting mat
+        near = np.abs((lines[axis] + 5.0) % 10.0 - 5.0)
+        ink = 1.0 - 0.12 * (near < 0.1)
+        ink = ink.astype(np.float32)
+        plate *= ink[None, :, None] if axis == 0 else ink[:, None, None]
+    for marker in stage.markers:
+        _print_marker(caps if marker.raised else plate, marker, low, stage.tones[1])
+    return plate, caps, low
+
+
+def _print_marker(sheet: Sheet, marker: Marker, low: FloatArray, ink: FloatArray) -> None:
+    import cv2
+
+    words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{DICTIONARY.upper()}"))
+    bits = cv2.aruco.generateImageMarker(words, marker.number, 60).astype(np.float64) / 255.0
+    reach = 0.5 * SIDE + QUIET
+    first = np.floor(1e3 * PRINT * (np.array(marker.true_center) - 1.5 * reach - low)).astype(int)
+    last = np.ceil(1e3 * PRINT * (np.array(marker.true_center) + 1.5 * reach - low)).astype(int)
+    columns, rows = np.meshgrid(np.arange(first[0], last[0]), np.arange(first[1], last[1]))
+    x = columns / (1e3 * PRINT) + low[0] - marker.true_center[0]
+    y = rows / (1e3 * PRINT) + low[1] - marker.true_center[1]
+    c, s = np.cos(marker.turn), np.sin(marker.turn)
+    right, down = c * x + s * y, s * x - c * y
+    paper = (np.abs(right) < reach) & (np.abs(down) < reach)
+    black = (np.abs(right) < 0.5 * SIDE) & (np.abs(down) < 0.5 * SIDE)
+    i = np.clip((60 * (down / SIDE + 0.5)).astype(int), 0, 59)
+    j = np.clip((60 * (right / SIDE + 0.5)).astype(int), 0, 59)
+    value = np.where(black, bits[i, j], 1.0)
+    patch = sheet[first[1] : last[1], first[0] : last[0]]
+    white = np.array([225.0, 228.0, 228.0])
+    patch[paper] = ink + value[paper, None] * (white - ink)
+
+
+def photograph(stage: Stage, camera: Camera, rng: np.random.Generator) -> FloatArray:
+    """The empty scene as the sensor would have it without noise and blur, (height, width, 3), in grey levels."""
+    plate, caps, low = printed_sheets(stage, rng)
+    width, height = camera.size
+    box = np.array([*stage.center, *stage.half, stage.floor, stage.surface, stage.top, WALL, stage.index])
+    return np.asarray(
+        see_empty(
+            1e3 * PRINT, width, height, camera.lens, box, plate, caps, low, stage.posts, stage.tones, stage.shading, RELIEF
+        )
+    )

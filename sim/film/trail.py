@@ -1,0 +1,64 @@
+"""Where a simulated robot truly was: the trail that a run has left, as the camera films it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smolbot.anymission import AnyMission
+from smolbot.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.recording.reader import read_run
+
+
+@dataclass(frozen=True, eq=False)
+class Trail:
+    """True poses in order of time.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,), in s
+        On the run's clock.
+    positions : ndarray, shape (n, 3), in m
+        The cantilever's rotation centre, world frame.
+    orientations : ndarray, shape (n, 4)
+        Unit quaternions, scalar first, of the same sign from row to row.
+    """
+
+    times: FloatArray
+    positions: FloatArray
+    orientations: FloatArray
+
+    def __post_init__(self) -> None:
+        turned = self.orientations.copy()
+        for i in range(1, len(turned)):  # q and -q are the same turn
+            if turned[i] @ turned[i - 1] < 0:
+                turned[i] *= -1.0
+        object.__setattr__(self, "orientations", turned)
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions (n, 3) and orientations (n, 4) at `times`, straight between rows, at rest before and after."""
+        places = np.column_stack([np.interp(times, self.times, column) for column in self.positions.T])
+        turned = np.column_stack([np.interp(times, self.times, column) for column in self.orientations.T])
+        return places, turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def read_trail(run: str | Path) -> tuple[Trail, AnyMission]:
+    """The trail of a recorded run, its true poses when the device was heard and when each shot ended; and its mission.
+
+    Raises
+    ------
+    InputError, MissingFileError
+        If there is no record, or it holds no truth, as on a bench.
+    """
+    record = read_run(run)
+    known = [p for m in record.moments for p in (m.truth, m.truth_at_end) if p is not None]
+    if len(known) < 2:
+        raise InputError(f"{record.path}: holds no true poses; only a run in the simulated tank can be filmed.")
+    times = np.array([pose.time for pose in known])
+    order = np.argsort(times, kind="stable")
+    kept = order[np.concatenate([[True], np.diff(times[order]) > 1e-9])]
+    trail = Trail(times[kept], np.array([known[i].position for i in kept]), np.array([known[i].orientation for i in kept]))
+    return trail, record.mission()

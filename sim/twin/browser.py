@@ -1,0 +1,129 @@
+"""A headless browser on a console's page, and its clock held against the machine's."""
+
+from __future__ import annotations
+
+import shutil
+import stat
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
+
+OPTIONS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--no-proxy-server",
+)  # fmt: skip
+
+LOOKS = 15
+"""Looks at the page's clock; the quickest one counts."""
+
+
+def missing() -> str:
+    """Why there is no browser; empty where there is one."""
+    gone = [path for path in (CHROMIUM, DRIVER) if not Path(path).is_file()]
+    try:
+        import selenium  # noqa: F401
+    except ImportError:
+        gone.append("selenium")
+    return f"{', '.join(gone)} is missing (make system-deps)" if gone else ""
+
+
+class Browser:
+    """Chromium without a display, and without the rights to go before others, as a user's would be.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the window, in pixels. What is drawn by software costs a processor.
+    """
+
+    def __init__(self, width: int = 1600, height: int = 1000) -> None:
+        from selenium import webdriver
+        from selenium.webdriver.chrome.options import Options
+        from selenium.webdriver.chrome.service import Service
+
+        self._profile = Path(tempfile.mkdtemp(prefix="smolbot-browser-"))
+        options = Options()
+        options.binary_location = CHROMIUM
+        for option in (*OPTIONS, f"--user-data-dir={self._profile / 'profile'}", f"--window-size={width},{height}"):
+            options.add_argument(option)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(str(self._humble())))
+
+    def _humble(self) -> Path:
+        """A driver that cannot raise its priority, where root runs it: chromium would go before the mission."""
+        path = self._profile / "driver"
+        drop = "setpriv --bounding-set=-sys_nice --inh-caps=-sys_nice " if shutil.which("setpriv") else ""
+        path.write_text(f'#!/bin/sh\nexec nice -n 5 {drop}{DRIVER} "$@"\n', encoding="utf-8")
+        path.chmod(path.stat().st_mode | stat.S_IXUSR)
+        return path
+
+    def open(self, address: str, timeout: float = 60.0) -> None:
+        """Load a page, until its bar has heard of the console."""
+        self.driver.get(address)
+        end = time.monotonic() + timeout
+        while self.text("state") in ("", "NO CONTACT"):
+            if time.monotonic() > end:
+                raise TimeoutError(f"The page at {address} has heard nothing within {timeout:g} s.")
+            time.sleep(0.1)
+
+    def text(self, name: str) -> str:
+        """What stands in the element of that id."""
+        found = self.driver.execute_script("return document.getElementById(arguments[0])?.textContent || ''", name)
+        return str(found)
+
+    def until(self, name: str, texts: tuple[str, ...], timeout: float = 60.0) -> str:
+        """Wait until one of `texts` stands in an element; that text."""
+        end = time.monotonic() + timeout
+        while (found := self.text(name)) not in texts:
+            if time.monotonic() > end:
+                raise TimeoutError(f"#{name} says '{found}', and none of {', '.join(texts)} within {timeout:g} s.")
+            time.sleep(0.1)
+        return found
+
+    def clock(self) -> tuple[float, float]:
+        """What must be added to the page's times (s) to have the machine's monotonic clock, and how sure that is."""
+        best = (0.0, float("inf"))
+        for _ in range(LOOKS):
+            before = time.monotonic()
+            told = 1e-3 * float(self.driver.execute_script("return performance.now()"))
+            after = time.monotonic()
+            if after - before < best[1]:
+                best = (0.5 * (before + after) - told, after - before)
+        return best[0], 0.5 * best[1]
+
+    def watch_clicks(self, *, then_leave: bool = False) -> None:
+        """Note when the button was pressed, before anything else hears of it; and leave the page right after."""
+        self.driver.execute_script(
+            "addEventListener('pointerdown', (event) => localStorage.setItem('pressed', event.timeStamp), true);"
+            + ("addEventListener('pointerdown', () => location.replace('about:blank'));" if then_leave else "")
+        )
+
+    def press_stop(self) -> None:
+        """A real click on STOP, by the driver."""
+        from selenium.webdriver.common.action_chains import ActionChains
+        from selenium.webdriver.common.by import By
+
+        ActionChains(self.driver, duration=0).click(self.driver.find_element(By.ID, "stop")).perform()
+
+    def pressed(self) -> float:
+        """When that was, in s on the clock of the page in which it was."""
+        return 1e-3 * float(self.driver.execute_script("return localStorage.getItem('pressed')"))
+
+    def complaints(self) -> list[str]:
+        """Errors that the page's scripts have logged."""
+        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+    def close(self) -> None:
+        """End the browser."""
+        self.driver.quit()
+        shutil.rmtree(self._profile, ignore_errors=True)
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()

@@ -1,0 +1,1 @@
+"""The page that shows missions and stops them, in a process of its own."""

@@ -1,0 +1,1 @@
+"""What a camera saw: a robot's track in a top-view video, its errors against poses, and a cantilever's swing."""

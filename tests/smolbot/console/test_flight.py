@@ -1,0 +1,86 @@
+"""What the page knows of a run is what its record says, at its end and at every time before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smolbot.console.bar import state_of, told
+from smolbot.console.figures import SHOWN, series, table, thinned
+from smolbot.console.flight import Flight
+from smolbot.console.runs import read_flight, runs_in
+from smolbot.errors import InputError
+from smolbot.recording.reader import read_run
+
+
+@pytest.fixture(scope="module")
+def flight(runs: Path) -> Flight:
+    return read_flight(runs / "line")
+
+
+def test_every_cycle_of_the_record_is_there(flight: Flight, runs: Path) -> None:
+    recorded = read_run(runs / "line")
+    cycles = [moment.cycle for moment in recorded.moments]
+    believed = np.array([1e3 * c.tracked.position for c in cycles if c.tracked is not None])
+    assert np.array_equal(flight.tracked.values()[:, :3], believed)
+    assert np.array_equal(flight.cycles.times(), [c.ended for c in cycles])
+    run = recorded.run()
+    assert run.true_trail is not None
+    assert np.allclose(flight.true.values(), 1e3 * run.true_trail)
+    assert flight.ending is not None
+    assert (flight.ending.status, flight.ending.reason) == (run.status, run.stop_reason)
+
+
+def test_heat_of_the_coils_is_what_the_flight_reckoned(flight: Flight, runs: Path) -> None:
+    peaks = read_run(runs / "line").run().safety["coil_temperature_peak_c"]
+    assert isinstance(peaks, dict)
+    shown = flight.heat.values().max(axis=0)
+    assert shown == pytest.approx([peaks[name] for name in flight.heated], abs=0.05)
+
+
+def test_a_look_back_shows_only_what_was_known_then(flight: Flight) -> None:
+    middle = 0.5 * (flight.cycles.times()[0] + flight.latest)
+    assert 0 < flight.cycles.until(middle) < len(flight.cycles)
+    for times, _ in series(flight, middle).values():
+        assert len(times) == 0 or times[-1] <= middle
+    assert told(flight, False, "", middle)["state"] not in ("TIMEOUT", "COMPLETED")
+    assert told(flight, False, "")["state"] == flight.ending.status.upper()  # type: ignore[union-attr]
+
+
+def test_a_flight_of_which_nothing_came_yet_can_be_looked_at() -> None:
+    empty = Flight("m")
+    assert state_of(empty)[0] == "STARTING"
+    assert told(empty, True, "")["error"] == "–"
+    assert table(empty, None).startswith("<table")
+    assert all(len(times) == 0 for times, _ in series(empty, None).values())
+
+
+def test_thinning_keeps_the_last_point() -> None:
+    times = np.arange(12345.0)
+    thin, values = thinned(times, times[:, None])
+    assert thin[-1] == times[-1]
+    assert len(thin) <= SHOWN
+    assert np.array_equal(thin, values[:, 0])
+
+
+def test_runs_are_found_by_their_record(runs: Path, tmp_path: Path) -> None:
+    assert runs_in(runs) == ["line"]
+    assert runs_in(tmp_path) == []
+
+
+def test_what_is_no_record_is_one_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(b"not at all")
+    with pytest.raises(InputError, match=r"is no MCAP file"):
+        read_flight(tmp_path)
+
+
+def test_a_record_that_was_cut_short_shows_what_is_in_it(runs: Path, tmp_path: Path, flight: Flight) -> None:
+    whole = (runs / "line" / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    cut = read_flight(tmp_path)
+    n = len(cut.cycles)
+    assert 0 < n < len(flight.cycles)
+    assert np.array_equal(cut.cycles.values(), flight.cycles.values()[:n], equal_nan=True)
+    assert cut.ending is None

@@ -1,0 +1,314 @@
+"""The link between a mission and its console: who is let in, what an order does, and what a lost console does."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from smolbot.latch import Latch
+from smolbot.live import feed as feeding
+from smolbot.live.consoles import Console, new_secret, read, running, write_down
+from smolbot.live.feed import CONSOLE, Feed
+from smolbot.live.frames import LONGEST, Kind, LinkError, frame, message, parse_message
+from smolbot.live.gate import STRANGERS, Gate, Line, stop_through
+from smolbot.live.handshake import GREETING
+from smolbot.pausing import Pause
+
+
+@dataclass
+class Heard:
+    """Stands where the page does."""
+
+    lines: list[Line] = field(default_factory=list)
+    messages: list[tuple[str, int, bytes]] = field(default_factory=list)
+    gone: list[str] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+    news: threading.Condition = field(default_factory=threading.Condition)
+
+    def joined(self, line: Line) -> None:
+        self._note(self.lines, line)
+
+    def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None:
+        self._note(self.messages, (topic, time_ns, data))
+
+    def stopped(self, line: Line) -> None:
+        pass
+
+    def left(self, line: Line, why: str) -> None:
+        self._note(self.gone, why)
+
+    def tell(self, line: str) -> None:
+        self._note(self.told, line)
+
+    def _note(self, where: list[Any], what: Any) -> None:
+        with self.news:
+            where.append(what)
+            self.news.notify_all()
+
+    def wait(self, until: Callable[[], object]) -> None:
+        with self.news:
+            assert self.news.wait_for(until, 20.0)
+
+
+@dataclass
+class Mission:
+    """Stands where the loop does: halts are counted, and waited for."""
+
+    latch: Latch = field(default_factory=Latch)
+    pause: Pause = field(default_factory=Pause)
+    halted: threading.Event = field(default_factory=threading.Event)
+
+    def __post_init__(self) -> None:
+        self.latch.bind(self.halted.set)
+
+
+@pytest.fixture
+def heard() -> Heard:
+    return Heard()
+
+
+@pytest.fixture
+def console(heard: Heard, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Gate, Console]]:
+    """An open gate, and how it is written down."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    secret = new_secret()
+    gate = Gate(secret, heard, lambda asked: _stop_all(gate, asked), heard.tell)
+    yield gate, Console(1, gate.port, secret, "http://127.0.0.1:1/", 1, str(tmp_path))
+    gate.close()
+
+
+def _stop_all(gate: Gate, asked: str) -> list[dict[str, Any]]:
+    told = []
+    for line in gate.lines:
+        line.order(Kind.STOP, asked)
+        line.answered.wait(20.0)
+        told.append({"mission": line.about["mission"], "stopped": line.stopped is not None})
+    return told
+
+
+@pytest.fixture
+def mission() -> Mission:
+    return Mission()
+
+
+@pytest.fixture
+def flown(console: tuple[Gate, Console], mission: Mission, heard: Heard) -> Iterator[Feed]:
+    """A mission that has joined."""
+    feed = Feed(console[1].connect(), {"mission": "m", "process": 7}, mission.latch, mission.pause)
+    feed.begin()
+    heard.wait(lambda: heard.lines)
+    yield feed
+    feed.end()
+
+
+def test_messages_arrive_whole_and_in_order(flown: Feed, heard: Heard) -> None:
+    sent = [("/timing", k, bytes([k]) * k) for k in range(200)]
+    for each in sent:
+        flown.put(*each)
+    heard.wait(lambda: len(heard.messages) == len(sent))
+    assert heard.messages == sent
+    assert flown.dropped == 0
+
+
+def test_stop_shuts_the_latch_and_halts_in_the_thread_that_hears_it(
+    console: tuple[Gate, Console], flown: Feed, mission: Mission
+) -> None:
+    with console[1].connect() as sock:
+        told = stop_through(sock, "a test", 20.0)
+    assert told == [{"mission": "m", "stopped": True}]
+    assert mission.halted.is_set()
+    assert (mission.latch.reason, mission.latch.ending) == (CONSOLE, "stopped")
+
+
+def test_pause_and_resume_reach_the_loop(flown: Feed, mission: Mission, heard: Heard) -> None:
+    held = threading.Event()
+    mission.pause.hold = held.set  # type: ignore[method-assign]
+    heard.lines[0].order(Kind.PAUSE)
+    assert held.wait(20.0)
+    resumed = threading.Event()
+    mission.pause.resume = resumed.set  # type: ignore[method-assign]
+    heard.lines[0].order(Kind.RESUME)
+    assert resumed.wait(20.0)
+    assert not mission.latch.is_shut
+
+
+@pytest.mark.parametrize("how", ["closed", "good-bye", "garbage"])
+def test_a_console_that_goes_stops_the_mission(how: str, flown: Feed, mission: Mission, heard: Heard) -> None:
+    sock = heard.lines[0]._sock
+    if how == "closed":
+        sock.shutdown(socket.SHUT_RDWR)  # what the system does to a process that was killed
+    elif how == "good-bye":
+        heard.lines[0].order(Kind.BYE)
+    else:
+        sock.sendall(b"\xff" * 64)
+    assert mission.halted.wait(20.0)
+    assert mission.latch.reason.startswith("the console is gone")
+    assert mission.latch.ending == "failed"
+
+
+def test_a_console_that_says_nothing_any_more_stops_the_mission(
+    console: tuple[Gate, Console], mission: Mission, heard: Heard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feeding, "SILENCE", 0.2)
+    feed = Feed(console[1].connect(), {"mission": "m"}, mission.latch, mission.pause)
+    feed.begin()
+    heard.wait(lambda: heard.lines)  # a page that beats no more: nobody calls gate.beat()
+    assert mission.halted.wait(20.0)
+    assert "no sign of life" in mission.latch.reason
+    feed.end()
+
+
+def test_signs_of_life_keep_a_mission_going(
+    console: tuple[Gate, Console], mission: Mission, heard: Heard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feeding, "SILENCE", 0.5)
+    feed = Feed(console[1].connect(), {"mission": "m"}, mission.latch, mission.pause)
+    feed.begin()
+    heard.wait(lambda: heard.lines)
+    over = threading.Event()
+    for _ in range(15):
+        console[0].beat()
+        over.wait(0.1)
+    assert not mission.latch.is_shut
+    feed.end()
+    heard.wait(lambda: heard.gone)
+    assert heard.gone == [""]  # it said good-bye
+    assert not mission.latch.is_shut
+
+
+def test_a_queue_that_is_full_drops_and_counts_and_never_waits(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feeding, "WAITING", 10)
+    ours, theirs = socket.socketpair()
+    feed = Feed(ours, {}, mission.latch, mission.pause)  # not begun: nothing takes from the queue
+    for k in range(25):
+        feed.put("/timing", k, b"x")
+    assert feed.dropped == 15
+    feed.end()
+    theirs.close()
+
+
+def _until_closed(sock: socket.socket) -> None:
+    with contextlib.suppress(ConnectionResetError), sock:  # what it sent was not even read
+        sock.shutdown(socket.SHUT_WR)
+        while sock.recv(4096):
+            pass
+
+
+def _strangers(port: int) -> Iterator[tuple[str, socket.socket]]:
+    def knock() -> socket.socket:
+        return socket.create_connection(("127.0.0.1", port), 20.0)
+
+    yield "port scan", knock()
+    for name, words in (
+        ("http", b"GET / HTTP/1.1\r\nHost: x\r\n\r\n" + b"x" * 200),
+        ("huge frame", struct.pack("!IB", 2**32 - 1, 2) + b"\0" * 200),
+        ("wrong secret", b"\0" * 64),
+        ("its own proof back", GREETING + b"\0" * 64),
+    ):
+        sock = knock()
+        sock.sendall(words)
+        yield name, sock
+
+
+def test_strangers_are_shown_the_door_and_the_mission_is_untouched(
+    console: tuple[Gate, Console], flown: Feed, mission: Mission, heard: Heard
+) -> None:
+    for number, (_, sock) in enumerate(_strangers(console[0].port), 1):
+        _until_closed(sock)
+        heard.wait(lambda number=number: len(heard.told) >= number)
+    assert all(line.startswith("A connection to the link was closed: ") for line in heard.told)
+    assert len(heard.told) == 5
+    flown.put("/timing", 1, b"still here")
+    heard.wait(lambda: heard.messages)
+    assert not mission.latch.is_shut
+    assert len(heard.lines) == 1
+
+
+def test_one_who_knows_the_secret_and_talks_nonsense_is_told_so(console: tuple[Gate, Console], heard: Heard) -> None:
+    for words in (frame(Kind.HELLO, b"not json"), frame(Kind.HELLO, b"[]"), struct.pack("!IB", 2**31, 1), frame(Kind.STOP)):
+        with console[1].connect() as sock:
+            sock.sendall(words)
+            _until_closed(sock)
+    heard.wait(lambda: len(heard.told) == 4)
+    assert "a frame of 2147483648 bytes; at most" in " ".join(heard.told)
+    assert not heard.lines
+
+
+def test_a_mission_whose_frames_are_too_long_is_cut_off_alone(
+    console: tuple[Gate, Console], flown: Feed, mission: Mission, heard: Heard
+) -> None:
+    with console[1].connect() as sock:
+        sock.sendall(frame(Kind.HELLO, b'{"role": "mission"}') + struct.pack("!IB", LONGEST + 1, 2))
+        heard.wait(lambda: heard.gone)
+    assert "at most" in heard.gone[0]
+    flown.put("/timing", 1, b"still here")
+    heard.wait(lambda: heard.messages)
+    assert not mission.latch.is_shut
+
+
+def test_a_crowd_of_strangers_keeps_no_mission_out_for_good(console: tuple[Gate, Console], heard: Heard) -> None:
+    crowd = [socket.create_connection(("127.0.0.1", console[0].port), 20.0) for _ in range(3 * STRANGERS)]
+    for sock in crowd:
+        sock.close()
+    heard.wait(lambda: len(heard.told) >= STRANGERS)
+    while True:  # the last strangers' places are given back as their threads end
+        try:
+            console[1].connect().close()
+        except LinkError:
+            continue
+        break
+
+
+def test_messages_cut_short_are_no_messages() -> None:
+    whole = message("/shots", 5, b"data")[5:]
+    assert parse_message(whole) == ("/shots", 5, b"data")
+    for cut in (0, 5, 9, 12):
+        with pytest.raises(LinkError):
+            parse_message(whole[:cut])
+
+
+def test_a_console_is_found_by_its_file_which_nobody_else_may_read(console: tuple[Gate, Console]) -> None:
+    path = write_down(console[1])
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert read(path) == console[1]
+    assert running() == [console[1]]
+
+
+def test_the_file_of_a_console_that_ended_is_cleared_away(console: tuple[Gate, Console]) -> None:
+    path = write_down(console[1])
+    console[0].close()
+    assert running() == []
+    assert not path.exists()
+
+
+def test_a_foreign_server_at_the_port_is_not_taken_for_a_console(console: tuple[Gate, Console]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        there = Console(1, server.getsockname()[1], new_secret(), "", 1, "")
+        threading.Thread(target=lambda: server.accept()[0].sendall(b"220 mail.example ESMTP\r\n"), daemon=True).start()
+        with pytest.raises(LinkError, match=r"no console answers there|closed"):
+            there.connect()
+
+
+def test_the_secret_is_never_sent(console: tuple[Gate, Console]) -> None:
+    said: list[bytes] = []
+
+    class Overheard(socket.socket):
+        def sendall(self, data: Any, *_: Any) -> None:
+            said.append(bytes(data))
+            super().sendall(data)
+
+    from smolbot.live.handshake import call
+
+    sock = Overheard()
+    sock.connect(("127.0.0.1", console[0].port))
+    call(sock, bytes.fromhex(console[1].secret))
+    sock.close()
+    assert said
+    assert bytes.fromhex(console[1].secret) not in b"".join(said)
