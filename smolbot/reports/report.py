@@ -15,6 +15,7 @@ from smolbot.reports.budgetsection import budget_section
 from smolbot.reports.figures import figures_table, number, verdict_table
 from smolbot.reports.flight import NO_SIGNALS, Flight
 from smolbot.reports.html import Section, badge, page, table, text, tiles
+from smolbot.reports.optical import optical_sections
 from smolbot.reports.origins import events_section, provenance_section
 from smolbot.reports.quiet import QuietNoise, heard_noise, quiet_recordings
 from smolbot.reports.residuals import windows_of
@@ -48,6 +49,7 @@ def report_of(flight: Flight) -> str:
         sections = [
             _verdict(flight),
             *_where(flight),
+            *optical_sections(flight),
             budget_section(flight),
             _machinery(flight),
             _cycle(flight),

@@ -18,9 +18,9 @@ from smolbot.flying import fly
 from smolbot.missionfile import load_mission
 from smolbot.records.folder import RunFolder
 from smolbot.reports import report
+from smolbot.reports.animation import make_animation
 from smolbot.reports.comparison import _same_kind, compare
 from smolbot.reports.comparisonpage import comparison_page
-from smolbot.reports.film import make_film
 from smolbot.reports.flight import NO_TRUTH, Flight
 from smolbot.reports.report import REPORT, report_of, save_report
 from smolbot.reports.settings import flattened
@@ -248,24 +248,24 @@ def test_another_robot_of_the_same_kind_is_another_robot(flight):
         _same_kind([flight, replace(flight, mission=foreign)])
 
 
-def test_a_film_has_its_length_and_says_its_speed(folder, tmp_path):
+def test_an_animation_has_its_length_and_says_its_speed(folder, tmp_path):
     from PIL import Image
 
-    made = make_film(folder, tmp_path / "run.gif", seconds=1.0, fps=5)
-    with Image.open(tmp_path / "run.gif") as film:
-        assert film.n_frames == 5
-        first = film.convert("RGB").tobytes()
-        film.seek(4)
-        assert film.convert("RGB").tobytes() != first
+    made = make_animation(folder, tmp_path / "run.gif", seconds=1.0, fps=5)
+    with Image.open(tmp_path / "run.gif") as shown:
+        assert shown.n_frames == 5
+        first = shown.convert("RGB").tobytes()
+        shown.seek(4)
+        assert shown.convert("RGB").tobytes() != first
     assert made.size == (tmp_path / "run.gif").stat().st_size < 200_000
     with pytest.raises(InputError, match=r"one of \.gif, \.mp4"):
-        make_film(folder, tmp_path / "run.avi")
+        make_animation(folder, tmp_path / "run.avi")
 
 
 def test_an_mp4_without_ffmpeg_is_one_clear_error(folder, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", "")
     with pytest.raises(InputError, match="needs ffmpeg"):
-        make_film(folder, tmp_path / "run.mp4")
+        make_animation(folder, tmp_path / "run.mp4")
 
 
 def test_settings_are_flattened_with_their_places():

@@ -1,4 +1,4 @@
-"""A short film of a run: path, robot, localized pose and currents as they went."""
+"""A short animation of a run: path, robot, localized pose and currents as they went."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _REST = 1.0  # s for which the last picture stays
 
 
 @dataclass(frozen=True)
-class Film:
+class Animation:
     """What was made: length in s, pictures a second, how many times faster than the run, bytes."""
 
     seconds: float
@@ -89,15 +89,15 @@ class Track:
         return found[:3], found[3:]
 
 
-def make_film(run: str | Path, path: Path, seconds: float = 10.0, fps: int = 12) -> Film:
-    """Film a recorded run.
+def make_animation(run: str | Path, path: Path, seconds: float = 10.0, fps: int = 12) -> Animation:
+    """Animation a recorded run.
 
     Parameters
     ----------
     path : Path
         ``.gif``, or ``.mp4`` where ffmpeg is installed.
     seconds : float
-        Length of the film; the run is shown as much faster as that takes.
+        Its length; the run is shown as much faster as that takes.
     fps : int
         Pictures a second.
 
@@ -109,7 +109,7 @@ def make_film(run: str | Path, path: Path, seconds: float = 10.0, fps: int = 12)
     _check(path)
     flight = Flight.read(run)
     if not flight.trace.moments:
-        raise InputError(f"{flight.record.path}: holds no whole cycle; there is nothing to film.")
+        raise InputError(f"{flight.record.path}: holds no whole cycle; there is nothing to show.")
     count = max(round(seconds * fps), 2)
     begin, end = _span(flight)
     speed = (end - begin) / ((count - 1) / fps)
@@ -122,13 +122,13 @@ def make_film(run: str | Path, path: Path, seconds: float = 10.0, fps: int = 12)
             else:
                 _write_mp4(path, scene, times, fps)
         except OSError as error:
-            raise InputError(f"{path}: the film cannot be written: {error}.") from error
-    return Film(count / fps, fps, speed, path.stat().st_size)
+            raise InputError(f"{path}: the animation cannot be written: {error}.") from error
+    return Animation(count / fps, fps, speed, path.stat().st_size)
 
 
 def _check(path: Path) -> None:
     if path.suffix.lower() not in KINDS:
-        raise InputError(f"{path}: a film is one of {', '.join(KINDS)}; got '{path.suffix}'.")
+        raise InputError(f"{path}: an animation is one of {', '.join(KINDS)}; got '{path.suffix}'.")
     if path.suffix.lower() == ".mp4":
         from matplotlib.animation import FFMpegWriter
 
