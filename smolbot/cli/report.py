@@ -20,7 +20,7 @@ OutOption = Annotated[
 ]
 AnimationOption = Annotated[
     Path | None,
-    typer.Option("--animate", help="Animation to make of one run: .gif, or .mp4 where ffmpeg is installed."),
+    typer.Option("--animate", help="Animation to make of one run: .gif, or .mp4 where ffmpeg is."),
 ]
 SecondsOption = Annotated[float, typer.Option(min=1.0, max=120.0, help="Length of the animation.")]
 RateOption = Annotated[int, typer.Option(min=1, max=60, help="Its pictures a second.")]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from smolbot.shots import Actuate
 
 @pytest.fixture(scope="module")
 def budget(flight):
-    return split(flight.steered, steps_of(flight.steered, flight.trace))
+    return split(flight.steered, steps_of(flight))
 
 
 def test_the_parts_of_every_step_add_up_to_its_error(budget):
@@ -84,6 +86,19 @@ def test_one_cause_alone_is_found_as_that_cause(flight, part):
     found = split(flight.steered, [Step(tracked, true, acting, expected, reached, part == "saturation", 1.0)])
     assert found.error[0] == pytest.approx(2e-4)
     assert found.shares[part] == pytest.approx(1.0)
+
+
+def test_a_missing_cycle_is_no_step(flight):
+    """Where the recorder dropped a cycle, nobody knows what was commanded in between."""
+    whole = steps_of(flight)
+    record = flight.record
+    moments, numbers = list(record.moments), list(record.number_of_cycle)
+    gone = len(moments) // 2
+    del moments[gone], numbers[gone]
+    broken = replace(record, moments=moments, number_of_cycle=numbers)
+    left = steps_of(replace(flight, record=broken, trace=broken.trace()))
+    assert len(left) == len(whole) - 2
+    assert {step.time for step in left} < {step.time for step in whole}
 
 
 def test_no_step_no_budget(flight):
