@@ -167,5 +167,7 @@ footer { color: var(--soft); font-size: 12.5px; margin-top: 30px; }
   body { font-size: 11px; } main { max-width: none; padding: 0; } nav { display: none; }
   section, figure, table, .tile { break-inside: avoid; } h2 { break-after: avoid; }
   details > *:not(summary) { display: block; }
+  details::details-content { content-visibility: visible; block-size: auto; }
+  .scroll { overflow: visible; }
 }
 """

@@ -72,8 +72,8 @@ def _warning(flight: Flight) -> str:
         )
     if record.recovered is not None and not record.recovered.ended:
         return (
-            "This record was recovered: the process was ended before it could say how the run ended. All figures are of "
-            f"the {flight.run.duration:.1f} s that had been written by then."
+            "This record was recovered: the process was ended before it could say how the run ended. All figures are "
+            f"of the {flight.run.duration:.1f} s that had been written by then."
         )
     if record.dropped:
         return f"The recorder could not take {record.dropped} messages: cycles are missing from this report."

@@ -13,6 +13,7 @@ from html.parser import HTMLParser
 
 import pytest
 
+from smolbot.cli.app import main
 from smolbot.errors import InputError
 from smolbot.flying import fly
 from smolbot.missionfile import load_mission
@@ -274,3 +275,39 @@ def test_settings_are_flattened_with_their_places():
         "rig.coils.1.name": '"b"',
         "rig.x": "[1, 2]",
     }
+
+
+def said(capsys, monkeypatch, *words):
+    """Exit code, standard output and standard error of the command line, in this process."""
+    monkeypatch.setattr(sys, "argv", ["smolbot", "report", *map(str, words)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    out, err = capsys.readouterr()
+    return end.value.code, out, err
+
+
+def test_the_command_writes_pages_and_speaks_json(folder, other, tmp_path, capsys, monkeypatch):
+    code, out, _ = said(capsys, monkeypatch, folder, "--out", tmp_path / "one.html", "--json")
+    assert code == 0
+    assert json.loads(out)["report"] == str(tmp_path / "one.html")
+    assert (tmp_path / "one.html").stat().st_size < 3e6
+    code, out, _ = said(capsys, monkeypatch, folder, other, "--out", tmp_path / "both.html", "--json")
+    assert code == 0
+    assert json.loads(out)["changed"]["seed"] == ["3", "4"]
+    assert (tmp_path / "both.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nowhere"], "nowhere: no such run"),
+        (["{run}", "--animate", "{run}/x.avi"], "an animation is one of .gif, .mp4"),
+        (["{run}", "{run}", "--animate", "x.gif"], "--animate shows one run; got 2"),
+    ],
+)
+def test_what_cannot_be_reported_ends_with_2_and_one_line(words, message, folder, capsys, monkeypatch):
+    code, out, err = said(capsys, monkeypatch, *(word.format(run=folder) for word in words))
+    assert code == 2
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
