@@ -99,7 +99,11 @@ def _cells(key: str, value: Any) -> str:
 
 def _number(key: str, value: Any) -> str:
     unit = unit_of(key)
-    said = "-" if value is None else f"{number(value)}{'' if unit in ('', '°') else ' '}{unit}"
+    if value is None:
+        said = "-"
+    else:
+        shown = f"{value:.4f}" if key.startswith("r_squared") else number(value)
+        said = f"{shown}{'' if unit in ('', '°') else ' '}{unit}"
     return f'<data data-key="{text(key)}" value="{text(value)}">{text(said)}</data>'
 
 

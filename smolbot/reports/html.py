@@ -164,6 +164,7 @@ header p.warning { color: #22262b; }
 .formula { font-family: "Cambria Math", "STIX Two Math", Georgia, serif; font-size: 16px; padding: 2px 0 2px 16px; }
 footer { color: var(--soft); font-size: 12.5px; margin-top: 30px; }
 @media print {
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
   body { font-size: 11px; } main { max-width: none; padding: 0; } nav { display: none; }
   section, figure, table, .tile { break-inside: avoid; } h2 { break-after: avoid; }
   details > *:not(summary) { display: block; }
