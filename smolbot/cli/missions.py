@@ -92,7 +92,9 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
-    live: Annotated[bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
