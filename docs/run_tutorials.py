@@ -275,7 +275,9 @@ def play(page: Path, folder: Path, *, show: bool = False) -> None:
                 raise TutorialError(step.line, f"'{step.text}' exits with {code}, not {step.code}:\n{printed}")
             if step.shown and not matches(step.shown, printed):
                 wanted = "\n".join(step.shown)
-                raise TutorialError(step.line, f"'{step.text}' prints\n{printed}\nand not, as the page shows,\n{wanted}")
+                raise TutorialError(
+                    step.line, f"'{step.text}' prints\n{printed}\nand not, as the page shows,\n{wanted}"
+                )
     finally:
         shell.close()
 
