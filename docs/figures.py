@@ -292,10 +292,11 @@ def bench() -> None:
     """The bench and its twin: the same calls end at other addresses."""
     figure, panel = axes(1, 1, (8.4, 3.4))
     places = {
-        "smolbot": (0.9, 1.5, 1.4, DARK), "NI client library": (3.1, 2.4, 1.9, DARK), "SCPI over a socket": (3.1, 1.5, 1.9, DARK),
-        "serial line": (3.1, 0.6, 1.9, DARK),
-        "PCIe-6363,\nrelays, coils": (5.9, 2.55, 1.7, RED), "power supply": (5.9, 1.6, 1.7, RED), "magnet stage": (5.9, 0.65, 1.7, RED),
-        "device server,\ncard model": (8.1, 2.55, 1.8, ORANGE), "supply model": (8.1, 1.6, 1.8, ORANGE), "firmware in an\nAVR simulator": (8.1, 0.65, 1.8, ORANGE),
+        "smolbot": (0.9, 1.5, 1.4, DARK), "NI client library": (3.1, 2.4, 1.9, DARK),
+        "SCPI over a socket": (3.1, 1.5, 1.9, DARK), "serial line": (3.1, 0.6, 1.9, DARK),
+        "PCIe-6363,\nrelays, coils": (5.9, 2.55, 1.7, RED), "power supply": (5.9, 1.6, 1.7, RED),
+        "magnet stage": (5.9, 0.65, 1.7, RED), "device server,\ncard model": (8.1, 2.55, 1.8, ORANGE),
+        "supply model": (8.1, 1.6, 1.8, ORANGE), "firmware in an\nAVR simulator": (8.1, 0.65, 1.8, ORANGE),
         "tank": (10.2, 1.6, 1.1, GREY),
     }  # fmt: skip
     boxes(panel, places)
