@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sim.study_picture import draw_bars, headline
 from smolbot.observationfile import Observation
-from smolbot.records.picture import PLANNED, TRUE
+from smolbot.records.ink import PLANNED, TRUE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

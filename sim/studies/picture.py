@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smolbot.records.picture import LOCATED, PLANNED, TRUE
+from smolbot.records.ink import LOCATED, PLANNED, TRUE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -92,7 +92,9 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
-    live: Annotated[bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")
+    ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
     json: JsonOption = False,
 ) -> None:
@@ -197,7 +199,7 @@ def _recovered(summary: dict[str, Any]) -> str:
     return ", ".join(f"{kind.replace('_', ' ')}: {times}" for kind, times in summary["recovered"].items() if times)
 
 
-def _not_recorded(recording: dict[str, Any]) -> str:
+def _not_recorded(recording: Any) -> str:
     """What the record lacks, and why; nothing where it lacks nothing.
 
     Examples

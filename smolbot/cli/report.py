@@ -1,4 +1,4 @@
-"""``report``: the page of a run, a comparison of several, a short film."""
+"""``report``: the page of a run, a comparison of several, a short animation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from smolbot.cli.missions import JsonOption
 from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import InputError
 
-
 RunsArgument = Annotated[
     list[Path], typer.Argument(help="Run folder, or its record; several are compared.", metavar="RUN …")
 ]
@@ -19,17 +18,18 @@ OutOption = Annotated[
     Path | None,
     typer.Option(help="Page to write; default: report.html in the run's folder, for several comparison.html here."),
 ]
-FilmOption = Annotated[
-    Path | None, typer.Option("--animate", help="Film to make of one run: .gif, or .mp4 where ffmpeg is installed.")
+AnimationOption = Annotated[
+    Path | None,
+    typer.Option("--animate", help="Animation to make of one run: .gif, or .mp4 where ffmpeg is."),
 ]
-SecondsOption = Annotated[float, typer.Option(min=1.0, max=120.0, help="Length of the film.")]
+SecondsOption = Annotated[float, typer.Option(min=1.0, max=120.0, help="Length of the animation.")]
 RateOption = Annotated[int, typer.Option(min=1, max=60, help="Its pictures a second.")]
 
 
 def report(
     runs: RunsArgument,
     out: OutOption = None,
-    animate: FilmOption = None,
+    animate: AnimationOption = None,
     seconds: SecondsOption = 10.0,
     fps: RateOption = 12,
     json: JsonOption = False,
@@ -37,7 +37,7 @@ def report(
     """Write the report of a run, or compare several: one page that needs no other file and no network."""
     if len(runs) > 1:
         if animate is not None:
-            raise InputError(f"--animate films one run; got {len(runs)}.")
+            raise InputError(f"--animate shows one run; got {len(runs)}.")
         _compare(runs, out, json)
     elif animate is not None:
         _animate(runs[0], animate, seconds, fps, json)
@@ -66,24 +66,21 @@ def _report(run: Path, out: Path | None, json: bool) -> None:
 
 def _compare(runs: list[Path], out: Path | None, json: bool) -> None:
     from smolbot.reports.comparison import compare
-    from smolbot.reports.comparisonpage import write_comparison
+    from smolbot.reports.comparisonpage import said, write_comparison
 
     found = compare(runs)
     path = write_comparison(found, out if out is not None else Path("comparison.html"))
-    rows = [
-        (figure.name, "   ".join(f"{e.value:.3g} ({e.low:.3g} to {e.high:.3g})" if e else "-" for e in figure.of_run))
-        for figure in found.figures
-    ]
+    rows = [(figure.name, "   ".join(map(said, figure.of_run))) for figure in found.figures]
     table(f"{', '.join(found.labels)}: value (95 % interval)", [*rows, ("page", str(path))], err=json)
     if json:
         echo_json(as_json({**found.as_dict(), "page": str(path)}))
 
 
 def _animate(run: Path, path: Path, seconds: float, fps: int, json: bool) -> None:
-    from smolbot.reports.film import make_film
+    from smolbot.reports.animation import make_animation
 
-    made = make_film(run, path, seconds, fps)
+    made = make_animation(run, path, seconds, fps)
     said = f"{made.seconds:.1f} s at {made.fps} pictures a second, {made.speed:.1f} times real time"
-    table(str(path), [("film", said), ("size", f"{made.size / 1e6:.2f} MB")], err=json)
+    table(str(path), [("animation", said), ("size", f"{made.size / 1e6:.2f} MB")], err=json)
     if json:
-        echo_json({"film": str(path), **made.as_dict()})
+        echo_json({"animation": str(path), **made.as_dict()})

@@ -22,7 +22,8 @@ from smolbot.arrays import FloatArray
 from smolbot.missionfile import Mission
 from smolbot.motion.gradient import advance
 from smolbot.poses import Pose
-from smolbot.records.trace import Moment, Trace
+from smolbot.records.trace import Moment
+from smolbot.reports.flight import Flight
 from smolbot.shots import Actuate, Window
 
 if TYPE_CHECKING:
@@ -146,20 +147,23 @@ def split(mission: Mission, steps: list[Step]) -> Budget | None:
     return Budget(np.array([step.time for step in steps]), arc, side * distance, parts)
 
 
-def steps_of(mission: Mission, trace: Trace) -> list[Step]:
-    """Every step of a run from the path's start on, where the truth is known at both ends.
+def steps_of(flight: Flight) -> list[Step]:
+    """Every step of a run from the path's start on, where the truth is known at both ends and no cycle is missing.
 
     A helix rests between pauses, so its steps are those from the last pose of a pause to the first of the next.
     """
-    moments = [moment for moment in trace.following if moment.cycle.tracked is not None]
-    screwed = mission.robot.kind == "helical"
-    if screwed:
+    mission = flight.steered
+    assert mission is not None
+    following = flight.trace.following
+    numbers = flight.record.number_of_cycle[len(flight.trace.moments) - len(following) :]
+    moments = [(i, m) for i, m in zip(numbers, following, strict=True) if m.cycle.tracked is not None]
+    if flight.helical:
         return _screwed(moments)
     setup = mission.setup()
     found = []
-    for before, after in pairwise(moments):
+    for (number, before), (next_number, after) in pairwise(moments):
         believed = before.cycle.tracked
-        if not _known(before, after) or believed is None:
+        if next_number != number + 1 or not _known(before, after) or believed is None:
             continue
         step = believed_step(setup.robot, setup.table, believed, after.cycle.shot.windows, setup.device.moment_in_body)
         if step is not None:
@@ -167,10 +171,12 @@ def steps_of(mission: Mission, trace: Trace) -> list[Step]:
     return found
 
 
-def _screwed(moments: list[Moment]) -> list[Step]:
+def _screwed(moments: list[tuple[int, Moment]]) -> list[Step]:
     """Steps over each mechanical shot; the tracker's own prediction through it is in the record."""
     found = []
-    for before, moved, after in zip(moments, moments[1:], moments[2:], strict=False):
+    for (number, before), (_, moved), (last, after) in zip(moments, moments[1:], moments[2:], strict=False):
+        if last != number + 2:
+            continue
         if moved.cycle.shot.listen is None and before.cycle.shot.listen is not None and _known(before, after):
             assert moved.cycle.tracked is not None
             found.append(_step(before, after, moved.cycle.tracked.position[:2]))

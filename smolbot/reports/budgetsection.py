@@ -45,7 +45,7 @@ def budget_section(flight: Flight) -> Section:
     mission = flight.steered
     if mission is None:
         return _of_poses(section, flight)
-    budget = split(mission, steps_of(mission, flight.trace))
+    budget = split(mission, steps_of(flight))
     if budget is None:
         return section.missing("The path was not reached, so there is no tracking error to take apart.")
     section.figure(

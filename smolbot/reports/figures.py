@@ -79,7 +79,7 @@ def number(value: float) -> str:
     """A number as people read it: three digits that matter."""
     if isinstance(value, bool | str):
         return str(value)
-    if isinstance(value, int) or abs(value) >= 1000:
+    if isinstance(value, int) or abs(value) >= 1000 or (abs(value) >= 100 and value == round(value)):
         return f"{value:.0f}"
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.1f}"
 
@@ -99,7 +99,11 @@ def _cells(key: str, value: Any) -> str:
 
 def _number(key: str, value: Any) -> str:
     unit = unit_of(key)
-    said = "-" if value is None else f"{number(value)}{'' if unit in ('', '°') else ' '}{unit}"
+    if value is None:
+        said = "-"
+    else:
+        shown = f"{value:.4f}" if key.startswith("r_squared") else number(value)
+        said = f"{shown}{'' if unit in ('', '°') else ' '}{unit}"
     return f'<data data-key="{text(key)}" value="{text(value)}">{text(said)}</data>'
 
 

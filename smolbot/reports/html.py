@@ -141,8 +141,9 @@ figcaption b { color: var(--text); font-weight: 600; }
 .badge.passed { background: #2e7d4f; }
 .badge.failed { background: #c0392b; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(116px, 1fr)); gap: 10px; margin: 16px 0 4px; }
-.tile { background: var(--panel); border: 1px solid var(--line); border-radius: 8px; padding: 10px 12px; }
-.tile .value { display: block; font-size: 22px; font-weight: 600; font-variant-numeric: tabular-nums; }
+.tile { background: var(--panel); border: 1px solid var(--line); border-radius: 8px; padding: 9px 10px; }
+.tile .value { display: block; font-size: 20px; font-weight: 600; white-space: nowrap;
+  font-variant-numeric: tabular-nums; }
 .tile .value small { font-size: 13px; font-weight: 400; color: var(--soft); margin-left: 4px; }
 .tile .what { color: var(--soft); font-size: 12.5px; line-height: 1.3; display: block; }
 .scroll { overflow-x: auto; }
@@ -163,8 +164,11 @@ header p.warning { color: #22262b; }
 .formula { font-family: "Cambria Math", "STIX Two Math", Georgia, serif; font-size: 16px; padding: 2px 0 2px 16px; }
 footer { color: var(--soft); font-size: 12.5px; margin-top: 30px; }
 @media print {
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
   body { font-size: 11px; } main { max-width: none; padding: 0; } nav { display: none; }
   section, figure, table, .tile { break-inside: avoid; } h2 { break-after: avoid; }
   details > *:not(summary) { display: block; }
+  details::details-content { content-visibility: visible; block-size: auto; }
+  .scroll { overflow: visible; }
 }
 """

@@ -15,6 +15,7 @@ from smolbot.reports.budgetsection import budget_section
 from smolbot.reports.figures import figures_table, number, verdict_table
 from smolbot.reports.flight import NO_SIGNALS, Flight
 from smolbot.reports.html import Section, badge, page, table, text, tiles
+from smolbot.reports.optical import optical_sections
 from smolbot.reports.origins import events_section, provenance_section
 from smolbot.reports.quiet import QuietNoise, heard_noise, quiet_recordings
 from smolbot.reports.residuals import windows_of
@@ -48,6 +49,7 @@ def report_of(flight: Flight) -> str:
         sections = [
             _verdict(flight),
             *_where(flight),
+            *optical_sections(flight),
             budget_section(flight),
             _machinery(flight),
             _cycle(flight),
@@ -68,6 +70,11 @@ def _warning(flight: Flight) -> str:
             f"This record is cut short: it ends after {flight.run.duration:.1f} s without saying how the run ended. "
             "All figures are of what was recorded until then."
         )
+    if record.recovered is not None and not record.recovered.ended:
+        return (
+            "This record was recovered: the process was ended before it could say how the run ended. All figures are "
+            f"of the {flight.run.duration:.1f} s that had been written by then."
+        )
     if record.dropped:
         return f"The recorder could not take {record.dropped} messages: cycles are missing from this report."
     return ""
@@ -79,7 +86,7 @@ def _lead(flight: Flight) -> list[str]:
     ended = f"{s['status']}: {s['stop_reason']}" if s["stop_reason"] else s["status"]
     return [
         *([told] if told else []),
-        f"{mission.robot.name} on {mission.rig.name}{label_of(s)}, seed {flight.seed}. {ended}.",
+        f"{mission.robot.name} on {mission.rig.name}{label_of(s)}, seed {flight.seed}. {ended[0].upper()}{ended[1:]}.",
     ]
 
 

@@ -125,12 +125,12 @@ def _swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: B
     tiny = 1e-3 * top
     rest = model(np.zeros(2))[used]
     columns = np.column_stack([(model(tiny * axis)[used] - rest).ravel() / tiny for axis in np.eye(2)])
-    first: FloatArray = np.linalg.lstsq(columns, (heard[used] - rest).ravel(), rcond=None)[0]
+    first: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - rest).ravel(), rcond=None)[0])
     swing: FloatArray = first * min(1.0, top / max(float(np.hypot(*first)), 1e-12))
     for _ in range(_ROUNDS):
         now = model(swing)[used]
         columns = np.column_stack([(model(swing + tiny * axis)[used] - now).ravel() / tiny for axis in np.eye(2)])
-        step: FloatArray = np.linalg.lstsq(columns, (heard[used] - now).ravel(), rcond=None)[0]
+        step: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - now).ravel(), rcond=None)[0])
         swing = swing + step
     return swing
 

@@ -12,7 +12,6 @@ from smolbot.observationfile import Observation
 from smolbot.poses import Pose
 from smolbot.records import helixpicture, observation_picture, picture
 from smolbot.records.ink import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
-
 from smolbot.records.summary import tracking_distance
 from smolbot.records.trace import Moment
 from smolbot.reports.flight import Flight

@@ -34,7 +34,7 @@ ACROSS = quaternion_from_axes(np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), "zx"
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     out = tmp_path_factory.mktemp("helix") / "run"
-    return run(LINE, "gel_blocked", seed=2, out=out), out
+    return run(LINE, "gel_blocked", seed=2, out=out, report=False), out
 
 
 def test_a_lump_is_got_over_by_backing_off_and_turning_slowly(flown):

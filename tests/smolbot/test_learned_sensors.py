@@ -75,7 +75,7 @@ def test_a_triangle_with_a_row_too_short_is_told(tmp_path):
 
 
 def test_a_flight_leaves_what_it_learned_and_the_next_one_starts_from_it(tmp_path):
-    first = run("line", seed=4, out=tmp_path / "one")
+    first = run("line", seed=4, out=tmp_path / "one", report=False)
     learned = [e for e in first.events if e.what == "array learned"]
     assert learned
     path = tmp_path / "one" / LEARNED
@@ -90,6 +90,7 @@ def test_a_flight_leaves_what_it_learned_and_the_next_one_starts_from_it(tmp_pat
 
 
 def test_nothing_is_learned_or_left_where_no_tolerance_is_given(tmp_path):
-    flown = run("line", seed=4, out=tmp_path / "one", **{f"rig__{k.replace('.', '__')}": v for k, v in OFF.items()})
+    off = {f"rig__{k.replace('.', '__')}": v for k, v in OFF.items()}
+    flown = run("line", seed=4, out=tmp_path / "one", report=False, **off)
     assert not [e for e in flown.events if e.what == "array learned"]
     assert not (tmp_path / "one" / LEARNED).exists()
