@@ -82,8 +82,12 @@ def _hdf5(run: RecordedRun, path: Path, with_samples: bool) -> None:
         found = tables(run)
         if with_samples:
             found["recordings"], field = samples(run)
-            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if field.size else {}
-            file.create_dataset("field_t", data=field, **packed)
+            packed: dict[str, Any] = {
+                "compression": "gzip",
+                "compression_opts": 4,
+                "chunks": (min(len(field), 8192), 1),
+            }
+            file.create_dataset("field_t", data=field, **(packed if field.size else {}))
             file["field_t"].attrs["about"] = "(samples, sensors), in T: recording k has rows first to first + samples"
         for name, table in found.items():
             group = file.create_group(name)
