@@ -6,12 +6,13 @@ STAMP := $(VENV)/.set-up
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup mission test lint types imports slow benchmark proto system-deps clean
+.PHONY: help setup mission test lint types imports docs tutorials figures slow benchmark proto system-deps clean
 
 help:
 	@echo "make mission    set up, then fly the R-path mission in the simulated tank"
 	@echo "make test       set up, then run the tests"
 	@echo "make lint types imports    style, types, import rules"
+	@echo "make docs       the documentation, in build/docs    make tutorials [PAGE=my_own_path]    every command of it"
 	@echo "make slow       the long checks       make benchmark    speeds, as ratios"
 
 setup: $(STAMP)
@@ -42,6 +43,17 @@ types: setup
 
 imports: setup
 	$(BIN)/lint-imports
+
+docs: setup
+	$(BIN)/sphinx-build -W --keep-going -q -b html -d build/doctrees docs build/docs
+	@echo "Open build/docs/index.html"
+
+# All pages, or PAGE=name; the one that needs an idle machine only by its name.
+tutorials: setup
+	$(BIN)/python docs/run_tutorials.py $(if $(PAGE),$(PAGE),--quick)
+
+figures: setup
+	$(BIN)/python docs/figures.py $(NAME)
 
 slow: setup
 	$(BIN)/python -m pytest -n auto -m "slow and not realtime"

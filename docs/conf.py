@@ -54,6 +54,8 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|npt|collections|pathlib|os|typing|concurrent|dict\[str)(\..*)?"),
 ]
 
+smartquotes = False
+
 html_theme = "furo"
 html_title = "smolbot"
 html_static_path = ["_static"]

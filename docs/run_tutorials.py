@@ -4,16 +4,16 @@
 
 What a page's fenced blocks mean:
 
-- ``console``: lines after ``$ `` are commands for one bash per page. What is shown below a command must be what it prints;
-  ``…`` stands for anything within a line, a line of ``…`` for any lines, and a number with a decimal point for any within
-  half of its size, as the figures of a flight differ from machine to machine. A command must exit with 0, or with N where
-  ``# exits with N`` stands behind it. Without shown output only the exit code counts.
+- ``console``: lines after ``$ `` are commands for one bash per page. What is shown below a command must be what it
+  prints; ``…`` stands for anything within a line, a line of ``…`` for any lines, and a number with a decimal point for
+  any within half of its size, as the figures of a flight differ from machine to machine. A command must exit with 0, or
+  with N where ``# exits with N`` stands behind it. Without shown output only the exit code counts.
 - ``{code-block} LANGUAGE`` with ``:caption: FILE``: a file that the reader writes.
 - ``{code-block} diff`` with ``:caption: FILE``: a change to a file; its old lines must stand there exactly once.
 - ``sh``, ``text``: to read only. Any other block is an error.
 
-A page with ``slow_tutorial: true`` in its front matter is left out by ``--quick``. `pip install` reaches a layer of its own over the
-environment that runs this, so that nothing of a tutorial is left in it.
+A page with ``slow_tutorial: true`` in its front matter is left out by ``--quick``. `pip install` reaches a layer of its
+own over the environment that runs this, so that nothing of a tutorial is left in it.
 """
 
 from __future__ import annotations
@@ -185,8 +185,8 @@ class Shell:
 
     def __init__(self, folder: Path, path: str) -> None:
         environment = {
-            **os.environ, "PATH": path, "COLUMNS": "100", "NO_COLOR": "1", "PS1": "", "HOME": str(folder.parent / "home"),
-            "PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PYTHONWARNINGS": "ignore",
+            **os.environ, "PATH": path, "HOME": str(folder.parent / "home"), "NO_COLOR": "1", "PYTHONWARNINGS": "ignore",
+            "PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1",
         }  # fmt: skip
         environment.pop("VIRTUAL_ENV", None)
         environment.setdefault("SMOLBOT_CACHE", str(Path.home() / ".cache" / "smolbot"))
@@ -275,7 +275,9 @@ def play(page: Path, folder: Path, *, show: bool = False) -> None:
                 raise TutorialError(step.line, f"'{step.text}' exits with {code}, not {step.code}:\n{printed}")
             if step.shown and not matches(step.shown, printed):
                 wanted = "\n".join(step.shown)
-                raise TutorialError(step.line, f"'{step.text}' prints\n{printed}\nand not, as the page shows,\n{wanted}")
+                raise TutorialError(
+                    step.line, f"'{step.text}' prints\n{printed}\nand not, as the page shows,\n{wanted}"
+                )
     finally:
         shell.close()
 

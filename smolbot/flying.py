@@ -36,7 +36,7 @@ from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
 from smolbot.recording.pump import Pump, Tapes
 from smolbot.recording.recorder import Recorder, begin_message, end_message
-from smolbot.records.folder import RunFolder, provenance
+from smolbot.records.folder import PICTURE, RunFolder, provenance
 from smolbot.records.outcome import draw, sum_up
 from smolbot.records.trace import Trace
 from smolbot.safety import Rules, Safety
@@ -193,6 +193,7 @@ class _Flight:
         self.pause = pause
         self.drawn: dict[str, Any] = {}
         self.trace = Trace(None)
+        self.told = 0
         self.tapes: Tapes = Tapes(())
 
     def fly(
@@ -243,6 +244,7 @@ class _Flight:
         if self.folder is not None:
             self.folder.record(moment)
         self.tapes.cycle(len(self.trace.moments) - 1, moment)
+        self.told = len(self.trace.moments)
 
     def _settle(self, loop: Loop) -> None:
         """Sum up a flight, however it ended, and complete its folder."""
@@ -253,17 +255,23 @@ class _Flight:
             if folder is not None:
                 for moment in trace.moments[folder.rows :]:
                     folder.record(moment)
+            for number in range(self.told, len(trace.moments)):
+                self.tapes.cycle(number, trace.moments[number])
         flown.true_trail = trace.true_positions() if trace.knows_truth else None
         flown.folder = str(folder.path) if folder is not None else None
         self.tapes.tell("/run/end", flown.duration, end_message(flown), wait=True)
         self.tapes.close()
         flown.summary = sum_up(self.mission, flown, trace, self.seed, self.drawn)
         if folder is not None:
-            flown.summary["recording"] = self.tapes.figures()
-            if loop.array_filter is not None and loop.array_filter.recordings:
-                write_sensors(folder.path / LEARNED, learned_sensors(self.mission, loop.array_filter))
-            folder.end(flown.summary)
-            draw(self.mission, flown, trace, folder.path / "path.png")
+            figures = self.tapes.figures()
+            flown.summary["recording"] = {**figures, "error": figures["error"] or folder.error}
+            try:
+                if loop.array_filter is not None and loop.array_filter.recordings:
+                    write_sensors(folder.path / LEARNED, learned_sensors(self.mission, loop.array_filter))
+                folder.end(flown.summary)
+                draw(self.mission, flown, trace, folder.path / PICTURE)
+            except OSError as error:
+                raise InputError(f"{folder.path}: the run's folder cannot be completed: {error}.") from error
 
 
 def make_loop(

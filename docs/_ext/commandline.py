@@ -40,7 +40,7 @@ def _sections(command: Any, name: str, parent: Any) -> list[nodes.Node]:
             for section in _sections(command.get_command(context, inner), inner, context)
         ]
     section = nodes.section(ids=[nodes.make_id(path)], names=[path])
-    section += nodes.title("", "", nodes.literal(text=path))
+    section += nodes.title(text=path)
     for paragraph in (command.help or "").split("\n\n"):
         section += nodes.paragraph(text=" ".join(paragraph.split()))
     usage = " ".join([path, *command.collect_usage_pieces(context)])

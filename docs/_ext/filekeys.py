@@ -165,9 +165,7 @@ class FileKeys(SphinxDirective):
         """The table of one section, then those of the sections in it."""
         found: list[nodes.Node] = self._targets(part.get("title", ""))
         told = NumpyDocString(part.get("description", ""))
-        meanings = {
-            key.strip(): " ".join(item.desc) for item in told["Attributes"] for key in item.name.split(",")
-        }
+        meanings = {key.strip(): " ".join(item.desc) for item in told["Attributes"] for key in item.name.split(",")}
         if title:
             shown = f"[[{title}]]" if many else f"[{title}]"
             found.append(nodes.rubric("", "", nodes.literal(text=shown), classes=["section-of-file"]))
@@ -187,7 +185,9 @@ class FileKeys(SphinxDirective):
             said = [meanings.get(key, "")]
             if given := example.of(title, key):
                 said.append(f"{source}: {given}")
-            rows.append((key, unit_of(key), schema.value(property_), shown, ". ".join(s.rstrip(".") for s in said if s)))
+            rows.append(
+                (key, unit_of(key), schema.value(property_), shown, ". ".join(s.rstrip(".") for s in said if s))
+            )
         if rows:
             found.append(_table(rows))
         for key, section_part, several in inner:

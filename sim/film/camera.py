@@ -14,6 +14,10 @@ from sim.film.kernels import rays
 from smolbot.arrays import FloatArray
 
 
+FRAMED = 0.8
+"""Share of the picture's shorter side that what must be seen fills: it may be turned, and stand higher than the plate."""
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """Where a camera is, and where it looks.
@@ -83,7 +87,7 @@ def draw_camera(
     down = -(up - (up @ view) * view)
     down /= np.linalg.norm(down)
     right = np.cross(down, view)
-    focal = 0.94 * min(size) * far / span
+    focal = FRAMED * min(size) * far / span
     offset = rng.normal(0.0, 0.004 * min(size), 2)  # sensor and lens are not quite concentric
     corner = 0.5 * math.hypot(*size) / focal
     bend = rng.uniform(-1e-3, 1e-3) / corner**2  # what a corrected lens leaves: a thousandth, in the corner

@@ -27,6 +27,7 @@ def film(
     swing: Annotated[
         str | None, typer.Option(help="Film no run but the cantilever of this robot, excited and let go.")
     ] = None,
+    rig: Annotated[str, typer.Option(help="With --swing: the rig whose excitation coils drive it.")] = "tank",
     truth: Annotated[
         Path | None, typer.Option(help="CSV to write with where everything truly was: to judge a tracker by.")
     ] = None,
@@ -39,7 +40,8 @@ def film(
     if (run is None) == (swing is None):
         raise InputError("Name the folder of a run, or --swing ROBOT.")
     if swing is not None:
-        raise InputError("not yet")
+        _film_swing(swing, rig, out, fps, seed, truth, json)
+        return
     from sim.film.filming import film as shoot
     from sim.film.trail import read_trail
 
@@ -62,6 +64,27 @@ def film(
     table(f"film of {run.name}", rows, err=json)
     if json:
         echo_json({"video": str(out), "fiducials": str(fiducials), "frames": len(made.times), "begin_s": made.times[0]})
+
+
+def _film_swing(
+    name: str, rig: str, out: Path, fps: float | None, seed: int, truth: Path | None, json: bool
+) -> None:
+    from sim.film.swing import film_swing
+    from smolbot.rigfile import load_rig
+    from smolbot.robotfile import load_robot
+
+    rate = 5000.0 if fps is None else fps
+    made = film_swing(load_rig(rig), load_robot(name), out, seed=seed, fps=rate)
+    if truth is not None:
+        made.write_truth(truth)
+    rows = [
+        ("clip", f"{out}, {len(made.times)} frames, recorded at {rate:g} per second"),
+        ("drive", f"until {1e3 * made.released:.0f} ms, then free"),
+        ("to measure it", f"smolbot track {out} --deflection --fps {rate:g}"),
+    ]
+    table(f"cantilever of {name}", rows, err=json)
+    if json:
+        echo_json({"video": str(out), "frames": len(made.times), "fps": rate, "released_s": made.released})
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -17,7 +17,7 @@ SIDE = 8e-3  # of a marker's black square, in m
 QUIET = 1.2e-3  # white border around it
 WALL = 2e-3  # thickness of the container's walls
 GAP = 5e-3  # between wall and marker: seen from above, a wall hides some of the plate beside it
-PRINT = 24  # pixels of the printed plate per mm
+PRINT = 16  # pixels of the printed plate per mm
 PRINT_ERROR = 50e-6  # m, of a marker's place; and a tenth of a degree
 RELIEF = 2  # rays per pixel and direction
 
@@ -136,7 +136,7 @@ def printed_sheets(stage: Stage, rng: np.random.Generator) -> tuple[Sheet, Sheet
     """
     import cv2
 
-    reach = 0.5 * stage.span + 12e-3
+    reach = 0.8 * stage.span
     low = stage.center - reach
     n = int(2e3 * reach * PRINT)
     grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (n, n)).astype(np.float32), (0, 0), 0.06 * PRINT)
@@ -169,11 +169,12 @@ def _print_marker(sheet: Sheet, marker: Marker, low: FloatArray, ink: FloatArray
     y = rows / (1e3 * PRINT) + low[1] - marker.true_center[1]
     c, s = np.cos(marker.turn), np.sin(marker.turn)
     right, down = c * x + s * y, s * x - c * y
-    paper = (np.abs(right) < reach) & (np.abs(down) < reach)
-    black = (np.abs(right) < 0.5 * SIDE) & (np.abs(down) < 0.5 * SIDE)
+    beyond = np.maximum(np.abs(right), np.abs(down))
+    paper = beyond < reach
+    black = np.clip(0.5 + 1e3 * PRINT * (0.5 * SIDE - beyond), 0.0, 1.0)  # a pixel on the edge is black in part
     i = np.clip((60 * (down / SIDE + 0.5)).astype(int), 0, 59)
     j = np.clip((60 * (right / SIDE + 0.5)).astype(int), 0, 59)
-    value = np.where(black, bits[i, j], 1.0)
+    value = 1.0 - black * (1.0 - bits[i, j])
     patch = sheet[first[1] : last[1], first[0] : last[0]]
     white = np.array([225.0, 228.0, 228.0])
     patch[paper] = ink + value[paper, None] * (white - ink)

@@ -51,7 +51,7 @@ class Browser:
         for option in (*OPTIONS, f"--user-data-dir={self._profile / 'profile'}", f"--window-size={width},{height}"):
             options.add_argument(option)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-        self.driver = webdriver.Chrome(options=options, service=Service(str(self._humble())))
+        self.driver: Any = webdriver.Chrome(options=options, service=Service(str(self._humble())))
 
     def _humble(self) -> Path:
         """A driver that cannot raise its priority, where root runs it: chromium would go before the mission."""
@@ -69,6 +69,10 @@ class Browser:
             if time.monotonic() > end:
                 raise TimeoutError(f"The page at {address} has heard nothing within {timeout:g} s.")
             time.sleep(0.1)
+        self.driver.execute_script(  # viser's notice that drawing is slow here: nobody has it who has a screen
+            "const style = document.createElement('style'); style.textContent = '.mantine-Notifications-root "
+            "{ display: none }'; document.head.append(style);"
+        )
 
     def text(self, name: str) -> str:
         """What stands in the element of that id."""

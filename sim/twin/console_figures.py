@@ -44,6 +44,12 @@ FIRST_SHOT = 15
 """Shots after which a flight is stopped: it is found by then, and pulled."""
 
 
+HEADER = (
+    f"{'stop':8} {'times':>5} {'driven':>6} {'zero: median':>13} {'worst':>7} "
+    f"{'at rest: median':>16} {'worst':>7} {'unsure':>7}  ms"
+)
+
+
 class EndedEarlyError(RigError):
     """A flight ended before it was stopped: what is measured never came."""
 
@@ -108,7 +114,17 @@ class ConsoleBench:
         session = self.folder / "session"
         session.mkdir(exist_ok=True)
         place = {"XDG_RUNTIME_DIR": str(session)}
-        command = [sys.executable, "-m", "smolbot", "console", "--port", str(self.port), "--runs", str(self.folder), "--json"]
+        command = [
+            sys.executable,
+            "-m",
+            "smolbot",
+            "console",
+            "--port",
+            str(self.port),
+            "--runs",
+            str(self.folder),
+            "--json",
+        ]
         with (self.folder / "console.log").open("a") as log:
             self._console = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=os.environ | place)
         assert self._console.stdout is not None
@@ -217,7 +233,7 @@ class ConsoleBench:
 def show_stops(stops: list[Stop]) -> bool:
     """A line for each way; whether all kept to what is allowed."""
     fine = True
-    print(f"{'stop':8} {'times':>5} {'driven':>6} {'zero: median':>13} {'worst':>7} {'at rest: median':>16} {'worst':>7} {'unsure':>7}  ms")
+    print(HEADER)
     for way in WAYS:
         mine = [stop for stop in stops if stop.way == way]
         if not mine:

@@ -33,27 +33,33 @@ def console(
     try:
         from smolbot.console.console import OpenConsole, ending
     except ImportError as error:
-        raise InputError(f"The console needs viser, which is not installed ({error}): pip install smolbot[console]") from error
+        raise InputError(
+            f"The console needs viser, which is not installed ({error}): pip install smolbot[console]"
+        ) from error
     with ending() as over:
         opened = OpenConsole(host, port, token, runs, _say)
         try:
             rows = [("page", opened.door.address), ("runs", str(runs.absolute())), ("to end it", "Ctrl-C")]
             table("console", rows, err=True)
             if json:
-                echo_json({"address": opened.door.address, "link": opened.console.link, "process": opened.console.process})
+                echo_json(
+                    {"address": opened.door.address, "link": opened.console.link, "process": opened.console.process}
+                )
             opened.wait(over, follow=follow)
         finally:
             opened.close()
 
 
-def stop(json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False) -> None:
+def stop(
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
+) -> None:
     """Stop every mission that a console of this user watches: outputs to zero, at once, without a browser."""
     from smolbot.live.consoles import answering
     from smolbot.live.frames import LinkError
     from smolbot.live.gate import stop_through
 
     told = []
-    silent = []
+    silent: list[str] = []
     found = 0
     for each, sock in answering(silent):
         found += 1
@@ -63,7 +69,10 @@ def stop(json: Annotated[bool, typer.Option("--json", help="Print one JSON objec
             except LinkError as error:
                 silent.append(f"{each.address}: {error}")
     rows = [
-        (str(one["mission"]), f"stopped, outputs at zero after {one['took_ms']:.1f} ms" if one["stopped"] else "NO ANSWER")
+        (
+            str(one["mission"]),
+            f"stopped, outputs at zero after {one['took_ms']:.1f} ms" if one["stopped"] else "NO ANSWER",
+        )
         for one in told
     ]
     if json:

@@ -92,7 +92,9 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
-    live: Annotated[bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")
+    ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
     json: JsonOption = False,
 ) -> None:
@@ -170,6 +172,8 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         rows.append(("coils", _coils(s)))
     if told := _recovered(s):
         rows.append(("recovered", told))
+    if told := _not_recorded(s.get("recording", {})):
+        rows.append(("not recorded", told))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
     if run.report:
@@ -193,6 +197,19 @@ def _coils(summary: dict[str, Any]) -> str:
 
 def _recovered(summary: dict[str, Any]) -> str:
     return ", ".join(f"{kind.replace('_', ' ')}: {times}" for kind, times in summary["recovered"].items() if times)
+
+
+def _not_recorded(recording: dict[str, Any]) -> str:
+    """What the record lacks, and why; nothing where it lacks nothing.
+
+    Examples
+    --------
+    >>> _not_recorded({"dropped": 3, "error": "OSError: the disk is full"})
+    '3 messages: OSError: the disk is full'
+    """
+    dropped = recording.get("dropped")
+    parts = [f"{dropped} messages" if dropped else "", str(recording.get("error") or "")]
+    return ": ".join(part for part in parts if part)
 
 
 def _texts(value: Any) -> list[str]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from smolbot.optics.view import View
     from smolbot.robotfile import RobotConfig
 
+VAGUE = 0.05  # s: more than this unsure of when the video began is told: a tenth of a millimetre of a robot's way
 DOUBT = 1e-4  # m: more than this unsure of the camera is told
 
 
@@ -80,7 +81,9 @@ def track(
     if deflection:
         if run is not None or fiducials is not None or corners is not None:
             raise InputError("--deflection measures angles in a clip: --run, --fiducials and --corners are not for it.")
-        _swing(video, Video(video, fps), from_s, to_s, folder, json)
+        from smolbot.cli.track_swing import measure_swing
+
+        measure_swing(Video(video, fps), fps is not None, from_s, to_s, folder, json)
         return
     _check_points(fiducials, corners, corners_mm)
     if offset_s is not None and run is None:
@@ -255,6 +258,8 @@ def _report(
         figures |= {"run": str(run), "offset_s": alignment.offset, "offset_sigma_s": alignment.sigma,
                     "correlation": alignment.correlation} | analysis.figures()  # fmt: skip
         rows += _compared(figures, alignment.given)
+        if alignment.sigma > VAGUE:
+            rows.append(("warning", "when the video began is not sure: it shows too little but straight movement"))
         path = getattr(poses.mission, "path", None)  # a mission that only looks has none
         error = None if path is None else tracking_error(found, path, poses)
         if error is not None:
@@ -307,7 +312,3 @@ def _make(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error}.") from error
-
-
-def _swing(path: Path, clip: Video, from_s: float | None, to_s: float | None, folder: Path, json: bool) -> None:
-    raise InputError("not yet")

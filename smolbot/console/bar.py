@@ -47,7 +47,9 @@ def state_of(flight: Flight, time_: float | None = None) -> tuple[str, str]:
     return _MODES.get(said.mode, (said.mode.upper(), BLUE))
 
 
-def told(flight: Flight | None, flying: bool, waiting: str, time_: float | None = None, replay: str = "") -> dict[str, Any]:
+def told(
+    flight: Flight | None, flying: bool, waiting: str, time_: float | None = None, replay: str = ""
+) -> dict[str, Any]:
     """What the bar shows, as its script wants it.
 
     Parameters
@@ -71,7 +73,9 @@ def told(flight: Flight | None, flying: bool, waiting: str, time_: float | None 
     error, progress = (values[-1, 0], values[-1, 2]) if len(values) else (math.nan, math.nan)
     allowed = flight.tolerance
     happened = flight.events(time_)
-    note = (said.note if said else "it listens, and learns the noise and the coils") or (happened[-1][1] if happened else "")
+    note = (said.note if said else "it listens, and learns the noise and the coils") or (
+        happened[-1][1] if happened else ""
+    )
     if flight.ending is not None and (time_ is None or time_ >= flight.latest):
         note = flight.ending.reason
     state = state_of(flight, time_)
@@ -96,7 +100,15 @@ def _bar(state: tuple[str, str], mission: str, note: str, *, flying: bool, **fig
         "error": "–", "progress": "–", "time": "–", "tolerance": "error to path", "error_colour": "", "paused": False,
         "truth": False,
     }  # fmt: skip
-    return {**shown, **figures, "state": state[0], "colour": state[1], "mission": mission, "note": note, "flying": flying}
+    return {
+        **shown,
+        **figures,
+        "state": state[0],
+        "colour": state[1],
+        "mission": mission,
+        "note": note,
+        "flying": flying,
+    }
 
 
 class Bar:

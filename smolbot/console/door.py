@@ -160,11 +160,11 @@ def _guarded(door: Door, pages: Answer, sockets: Mapping[str, Handler], tell: Ca
 
         return original(handle, *args, process_request=look, **{**options, "max_size": LARGEST})
 
-    module.serve = serve  # type: ignore[assignment]
+    vars(module)["serve"] = serve
     try:
         yield
     finally:
-        module.serve = original
+        vars(module)["serve"] = original
 
 
 def open_viser(door: Door, pages: Answer, sockets: Mapping[str, Handler], tell: Callable[[str], None]) -> ViserServer:

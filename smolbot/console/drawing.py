@@ -74,13 +74,14 @@ class Drawing:
         point = (round(float(met[0]), 2), round(float(met[1]), 2))
         if not self.points or np.hypot(point[0] - self.points[-1][0], point[1] - self.points[-1][1]) > NEAREST:
             self.points.append(point)
-            self._show()
+            self.show()
 
     def _take_back(self, which: str) -> None:
         self.points = self.points[:-1] if which == "Undo" else []
-        self._show()
+        self.show()
 
-    def _show(self) -> None:
+    def show(self) -> None:
+        """Draw what was clicked so far."""
         points = np.array([(x, y, self._scene.height + 0.6) for x, y in self.points]).reshape(-1, 3)
         self._scene.trail("drawn", points, PLANNED, 4.0)
         self._scene.mark("drawn", points, PLANNED)

@@ -35,7 +35,7 @@ class Figures:
     """A table and four plots in the container that is open when this is made."""
 
     def __init__(self, server: ViserServer) -> None:
-        self._gui = server.gui
+        self._gui: Any = server.gui
         self._table = self._gui.add_html("")
         self._plots: dict[str, Any] = {}
         self._shape: tuple[Any, ...] = ()
@@ -156,8 +156,8 @@ def table(flight: Flight, time: float | None) -> str:
     if said is not None and said.rig:
         rows.append(("rig", html.escape(said.rig), False))
     cells = "".join(
-        f'<tr style="color:{"#dc2626" if bad else "inherit"}"><td style="color:#64748b;padding:1px 10px 1px 0">{name}</td>'
-        f"<td>{text}</td></tr>"
+        f'<tr style="color:{"#dc2626" if bad else "inherit"}">'
+        f'<td style="color:#64748b;padding:1px 10px 1px 0">{name}</td><td>{text}</td></tr>'
         for name, text, bad in rows
     )
     return f'<table style="font-size:13px;margin:4px 12px;border-spacing:0">{cells}</table>'

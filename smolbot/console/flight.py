@@ -146,7 +146,9 @@ class Flight:
                 driven = np.array(window.currents)
             elif isinstance(window, Rotate):
                 driven = np.full(len(self.coils), window.frequency)
-            self._heat.advance(mean_squares(window, n, m) if isinstance(window, Actuate | Excite) else (), window.duration)
+            self._heat.advance(
+                mean_squares(window, n, m) if isinstance(window, Actuate | Excite) else (), window.duration
+            )
         self._cooled = shot.end
         self.currents.append(shot.start, driven)
         pairs = zip(self._heat.coils, self._heat.temperatures, strict=True)

@@ -104,7 +104,9 @@ class Hub:
         """See `Missions`."""
         told = line.stopped or {}
         took = 1e3 * (told.get("zero", 0.0) - told.get("heard", 0.0))
-        self.log(f"{self._flights[line].name}: stopped, outputs at zero {took:.1f} ms after the order ({told.get('asked')}).")
+        self.log(
+            f"{self._flights[line].name}: stopped, outputs at zero {took:.1f} ms after the order ({told.get('asked')})."
+        )
 
     def left(self, line: Line, why: str) -> None:
         """See `Missions`."""
@@ -161,7 +163,7 @@ class Hub:
         """
         if self.busy:
             raise InputError(f"{self.busy} flies; stop it before the next one is started.")
-        output = tempfile.TemporaryFile()
+        output = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the child has ended)
         command = [sys.executable, "-m", "smolbot", "run", *arguments, "--live"]
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=output,

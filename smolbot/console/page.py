@@ -28,6 +28,9 @@ EVERY = 0.2
 FIGURES_EVERY = 3
 """Looks between two of the figures: people do not read faster."""
 
+ABOVE = np.array([0.0, 0.0, 0.3])
+"""mm by which what is believed is drawn above what is true, to be seen."""
+
 POINTS = 3000
 """Of a trace; longer ones are thinned."""
 
@@ -64,7 +67,7 @@ class Page:
         left.set_width(340)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Mission"):
-            self.starting = Starting(self.server, self.hub, self.draw)
+            self.starting = Starting(self.server, self.hub, runs, self.choose)
         with tabs.add_tab("Draw"):
             self.drawing = Drawing(self.server, self.scene, self.starting, runs / "drawn")
         with tabs.add_tab("Runs"):
@@ -89,9 +92,17 @@ class Page:
         return {**shown, "drawn": bool(self.drawing.points)}
 
     def draw(self, mission: AnyMission) -> None:
-        """Draw a mission that is not flown yet, in the place of what is there."""
+        """Draw a mission, in the place of what is there."""
         self.scene.draw(mission)
         self._drawn = mission
+        self.drawing.show()
+
+    def choose(self, mission: AnyMission) -> None:
+        """Draw a mission that is not flown yet; what flew before it is over and is not looked at any more."""
+        self.runs.leave()
+        if not self.hub.flying:
+            self.hub.live = None
+        self.draw(mission)
 
     def _shown_is(self, flight: Flight | None) -> None:
         """Another run is looked at."""
@@ -148,7 +159,7 @@ class Page:
             tracked, true = flight.tracked.values(at), flight.true.values(at)
             believed, truth = _thinned(tracked[:, :3]), _thinned(true)
             currents = flight.currents.values(at)[-1:]
-        self.scene.trail("believed", believed + [0.0, 0.0, 0.3], BELIEVED, 3.5)
+        self.scene.trail("believed", believed + ABOVE, BELIEVED, 3.5)
         if len(flight.true):
             self.scene.trail("true", truth, TRUE, 2.0)
         if len(tracked):

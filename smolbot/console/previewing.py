@@ -62,7 +62,9 @@ def told(go: bool, reasons: Sequence[str], rows: Sequence[tuple[str, str]]) -> s
     """Go or no-go, why, and figures, as HTML."""
     colour, word = ("#15803d", "GO") if go else ("#dc2626", "NO-GO")
     why = "".join(f"<div>{html.escape(reason)}</div>" for reason in reasons)
-    cells = "".join(f'<tr><td style="color:#64748b;padding-right:10px">{n}</td><td>{html.escape(t)}</td></tr>' for n, t in rows)
+    cells = "".join(
+        f'<tr><td style="color:#64748b;padding-right:10px">{n}</td><td>{html.escape(t)}</td></tr>' for n, t in rows
+    )
     return (
         f'<div style="margin:4px 12px;font-size:13px"><b style="color:{colour};font-size:18px">{word}</b>{why}'
         f'<table style="border-spacing:0">{cells}</table></div>'

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from smolbot.console import previewing
 from smolbot.console.flight import Flight
@@ -64,7 +65,7 @@ class Runs:
         self._lock = threading.Lock()
         self._since = 0.0
         self._from = 0.0
-        gui = server.gui
+        gui: Any = server.gui
         self.choice = gui.add_dropdown("Run", [NONE, *runs_in(folder)], initial_value=NONE)
         refresh = gui.add_button("Look for new runs")
         self.at = gui.add_slider("Time, s", 0.0, 1.0, 0.1, 0.0, disabled=True)
@@ -106,7 +107,7 @@ class Runs:
                 self.said.content = previewing.told(False, str(error).splitlines(), [])
                 return
             self.playing.value = False
-            self.at.max = round(max(flight.latest, 0.2), 1)
+            self.at.max = math.ceil(10.0 * max(flight.latest, 0.2)) / 10.0
             self.at.value = self.at.max
             self.at.disabled = False
             self.said.content = previewing.waiting(described(self._folder / name))

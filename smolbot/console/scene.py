@@ -59,7 +59,7 @@ class Scene:
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
         server.scene.configure_environment_map(None)
         camera = server.initial_camera
-        camera.position, camera.look_at, camera.up = (0.0, -78.0, 205.0), (0.0, -2.0, 45.0), (0.0, 0.0, 1.0)
+        camera.position, camera.look_at, camera.up = (0.0, -68.0, 180.0), (0.0, -3.0, 45.0), (0.0, 0.0, 1.0)
         camera.fov = float(np.radians(38.0))
         camera.near, camera.far = 1.0, 5000.0
 
@@ -90,7 +90,15 @@ class Scene:
         middle = np.array([x, y, 0.5 * (floor + top)])
         add = scene.add_mesh_simple
         self._keep(
-            add("/tank/walls", vertices + middle, faces, color=(100, 116, 139), opacity=0.3, flat_shading=True, cast_shadow=False)
+            add(
+                "/tank/walls",
+                vertices + middle,
+                faces,
+                color=(100, 116, 139),
+                opacity=0.3,
+                flat_shading=True,
+                cast_shadow=False,
+            )
         )
         self._keep(
             scene.add_box(
@@ -122,7 +130,7 @@ class Scene:
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
             self._coils.append(self._keep(handle))
-            place = np.array(coil.center_mm) + [0.0, 0.0, coil.outer_radius_mm + 4.0]
+            place = np.array(coil.center_mm) + np.array([0.0, 0.0, coil.outer_radius_mm + 4.0])
             self._keep(scene.add_label(f"/names/{coil.name}", f"coil {coil.name}", position=tuple(place)))
         for bobbin in rig.excitation:
             inner = rectangle(bobbin.width_mm - 4.0, max(bobbin.height_mm - 4.0, 2.0))
@@ -130,15 +138,19 @@ class Scene:
             where = placed(vertices, np.array(bobbin.center_mm), np.array(bobbin.axis, dtype=float))
             self._keep(
                 scene.add_mesh_simple(
-                    f"/excitation/{bobbin.name}", where, faces, color=BOBBIN, opacity=0.25, flat_shading=True,
-                    cast_shadow=False, receive_shadow=False,
+                    f"/excitation/{bobbin.name}",
+                    where,
+                    faces,
+                    color=BOBBIN,
+                    opacity=0.25,
+                    flat_shading=True,
+                    cast_shadow=False,
+                    receive_shadow=False,
                 )
             )
         if rig.magnet is not None:
             side, center = rig.magnet.side_mm, np.array(rig.magnet.center_mm)
-            self._keep(
-                scene.add_box("/magnet", (185, 28, 28), (side, side, side), position=tuple(center), opacity=0.5)
-            )
+            self._keep(scene.add_box("/magnet", (185, 28, 28), (side, side, side), position=tuple(center), opacity=0.5))
 
     def _draw_sensors(self, mission: AnyMission) -> None:
         sensors = mission.rig.sensors
@@ -152,12 +164,19 @@ class Scene:
 
     def _draw_path(self, mission: Mission) -> None:
         points = 1e3 * mission.path.points
-        points = points - [0.0, 0.0, 0.9]  # under the robot's trace, which would be hidden where it is good
+        points = points - np.array([0.0, 0.0, 0.9])  # under the robot's trace, which would be hidden where it is good
         spread = 1e3 * mission.path.at(np.linspace(0.0, mission.path.length, 400))
-        vertices, faces = ribbon(spread - [0.0, 0.0, 1.0], 1e3 * mission.tolerance)
+        vertices, faces = ribbon(spread - np.array([0.0, 0.0, 1.0]), 1e3 * mission.tolerance)
         self._keep(
             self.server.scene.add_mesh_simple(
-                "/path/tolerance", vertices, faces, color=PATH, opacity=0.18, side="double", cast_shadow=False, receive_shadow=False
+                "/path/tolerance",
+                vertices,
+                faces,
+                color=PATH,
+                opacity=0.18,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
             )
         )
         self._keep(self._line("/path/line", points, PATH, 3.0))
@@ -179,7 +198,8 @@ class Scene:
         tip, faces = tube(circle(0.01), circle(0.9), 0.01)
         n = len(tip) // 4
         tip[n : 3 * n] = [0.0, 0.0, 2.5]
-        scene.add_mesh_simple("/robot/nose", tip + [0.0, 0.0, nose - 2.0], faces, color=BELIEVED, side="double")
+        tip[:, 2] += nose - 2.0
+        scene.add_mesh_simple("/robot/nose", tip, faces, color=BELIEVED, side="double")
 
     def _line(self, name: str, points: FloatArray, color: Color, width: float) -> Any:
         pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)

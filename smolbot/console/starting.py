@@ -11,6 +11,7 @@ from smolbot.anymission import AnyMission, load_mission
 from smolbot.console import previewing
 from smolbot.console.hub import Hub
 from smolbot.errors import SmolbotError
+from smolbot.flying import new_folder
 from smolbot.library import shipped
 
 if TYPE_CHECKING:
@@ -22,9 +23,9 @@ OWN = "its own"
 class Starting:
     """Made in the container that is open; `show` is told of a mission that was chosen, to draw it."""
 
-    def __init__(self, server: ViserServer, hub: Hub, show: Callable[[AnyMission], None]) -> None:
-        self._hub, self._show = hub, show
-        gui = server.gui
+    def __init__(self, server: ViserServer, hub: Hub, runs: Path, show: Callable[[AnyMission], None]) -> None:
+        self._hub, self._runs, self._show = hub, runs, show
+        gui: Any = server.gui
         self.mission = gui.add_dropdown("Mission", self.missions(), initial_value="r_path")
         self.rig = gui.add_dropdown("Rig", [OWN, *shipped("rigs")], initial_value=OWN)
         self.seed = gui.add_number("Seed", 1, min=0, step=1, hint="Of a simulated world: same seed, same run.")
@@ -37,11 +38,14 @@ class Starting:
         look.on_click(lambda _: self.preview())
         fly.on_click(lambda _: self.start())
 
-    @staticmethod
-    def missions() -> list[str]:
+    def missions(self) -> list[str]:
         """Shipped ones by name, then those of the folder in which the console was started, and what was drawn."""
-        own = [str(path) for folder in (Path(), Path("missions"), Path("runs/drawn")) for path in folder.glob("*.toml")]
-        return [*shipped("missions"), *sorted(path for path in own if "[path]" in _text(path) or "[observe]" in _text(path))]
+        folders = (Path(), Path("missions"), self._runs / "drawn")
+        own = [str(path) for folder in folders for path in folder.glob("*.toml")]
+        return [
+            *shipped("missions"),
+            *sorted(path for path in own if "[path]" in _text(path) or "[observe]" in _text(path)),
+        ]
 
     def arguments(self, mission: str | None = None) -> list[str]:
         """Of the command, as the panel stands."""
@@ -83,9 +87,9 @@ class Starting:
         """Start it, in a process of its own."""
         said = self.said if said is None else said
         try:
-            arguments = self.arguments(mission)
-            self.loaded(mission)
-            self._hub.start([*arguments, "--seed", str(int(self.seed.value))], arguments[0])
+            arguments, seed = self.arguments(mission), int(self.seed.value)
+            out = new_folder(self.loaded(mission), seed, self._runs).path
+            self._hub.start([*arguments, "--seed", str(seed), "--out", str(out)], arguments[0])
             said.content = previewing.waiting("loading; it moves nothing before it has joined this page")
         except (SmolbotError, ValueError) as error:
             said.content = previewing.told(False, str(error).splitlines(), [])

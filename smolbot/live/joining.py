@@ -84,7 +84,9 @@ def _opened(port: int | None) -> Console:
     command = [sys.executable, "-m", "smolbot", "console", "--follow"]
     command += [] if port is None else ["--port", str(port)]
     apart: dict[str, Any] = (
-        {"start_new_session": True} if os.name == "posix" else {"creationflags": 0x00000200}  # a process group of its own
+        {"start_new_session": True}
+        if os.name == "posix"
+        else {"creationflags": 0x00000200}  # a process group of its own
     )
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **apart

@@ -1,7 +1,8 @@
 """When a video began on a run's clock: the shift with which both tell of the same movement.
 
-A camera has no clock in common with the rig. Both displacements, each less its mean (so that a misplaced camera does not matter),
-are compared over all shifts; the best is that with the greatest likelihood ratio, refined below a frame.
+A camera has no clock in common with the rig. Both displacements are compared over all shifts; the best is that with the greatest
+likelihood, refined below a frame. Poses and camera may be apart by a constant, `APART`: a robot that goes straight on at one
+speed looks the same a moment later and elsewhere, and only that constant tells when.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from smolbot.optics.runposes import RunPoses
 LEAST = 8  # poses within the video
 MOVED = 0.5e-3  # m, rms: with less movement in common nothing can be aligned
 ALIKE = 0.9  # correlation of the two displacements below which they are taken to be of two different flights
+APART = 0.3e-3  # m, one standard deviation per axis: between all poses and the camera together
 FINE = 0.02  # s: step of the search
 
 
@@ -87,26 +89,29 @@ def _likeness(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[float,
     if n < LEAST:
         return 0.0, -math.inf
     a, b = places[known, :2], run.positions[known, :2]
+    apart = float(np.sum((a.mean(axis=0) - b.mean(axis=0)) ** 2)) / APART**2
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     moved = float(np.sum(a * a)), float(np.sum(b * b))
     if min(moved) < n * MOVED**2:
         return 0.0, -math.inf
     correlation = float(np.sum(a * b)) / math.sqrt(moved[0] * moved[1])
     left = float(np.sum((a - b) ** 2)) / (moved[0] + moved[1])
-    return correlation, -n * math.log(max(left, 1e-12))
+    return correlation, -n * math.log(max(left, 1e-12)) - 0.5 * apart
 
 
 def _refined(track: OpticalTrack, run: RunPoses, offset: float) -> float:
-    """The top of a parabola through the sums of squares around a shift."""
-    _, known = _paired(track, run, offset)
+    """The top of a parabola through the likelihoods around a shift."""
+    places, known = _paired(track, run, offset)
+    scatter = _scatter((places - run.positions)[known, :2])
 
-    def squares(value: float) -> float:
+    def cost(value: float) -> float:
         difference = track.at(run.times[known] - value)[0][:, :2] - run.positions[known, :2]
-        return float(np.sum((difference - difference.mean(axis=0)) ** 2))
+        mean = difference.mean(axis=0)
+        return float(np.sum((difference - mean) ** 2)) / scatter + float(np.sum(mean**2)) / APART**2
 
     step = 2.0 * FINE
-    for _ in range(4):
-        low, middle, high = squares(offset - step), squares(offset), squares(offset + step)
+    for _ in range(6):
+        low, middle, high = cost(offset - step), cost(offset), cost(offset + step)
         bend = low - 2.0 * middle + high
         if bend <= 0:
             break
@@ -116,11 +121,18 @@ def _refined(track: OpticalTrack, run: RunPoses, offset: float) -> float:
 
 
 def _sigma(track: OpticalTrack, run: RunPoses, offset: float) -> float:
-    """What the poses' scatter leaves unsure of the shift, one standard deviation, in s."""
+    """What the poses' scatter, and a constant between them and the camera, leave unsure of the shift, in s."""
     places, known = _paired(track, run, offset)
     ahead, _, _ = track.at(run.times - offset + 0.05)
     behind, _, _ = track.at(run.times - offset - 0.05)
     speed = ((ahead - behind) / 0.1)[known, :2]
-    left = (places - run.positions)[known, :2]
-    scatter = float(np.mean((left - left.mean(axis=0)) ** 2))
-    return math.sqrt(scatter / max(float(np.sum(speed**2)), 1e-12))
+    scatter = _scatter((places - run.positions)[known, :2])
+    mean = speed.mean(axis=0)
+    information = float(np.sum((speed - mean) ** 2)) / scatter
+    information += float(np.sum(mean**2)) / (APART**2 + scatter / len(speed))
+    return 1.0 / math.sqrt(max(information, 1e-12))
+
+
+def _scatter(left: FloatArray) -> float:
+    """Variance per axis about the mean, in m²."""
+    return max(float(np.mean((left - left.mean(axis=0)) ** 2)), 1e-12)

@@ -15,7 +15,7 @@ from smolbot.optics.view import View
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SEEN, LOCATED, PALE = "#1b4965", "#e4572e", "#b9bec7"
+SEEN, LOCATED, PALE, PLANNED = "#1b4965", "#e4572e", "#b9bec7", "#f7d488"
 AROUND = 14e-3  # m of the scene shown around the track
 FINE = 10  # pixels of the scene per mm
 ARROWS = 26
@@ -76,7 +76,7 @@ def _draw_scene(
     extent = (1e3 * low[0], 1e3 * high[0], 1e3 * low[1], 1e3 * high[1])
     axes.imshow(faded.astype(np.uint8), origin="lower", extent=extent, zorder=0)
     if planned is not None:
-        axes.plot(*(1e3 * planned[:, :2].T), color="white", lw=7, alpha=0.75, solid_capstyle="round", zorder=1,
+        axes.plot(*(1e3 * planned[:, :2].T), color=PLANNED, lw=8, alpha=0.5, solid_capstyle="round", zorder=1,
                   label="planned")  # fmt: skip
     if analysis is not None:
         axes.scatter(*(1e3 * analysis.poses[:, :2].T), s=11, color=LOCATED, alpha=0.75, lw=0, zorder=3, label="located")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ FIELD, TESLA, VOLTS, BOTH = 0, 1, 2, 3
 """Scalings: how counts become a field; see ``run.proto``."""
 
 Counts = NDArray[np.int16]
+
+_BLOCK = 2048  # samples of every sensor at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +53,16 @@ class Converter:
         """
         if self.bits > 16 or len(field) != len(self.gains) or not field.size:
             return FIELD, None
-        with np.errstate(invalid="ignore"):
-            rounded = np.rint(field * self.gains[:, None] / self._tesla)
-        if not _fits(rounded):
-            return FIELD, None
-        counts = rounded.astype(np.int16)
+        counts = np.empty(field.shape, np.int16)
+        for part, into in zip(_blocks(field), _blocks(counts), strict=True):
+            with np.errstate(invalid="ignore"):
+                rounded = np.rint(part * self.gains[:, None] / self._tesla)
+            if not _fits(rounded):
+                return FIELD, None
+            into[:] = rounded
         for scaling in (TESLA, VOLTS, BOTH):
-            if _same_bits(self.field(scaling, counts), field):
+            pairs = zip(_blocks(counts), _blocks(field), strict=True)
+            if all(_same_bits(self.field(scaling, counted), part) for counted, part in pairs):
                 return scaling, counts
         return FIELD, None
 
@@ -79,9 +85,14 @@ class Converter:
         }
 
 
+def _blocks(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Views of some columns at a time: what is made of them stays in the processor's cache."""
+    return (values[:, start : start + _BLOCK] for start in range(0, values.shape[1], _BLOCK))
+
+
 def _fits(counts: FloatArray) -> bool:
-    """Whether these are numbers that 16 bits hold."""
-    return bool(np.isfinite(counts).all() and counts.min() >= -(2.0**15) and counts.max() <= 2.0**15 - 1)
+    """Whether these are numbers that 16 bits hold; nan and infinity are not."""
+    return bool(counts.min() >= -(2.0**15) and counts.max() <= 2.0**15 - 1)
 
 
 def _same_bits(a: FloatArray, b: FloatArray) -> bool:

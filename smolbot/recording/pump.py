@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -27,6 +27,9 @@ FLUSH_EVERY = 0.25
 
 MEMORY = 64 * 2**20
 """Bytes of samples that may wait."""
+
+LOOK_EVERY = 0.02
+"""Seconds between two looks for what has come: to wake the thread at once would cost the loop time."""
 
 PATIENCE = 10.0
 """Seconds that the end of a run waits for what is not yet written."""
@@ -81,6 +84,13 @@ class Pump:
         Entries, and bytes of samples, that may wait.
     patience : float, in s
         How long `close` waits for what is not yet written.
+
+    Attributes
+    ----------
+    error : str or None
+        Why something could not be handed on: the first reason.
+    computing : float, in s
+        Processor time of its thread, once that ended.
     """
 
     def __init__(
@@ -100,7 +110,8 @@ class Pump:
         self._windows = windows
         self._memory = memory
         self._patience = patience
-        self._queue: queue.Queue[_Job] = queue.Queue(capacity)
+        self._capacity = capacity
+        self._queue: deque[_Job] = deque()
         self._over = threading.Event()
         self._closed = False
         self._shots = 0
@@ -108,6 +119,7 @@ class Pump:
         self._put_in = self._taken_out = 0  # bytes; likewise
         self._told = 0
         self._now = 0.0
+        self._flushed = float("-inf")  # what the run starts from is flushed at once
         self._begun = time.monotonic()
         self._thread = threading.Thread(target=self._run, name=type(sink).__name__, daemon=True)
         self._thread.start()
@@ -149,15 +161,19 @@ class Pump:
             self._drain()
 
     def _put(self, job: _Job, patience: float = 0.0) -> None:
+        until = time.monotonic() + patience
+        while not self._has_room(job.size):
+            if self._over.is_set() or time.monotonic() >= until:
+                self._refused += job.count
+                return
+            time.sleep(LOOK_EVERY)
+        self._put_in += job.size
+        self._queue.append(job)
+
+    def _has_room(self, size: int) -> bool:
         waiting = self._put_in - self._taken_out
-        if self._over.is_set() or (waiting and waiting + job.size > self._memory):
-            self._refused += job.count
-            return
-        try:
-            self._queue.put(job, block=patience > 0.0, timeout=patience)
-            self._put_in += job.size
-        except queue.Full:
-            self._refused += job.count
+        fits = not waiting or waiting + size <= self._memory
+        return fits and len(self._queue) < self._capacity and not self._over.is_set()
 
     def _run(self) -> None:
         try:
@@ -173,20 +189,20 @@ class Pump:
             self.computing = time.thread_time()
 
     def _serve(self) -> None:
-        flushed = time.monotonic()
+        due = float("inf")
         while True:
             over = self._over.is_set()  # before the look into the queue: what was put before the end is written
-            try:
-                job = self._queue.get(timeout=0.0 if over else max(flushed + FLUSH_EVERY - time.monotonic(), 0.0))
-            except queue.Empty:
-                if over:
-                    break
+            if self._queue:
+                self._hand_on(self._queue.popleft())
+                due = min(due, self._flushed + FLUSH_EVERY)
+            elif over:
+                break
             else:
-                self._hand_on(job)
-            if time.monotonic() - flushed >= FLUSH_EVERY:
+                self._over.wait(LOOK_EVERY)
+            if time.monotonic() >= due:
                 self._tell_of_drops()
                 self._sink.flush()
-                flushed = time.monotonic()
+                self._flushed, due = time.monotonic(), float("inf")
         self._tell_of_drops()
         self._sink.flush()
 
@@ -203,9 +219,8 @@ class Pump:
             self._sink.write(message)
 
     def _drain(self) -> None:
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self._lost += self._queue.get_nowait().count
+        while self._queue:
+            self._lost += self._queue.popleft().count
 
     def _tell_of_drops(self) -> None:
         dropped = self.dropped

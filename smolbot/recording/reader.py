@@ -223,6 +223,9 @@ class _Reading:
                     f"{self._path}: was written in format {message.format}; "
                     f"this version of smolbot reads {messages.FORMAT}."
                 )
+            strange = [name for name in message.files if not name or name != Path(name).name]
+            if strange:
+                raise InputError(f"{self._path}: names a file '{strange[0]}', which would lie outside a run's folder.")
             self._found = RecordedRun(self._path, message)
         elif topic == "/shots":
             self._shots[message.number] = message
@@ -292,7 +295,8 @@ def stream(run: str | Path) -> Iterator[tuple[str, bytes]]:
     InputError
         Where there is no record, or it is no MCAP file.
     """
-    return _Reading(record_path(run)).messages()
+    scan = Scan(record_path(run))
+    return ((found.topic, found.data) for found in scan.messages() if found.topic is not None)
 
 
 def _moment(shot: Shot, timing: pb.Timing, parts: dict[str, Any]) -> Moment:

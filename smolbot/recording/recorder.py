@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from smolbot.errors import InputError
 from smolbot.flown import Run
@@ -24,6 +24,19 @@ PROFILE = "smolbot"
 
 CHUNK = 4 * 2**20
 """Bytes of a chunk; a flush ends one earlier."""
+
+
+def lock(file: IO[bytes]) -> bool:
+    """Mark a record as being written, for as long as it is open; False if somebody else has."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):  # a system or a disk without such marks
+        return True
+    return True
 
 
 class McapFile:
@@ -52,6 +65,7 @@ class McapFile:
             self._file = path.open("xb", buffering=0)
         except OSError as error:
             raise InputError(f"{path}: the record cannot be made: {error.strerror or error}.") from error
+        lock(self._file)
         self._made = _Made()
         self._context = foxglove.Context()
         options = MCAPWriteOptions(chunk_size=CHUNK, compression_threads=0, profile=PROFILE, disable_seeking=True)
@@ -63,7 +77,11 @@ class McapFile:
 
     def write(self, message: Message) -> None:
         """Append one message."""
-        self._channel(message).log(message.content.SerializeToString(), log_time=message.nanoseconds)
+        self.append(message.topic, message.nanoseconds, message.content.SerializeToString())
+
+    def append(self, topic: str, nanoseconds: int, data: bytes) -> None:
+        """Append a message that is bytes already."""
+        self._channel(topic).log(data, log_time=nanoseconds)
         self._count += 1
 
     def flush(self) -> None:
@@ -95,15 +113,15 @@ class McapFile:
                 self._torn = True
                 raise
 
-    def _channel(self, message: Message) -> Any:
-        known = self._channels.get(message.topic)
+    def _channel(self, topic: str) -> Any:
+        known = self._channels.get(topic)
         if known is None:
             from foxglove import Channel, Schema
 
-            name = message.content.DESCRIPTOR.full_name
+            name = messages.TOPICS[topic].DESCRIPTOR.full_name
             schema = Schema(name=name, encoding="protobuf", data=_schema())
-            known = Channel(message.topic, schema=schema, message_encoding="protobuf", context=self._context)
-            self._channels[message.topic] = known
+            known = Channel(topic, schema=schema, message_encoding="protobuf", context=self._context)
+            self._channels[topic] = known
         return known
 
 

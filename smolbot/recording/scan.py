@@ -85,8 +85,9 @@ class Scan:
                 if opcode == DATA_END and len(body) >= 4:
                     (told,) = struct.unpack_from("<I", body)
                     whole = whole and told in (0, zlib.crc32(data[:position]))
-                elif opcode == FOOTER and data[end:] == MAGIC:
-                    self.finished = whole
+                elif opcode == FOOTER and data[end:] == MAGIC and len(body) == 20:
+                    begun, _, told = struct.unpack("<QQI", body)
+                    self.finished = whole and told in (0, zlib.crc32(data[begun or position : end - 4]))
                     return
                 else:
                     yield from self._record(opcode, body)

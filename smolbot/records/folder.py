@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import platform
@@ -16,6 +17,9 @@ from smolbot.blas import kernel
 from smolbot.errors import InputError
 from smolbot.records.trace import Moment, row
 
+SUMMARY, PROVENANCE, CYCLES, PICTURE = "summary.json", "provenance.json", "cycles.csv", "path.png"
+"""Files of a run folder, besides those that the run started from and its record."""
+
 _PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
 
 
@@ -26,6 +30,8 @@ class RunFolder:
     ----------
     rows : int
         Cycles that were recorded.
+    error : str or None
+        Why ``cycles.csv`` ends before the run.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,37 +43,54 @@ class RunFolder:
         self._file: TextIO | None = None
         self._writer: csv.DictWriter[str] | None = None
         self.rows = 0
+        self.error: str | None = None
 
     def begin(self, contents: Mapping[str, bytes], provenance: Mapping[str, Any]) -> None:
         """Make the folder and write what the run starts from: files by their names, and where it came from."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
+            for name, content in contents.items():
+                write_whole(self.path / name, content)
+            write_whole(self.path / PROVENANCE, json_bytes(provenance))
         except OSError as error:
             raise InputError(f"{self.path}: the run folder cannot be made: {error}.") from error
-        for name, content in contents.items():
-            (self.path / name).write_bytes(content)
-        self._json("provenance.json", provenance)
 
     def record(self, moment: Moment) -> None:
-        """Append one cycle to ``cycles.csv``."""
-        line = row(self.rows, moment)
-        if self._writer is None:
-            self._file = (self.path / "cycles.csv").open("w", newline="", encoding="utf-8")
+        """Append one cycle to ``cycles.csv``; a disk that refuses ends that table, not the run."""
+        try:
+            if self.error is None:
+                self._append(row(self.rows, moment))
+        except OSError as error:
+            self.error = f"{CYCLES}: {error.strerror or error}"
+        self.rows += 1
+
+    def _append(self, line: dict[str, Any]) -> None:
+        if self._file is None:
+            self._file = (self.path / CYCLES).open("w", newline="", encoding="utf-8")
             self._writer = csv.DictWriter(self._file, fieldnames=list(line))
             self._writer.writeheader()
+        assert self._writer is not None
         self._writer.writerow(line)
-        self.rows += 1
-        assert self._file is not None
         self._file.flush()
 
     def end(self, summary: dict[str, Any]) -> None:
-        """Close the record and write the summary."""
+        """Close the table of cycles and write the summary."""
         if self._file is not None:
-            self._file.close()
-        self._json("summary.json", summary)
+            with contextlib.suppress(OSError):  # of what could not be flushed, which is known
+                self._file.close()
+        write_whole(self.path / SUMMARY, json_bytes(summary))
 
-    def _json(self, name: str, data: Any) -> None:
-        (self.path / name).write_text(json.dumps(data, indent=2, default=str) + "\n", encoding="utf-8")
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that it is there whole or not at all, however this process ends."""
+    part = path.with_name(f"{path.name}.part")
+    part.write_bytes(content)
+    part.replace(path)
+
+
+def json_bytes(data: Any) -> bytes:
+    """As every JSON file of a run folder is written."""
+    return (json.dumps(data, indent=2, default=str) + "\n").encode()
 
 
 def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:

@@ -28,12 +28,14 @@ def sum_up(mission: AnyMission, run: Run, trace: Trace, seed: int, drawn: Mappin
 
 
 def draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
-    """The picture of a run, as a file."""
+    """The picture of a run, as a file that is there whole or not at all."""
+    part = path.with_name(f"{path.stem}.part{path.suffix}")
     if isinstance(mission, Observation):
         from smolbot.records.observation_picture import draw_observation
 
-        draw_observation(mission, run, trace, path)
+        draw_observation(mission, run, trace, part)
     else:
         from smolbot.records.picture import draw_run
 
-        draw_run(mission, run, trace, path)
+        draw_run(mission, run, trace, part)
+    part.replace(path)

@@ -38,9 +38,7 @@ def free_port() -> Callable[[], int]:
 
 
 @pytest.fixture(scope="module")
-def opened(
-    runs: Path, free_port: Callable[[], int], tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[OpenConsole]:
+def opened(runs: Path, free_port: Callable[[], int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenConsole]:
     """A console that is open for the tests of one module."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("session")))
@@ -58,5 +56,5 @@ def browser() -> Iterator[Browser]:
         pytest.fail(lack)
     if lack:
         pytest.skip(lack)
-    with Browser(1400, 900) as found:
+    with Browser(900, 560) as found:
         yield found

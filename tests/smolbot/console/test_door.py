@@ -89,7 +89,12 @@ def test_strangers_stop_nothing(opened: OpenConsole) -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [b"\x16\x03\x01\x02\x00\x01\x00", b"GET / HTTP/9.9\r\n\r\n", b"POST / HTTP/1.1\r\nHost: x\r\n\r\n", b"GET " + b"a" * 70000],
+    [
+        b"\x16\x03\x01\x02\x00\x01\x00",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"POST / HTTP/1.1\r\nHost: x\r\n\r\n",
+        b"GET " + b"a" * 70000,
+    ],
     ids=["tls", "version", "method", "endless line"],
 )
 def test_what_is_no_request_is_answered_or_closed_and_the_page_lives_on(words: bytes, opened: OpenConsole) -> None:
@@ -105,22 +110,28 @@ def test_what_is_no_request_is_answered_or_closed_and_the_page_lives_on(words: b
 
 
 def test_a_huge_or_senseless_message_closes_only_the_page_that_sent_it(opened: OpenConsole) -> None:
+    import viser
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
-    import viser
-
     address = f"ws://127.0.0.1:{opened.door.port}"
-    for path, message in (("/", b"\xc1" * 100), ("/", b"x" * 2_000_000), (f"/bar?key={opened.door.key}", "x" * 2_000_000)):
+    for path, message in (
+        ("/", b"\xc1" * 100),
+        ("/", b"x" * 2_000_000),
+        (f"/bar?key={opened.door.key}", "x" * 2_000_000),
+    ):
         subprotocols = [f"viser-v{viser.__version__}"] if path == "/" else None
-        with connect(address + path, subprotocols=subprotocols, max_size=None) as page:  # type: ignore[arg-type]
-            with pytest.raises(ConnectionClosed):
-                page.send(message)
-                while True:
-                    page.recv(timeout=20.0)
+        page = connect(address + path, subprotocols=subprotocols, max_size=None)  # type: ignore[arg-type]
+        with page, pytest.raises(ConnectionClosed):
+            page.send(message)
+            while True:
+                page.recv(timeout=20.0)
     with connect(f"{address}/bar?key={opened.door.key}") as bar:
         assert '"state"' in str(bar.recv(timeout=20.0))
-    with connect(f"{address}/bar?key=guess") as bar, pytest.raises(ConnectionClosed, match="only a page of this console"):
+    with (
+        connect(f"{address}/bar?key=guess") as bar,
+        pytest.raises(ConnectionClosed, match="only a page of this console"),
+    ):
         bar.recv(timeout=20.0)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -165,25 +167,25 @@ def test_a_console_that_says_nothing_any_more_stops_the_mission(
     feed.end()
 
 
-def test_signs_of_life_keep_a_mission_going(
-    console: tuple[Gate, Console], mission: Mission, heard: Heard, monkeypatch: pytest.MonkeyPatch
+def test_signs_of_life_are_no_orders_and_a_good_bye_ends_nothing(
+    console: tuple[Gate, Console], flown: Feed, mission: Mission, heard: Heard
 ) -> None:
-    monkeypatch.setattr(feeding, "SILENCE", 0.5)
-    feed = Feed(console[1].connect(), {"mission": "m"}, mission.latch, mission.pause)
-    feed.begin()
-    heard.wait(lambda: heard.lines)
-    over = threading.Event()
-    for _ in range(15):
+    for _ in range(100):
         console[0].beat()
-        over.wait(0.1)
+    held = threading.Event()
+    mission.pause.hold = held.set  # type: ignore[method-assign]
+    heard.lines[0].order(Kind.PAUSE)
+    assert held.wait(20.0)  # all that came before it was heard
     assert not mission.latch.is_shut
-    feed.end()
+    flown.end()
     heard.wait(lambda: heard.gone)
     assert heard.gone == [""]  # it said good-bye
     assert not mission.latch.is_shut
 
 
-def test_a_queue_that_is_full_drops_and_counts_and_never_waits(mission: Mission, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_queue_that_is_full_drops_and_counts_and_never_waits(
+    mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(feeding, "WAITING", 10)
     ours, theirs = socket.socketpair()
     feed = Feed(ours, {}, mission.latch, mission.pause)  # not begun: nothing takes from the queue
@@ -232,7 +234,12 @@ def test_strangers_are_shown_the_door_and_the_mission_is_untouched(
 
 
 def test_one_who_knows_the_secret_and_talks_nonsense_is_told_so(console: tuple[Gate, Console], heard: Heard) -> None:
-    for words in (frame(Kind.HELLO, b"not json"), frame(Kind.HELLO, b"[]"), struct.pack("!IB", 2**31, 1), frame(Kind.STOP)):
+    for words in (
+        frame(Kind.HELLO, b"not json"),
+        frame(Kind.HELLO, b"[]"),
+        struct.pack("!IB", 2**31, 1),
+        frame(Kind.STOP),
+    ):
         with console[1].connect() as sock:
             sock.sendall(words)
             _until_closed(sock)
@@ -312,3 +319,8 @@ def test_the_secret_is_never_sent(console: tuple[Gate, Console]) -> None:
     sock.close()
     assert said
     assert bytes.fromhex(console[1].secret) not in b"".join(said)
+
+
+def test_a_mission_that_is_watched_loads_no_page() -> None:
+    script = "import sys, smolbot.cli.live, smolbot.live.gate; sys.exit('viser' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], timeout=120, check=False).returncode == 0

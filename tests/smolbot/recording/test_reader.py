@@ -13,44 +13,13 @@ import pytest
 
 from smolbot.errors import InputError
 from smolbot.recording import run_pb2 as pb
-from smolbot.recording.messages import TOPICS
-from smolbot.recording.pump import Message
 from smolbot.recording.reader import CUT_SHORT, read_run
-from smolbot.recording.recorder import McapFile
 from smolbot.recording.scan import CHUNK, MAGIC, Scan
 
 
-def same_pose(a, b):
-    if a is None or b is None:
-        return a is b
-    return (
-        (a.time, a.r_squared, a.flip_margin, a.trusted) == (b.time, b.r_squared, b.flip_margin, b.trusted)
-        and a.position.tobytes() == b.position.tobytes()
-        and a.orientation.tobytes() == b.orientation.tobytes()
-        and a.covariance.tobytes() == b.covariance.tobytes()
-    )
-
-
-def same_cycle(a, b):
-    return (
-        (a.shot, a.command, a.compute, a.ended, a.rig) == (b.shot, b.command, b.compute, b.ended, b.rig)
-        and same_pose(a.pose, b.pose)
-        and same_pose(a.tracked, b.tracked)
-    )
-
-
 @pytest.fixture(scope="module")
-def whole(recorded, tmp_path_factory):
-    """The record of the flight, flushed as if it had lasted longer."""
-    path = tmp_path_factory.mktemp("chunked") / "run.mcap"
-    file = McapFile(path)
-    for number, found in enumerate(Scan(recorded[1] / "run.mcap").messages()):
-        content = TOPICS[found.topic].FromString(found.data)
-        file.write(Message(found.topic, found.time * 1e-9, content))
-        if number % 20 == 5:
-            file.flush()
-    file.close()
-    return read_run(path)
+def whole(chunked):
+    return read_run(chunked)
 
 
 def chunks(data):
@@ -66,7 +35,7 @@ def chunks(data):
     return found
 
 
-def test_what_is_read_is_what_was_flown_bit_for_bit(recorded, whole):
+def test_what_is_read_is_what_was_flown_bit_for_bit(recorded, whole, same_cycle):
     run = recorded[0]
     found = read_run(recorded[1])
     read = found.run()
@@ -94,7 +63,7 @@ def test_the_mission_of_a_record_is_the_mission_that_was_flown(whole, recorded):
     assert {n: (recorded[1] / n).read_bytes() for n in whole.begin.files} == dict(whole.begin.files)
 
 
-def test_a_record_cut_anywhere_gives_the_beginning_of_what_was_flown(recorded, whole, tmp_path):
+def test_a_record_cut_anywhere_gives_the_beginning_of_what_was_flown(recorded, whole, tmp_path, same_cycle):
     data = whole.path.read_bytes()
     edges = {edge + off for span in chunks(data) for edge in span for off in (-1, 0, 1, 9, 40)}
     draw = random.Random(1)
@@ -119,7 +88,7 @@ def test_a_record_cut_anywhere_gives_the_beginning_of_what_was_flown(recorded, w
     assert most == len(recorded[0].cycles)
 
 
-def test_a_damaged_byte_costs_its_chunk_and_nothing_else(recorded, whole, tmp_path):
+def test_a_damaged_byte_costs_its_chunk_and_nothing_else(recorded, whole, tmp_path, same_cycle):
     data = whole.path.read_bytes()
     spans = chunks(data)
     begin, end = spans[len(spans) // 2]
@@ -146,7 +115,7 @@ def test_a_damaged_byte_costs_its_chunk_and_nothing_else(recorded, whole, tmp_pa
         assert 0 < len(read.moments) < len(whole.moments)
 
 
-def test_any_damaged_byte_is_borne_and_none_makes_up_a_cycle(recorded, whole, tmp_path):
+def test_any_damaged_byte_is_borne_and_none_makes_up_a_cycle(recorded, whole, tmp_path, same_cycle):
     data, hurt, draw = whole.path.read_bytes(), tmp_path / "hurt.mcap", random.Random(3)
     known = dict(zip(whole.number_of_cycle, whole.run().cycles))
     for _ in range(80):
@@ -160,36 +129,24 @@ def test_any_damaged_byte_is_borne_and_none_makes_up_a_cycle(recorded, whole, tm
         assert all(same_cycle(c, known[n]) for n, c in zip(read.number_of_cycle, read.run().cycles))
 
 
-def foreign(path, topic, data=b"x", profile=""):
-    with path.open("wb") as file:
-        writer = mcap.writer.Writer(file)
-        writer.start(profile)
-        schema = writer.register_schema("s", "protobuf", b"")
-        if topic:
-            channel = writer.register_channel(topic, "protobuf", schema)
-            writer.add_message(channel, 0, data, 0)
-        writer.finish()
-    return path
-
-
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda p: foreign(p, "/camera"), "has a topic /camera"),
-        (lambda p: foreign(p, ""), "holds no message of a run"),
-        (lambda p: foreign(p, "/run/begin", b"\xff\xff"), "a message of /run/begin is none of smolbot's"),
-        (lambda p: foreign(p, "/run/begin", pb.Begin(format=7).SerializeToString()), "was written in format 7"),
-        (lambda p: foreign(p, "/shots", b""), "its beginning, /run/begin, is lost"),
-        (lambda p: p.write_bytes(b""), "is no MCAP file, but empty"),
-        (lambda p: p.write_bytes(b"time,x\n0,1\n"), "is no MCAP file; it begins with b'time,x"),
-        (lambda p: p.write_bytes(MAGIC), "is cut short"),
-        (lambda p: p.mkdir(), "holds no run.mcap"),
-        (lambda p: None, "no such run"),
+        (lambda p, foreign: foreign(p, "/camera"), "has a topic /camera"),
+        (lambda p, foreign: foreign(p, ""), "holds no message of a run"),
+        (lambda p, foreign: foreign(p, "/run/begin", b"\xff\xff"), "a message of /run/begin is none of smolbot's"),
+        (lambda p, foreign: foreign(p, "/run/begin", pb.Begin(format=7).SerializeToString()), "in format 7"),
+        (lambda p, foreign: foreign(p, "/shots", b""), "its beginning, /run/begin, is lost"),
+        (lambda p, _: p.write_bytes(b""), "is no MCAP file, but empty"),
+        (lambda p, _: p.write_bytes(b"time,x\n0,1\n"), "is no MCAP file; it begins with b'time,x"),
+        (lambda p, _: p.write_bytes(MAGIC), "is cut short"),
+        (lambda p, _: p.mkdir(), "holds no run.mcap"),
+        (lambda p, _: None, "no such run"),
     ],
 )  # fmt: skip
-def test_what_is_no_record_is_told_in_one_line(make, told, tmp_path):
+def test_what_is_no_record_is_told_in_one_line(make, told, tmp_path, foreign):
     path = tmp_path / "other.mcap"
-    make(path)
+    make(path, foreign)
     with pytest.raises(InputError, match=told) as caught:
         read_run(path)
     assert str(path) in str(caught.value)

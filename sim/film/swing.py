@@ -1,0 +1,161 @@
+"""High-speed clips of a cantilever that is excited and let go, as under a microscope (the paper's Movie S1 and Fig. S2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim.cantilever import STATE_LENGTH, swing
+from sim.coils import TankCoils
+from sim.film.filming import Grain, Writer, blurred
+from sim.magnet import true_device
+from sim.mismatch import Streams, draw
+from sim.sensors import TrueSensors
+from sim.settings import TankSettings
+from smolbot.arrays import FloatArray
+from smolbot.config import validate
+from smolbot.errors import InputError
+from smolbot.rigfile import RigConfig
+from smolbot.robotfile import RobotConfig
+from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
+
+STEP, SUBSTEPS = 1e-3, 50  # s; the tank's own
+SCALE = 80e3  # pixels per m
+SIZE = (320, 288)
+PIVOT = (160.0, 244.0)  # pixel of the rotation centre, before the clip is turned and shifted
+PLAYED = 25.0  # frames per second at which the file is to be played, as high-speed cameras write it
+EXPOSURE = 60e-6  # s
+
+
+@dataclass(frozen=True, eq=False)
+class SwingFilm:
+    """A clip's truth: deflections (n,), in rad, at the frames' times (n,), in s; when the drive ended (s); the device as drawn.
+
+    `damping` (1/s) is that of an exponential decay, `loss` (rad/s) what the amplitude loses in a linear one.
+    """
+
+    times: FloatArray
+    angles: FloatArray
+    released: float
+    frequency: float
+    damping: float
+    loss: float
+    theta_max: float
+
+    def write_truth(self, path: Path) -> None:
+        """A CSV row per frame: time_s, angle_rad."""
+        rows = [f"{i},{t:.9g},{a:.9g}" for i, (t, a) in enumerate(zip(self.times, self.angles, strict=True))]
+        path.write_text("\n".join(["frame,time_s,angle_rad", *rows]) + "\n", encoding="utf-8")
+
+
+def swung(
+    rig: RigConfig, robot: RobotConfig, seed: int, cycles: int, free: float, current: float
+) -> tuple[FloatArray, FloatArray, float, FloatArray]:
+    """Deflection (n,) in rad, over time (n,) in s, of the tank's own cantilever in a housing held over the excitation coils.
+
+    Driven by `cycles` of `current` (A) at the believed resonance, then free for `free` s. Returned are also when the
+    drive ended, and the device as packed for the kernel.
+    """
+    settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
+    if settings is None:
+        raise rig.document.error(faults)
+    streams = Streams.from_seed(seed)
+    truth = draw(settings, len(rig.sections.coils) + len(rig.sections.excitation), len(rig.sensors), streams)
+    sensors = TrueSensors(rig, truth, streams.field_noise, streams.sensor_noise, streams.constants)
+    coils = TankCoils.build(rig, settings, truth, sensors.positions, sensors.axes)
+    device = true_device(robot, settings, truth)
+    # the field of the first coil lies along world x: it must lie across the moment, in the plane of the swing
+    across = "x" if robot.device.along_cantilever else "z"
+    quaternion = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), f"{across}y")
+    section = rig.sections.container
+    place = 1e-3 * np.array([*section.center_mm, section.surface_z_mm])
+    middle = place + matrix_from_quaternion(quaternion) @ device[10:13]
+    drive = cycles / robot.device.frequency
+    steps = math.ceil((drive + free) / STEP)
+    state, poses = np.zeros(STATE_LENGTH), np.zeros((steps, 7))
+    trace = np.zeros((steps * SUBSTEPS, 1 + len(coils.circuits)))
+    state[3] = 2.0 * math.pi * robot.device.frequency
+    coils.circuits[coils.n_actuation, 2] = current
+    on = round(drive / STEP)  # to a millisecond
+    for i in range(steps):
+        if i == on:
+            coils.circuits[:, 1:3] = 0.0
+        swing(
+            tuple(middle), tuple(quaternion), device, np.zeros(3), coils.fields.rows, coils.fields.coefficients,
+            coils.circuits, state, poses, i, trace, i * SUBSTEPS, STEP, SUBSTEPS, np.zeros((0, 1)), 0,
+        )  # fmt: skip
+    times = STEP / SUBSTEPS * np.arange(1, len(trace) + 1)
+    return times, trace[:, 0], on * STEP, device
+
+
+def film_swing(
+    rig: RigConfig, robot: RobotConfig, path: Path, *, seed: int = 1, fps: float = 5000.0, cycles: int = 10,
+    free: float = 0.15, current: float = 6.0,
+) -> SwingFilm:  # fmt: skip
+    """Film a cantilever with a bright magnet, along its axis of oscillation, into the clip `path`.
+
+    The file is to be played at 25 frames per second and says so; `fps` is what it was recorded at.
+
+    Raises
+    ------
+    InputError
+        If the frame rate is too low to show the swing, or the file cannot be written.
+    """
+    if not 8.0 * robot.device.frequency <= fps <= 1e6:
+        raise InputError(
+            f"A swing at {robot.device.frequency:g} Hz needs {8.0 * robot.device.frequency:.0f} frames per second or more; "
+            f"got {fps:g}."
+        )
+    rng = np.random.default_rng([seed, 0x5711])
+    times, theta, released, device = swung(rig, robot, seed, cycles, free, current)
+    frames = (np.arange(math.floor(times[-1] * fps)) + 0.5) / fps
+    l0, theta_max, omega2, friction, eta = (float(v) for v in device[3:8])
+    frequency = math.sqrt(omega2 - eta**2) / (2.0 * math.pi)
+    loss = friction * 4.0 * frequency / omega2  # of dry friction, in rad/s
+    made = SwingFilm(frames, np.interp(frames, times, theta), released, frequency, eta, loss, theta_max)
+    scene = _Scene(rng, l0)
+    grain = Grain(rng, SIZE)
+    with Writer(path, PLAYED, SIZE) as writer:
+        for time in frames:
+            parts = [scene.picture(float(np.interp(time + shift, times, theta))) for shift in EXPOSURE * (np.arange(3) - 1) / 3]
+            writer.write(grain.over(blurred(np.mean(parts, axis=0), scene.blur)))
+    return made
+
+
+class _Scene:
+    """A dark chamber, a steel blade, a bright magnet; seen not quite along the axis, and turned."""
+
+    def __init__(self, rng: np.random.Generator, l0: float) -> None:
+        self.l0, self.blur = l0, rng.uniform(0.8, 1.3)
+        roll, oblique, towards = np.radians(rng.uniform(-4, 4)), np.radians(rng.uniform(0, 4)), rng.uniform(0, math.pi)
+        u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+        shift = rng.uniform(-6, 6, 2)
+        right, up = (u - PIVOT[0] - shift[0]) / SCALE, (PIVOT[1] + shift[1] - v) / SCALE
+        c, s = math.cos(towards), math.sin(towards)
+        along = (c * right + s * up) / math.cos(oblique)  # foreshortened in one direction
+        aside = -s * right + c * up
+        right, up = c * along - s * aside, s * along + c * aside
+        c, s = math.cos(roll), math.sin(roll)
+        self.x, self.z = c * right + s * up, -s * right + c * up
+        self.light = 1.0 + rng.uniform(-0.15, 0.15) * (u / SIZE[0] - 0.5) + rng.uniform(-0.15, 0.15) * (v / SIZE[1] - 0.5)
+        self.polish = rng.uniform(-0.2, 0.2, 2)
+        wall = 0.5 + 0.5 * np.tanh((np.abs(self.x) - 1.35e-3) / 0.05e-3)
+        self.chamber = 18.0 + 30.0 * wall + 6.0 * rng.uniform() * (self.z < -0.3e-3)
+
+    def picture(self, theta: float) -> FloatArray:
+        """The scene with the magnet deflected by `theta` rad, without noise and blur, shape (rows, columns, 3)."""
+        half = 0.5e-3
+        c, s = math.cos(theta), math.sin(theta)
+        # own axes of the magnet: ahead along the deflected cantilever
+        ahead, aside = s * self.x + c * self.z - self.l0, c * self.x - s * self.z
+        reach = np.maximum(np.abs(ahead), np.abs(aside)) - half
+        magnet = np.clip(0.5 - SCALE * reach, 0.0, 1.0)
+        shine = 185.0 * (1.0 + self.polish[0] * ahead / half + self.polish[1] * aside / half)
+        bend = 0.5 * math.tan(theta) * np.clip(self.z + self.l0, 0.0, None) ** 2 / (2.0 * self.l0)
+        blade = np.clip(0.5 - SCALE * (np.abs(self.x - bend) - 0.02e-3), 0.0, 1.0) * (self.z < self.l0) * (self.z > -self.l0)
+        picture = self.chamber + 40.0 * blade
+        picture = (1.0 - magnet) * picture + magnet * shine
+        return np.repeat((picture * self.light)[:, :, None], 3, axis=2) * np.array([0.98, 1.0, 1.02])

@@ -1,0 +1,169 @@
+"""The page in a real browser: what is pressed reaches the mission, what the mission says is shown."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from sim.twin.browser import Browser
+from smolbot.console.console import OpenConsole
+from smolbot.latch import Latch
+from smolbot.live.feed import CONSOLE, Feed
+from smolbot.live.joining import join
+from smolbot.recording.reader import stream
+
+
+@dataclass
+class Mission:
+    """Stands where the loop does."""
+
+    latch: Latch = field(default_factory=Latch)
+    halted: threading.Event = field(default_factory=threading.Event)
+    held: threading.Event = field(default_factory=threading.Event)
+    resumed: threading.Event = field(default_factory=threading.Event)
+
+    def __post_init__(self) -> None:
+        self.latch.bind(self.halted.set)
+
+    def hold(self) -> None:
+        self.held.set()
+
+    def resume(self) -> None:
+        self.resumed.set()
+
+
+@pytest.fixture(scope="module")
+def page(opened: OpenConsole, browser: Browser) -> Browser:
+    browser.open(opened.door.address)
+    return browser
+
+
+@pytest.fixture
+def mission() -> Mission:
+    return Mission()
+
+
+@pytest.fixture
+def flying(opened: OpenConsole, page: Browser, mission: Mission) -> Iterator[Feed]:
+    """A mission that has joined, and has said all of the recorded run but its end."""
+    feed = join(opened.console, {"mission": "line on tank"}, mission.latch, mission)
+    for number, (topic, data) in enumerate(stream(f"{opened.console.runs}/line")):
+        if topic not in ("/run/end", "/windows"):
+            feed.put(topic, number, data)
+    page.until("state", ("FLYING", "APPROACHING"))
+    yield feed
+    feed.end()
+
+
+def test_a_page_without_a_mission_says_so(page: Browser) -> None:
+    assert page.text("state") == "IDLE"
+    assert not page.complaints()
+
+
+def test_stop_pressed_in_a_browser_stops_the_mission(flying: Feed, page: Browser, mission: Mission) -> None:
+    page.press_stop()
+    assert mission.halted.wait(20.0)
+    assert (mission.latch.reason, mission.latch.ending) == (CONSOLE, "stopped")
+
+
+def test_escape_stops_too(flying: Feed, page: Browser, mission: Mission) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    ActionChains(page.driver).send_keys(Keys.ESCAPE).perform()
+    assert mission.halted.wait(20.0)
+
+
+def test_stop_reaches_the_mission_from_a_page_that_is_gone_at_once(
+    opened: OpenConsole, flying: Feed, page: Browser, mission: Mission
+) -> None:
+    page.watch_clicks(then_leave=True)
+    page.press_stop()
+    assert mission.halted.wait(20.0)
+    assert page.driver.current_url == "about:blank"
+    page.open(opened.door.address)
+
+
+def test_a_page_that_is_closed_stops_nothing(
+    opened: OpenConsole, flying: Feed, page: Browser, mission: Mission
+) -> None:
+    page.driver.get("about:blank")
+    page.open(opened.door.address)
+    assert page.text("state") in ("FLYING", "APPROACHING")
+    assert not mission.latch.is_shut
+
+
+def test_pause_and_resume(flying: Feed, page: Browser, mission: Mission) -> None:
+    from smolbot.flown import Event
+    from smolbot.recording.messages import event_message
+
+    page.driver.find_element("id", "pause").click()
+    assert mission.held.wait(20.0)
+    flying.put("/events", 0, event_message(Event(99.0, "paused")).SerializeToString())  # as the loop says it
+    page.until("state", ("PAUSED",))
+    assert page.until("pause", ("Resume",))
+    page.driver.find_element("id", "pause").click()
+    assert mission.resumed.wait(20.0)
+    flying.put("/events", 0, event_message(Event(99.1, "resumed")).SerializeToString())
+    page.until("state", ("FLYING", "APPROACHING"))
+
+
+def test_a_mission_whose_process_is_gone_is_shown_as_failed(opened: OpenConsole, flying: Feed, page: Browser) -> None:
+    flying._sock.close()  # as the system does to a process that was killed
+    page.until("state", ("FAILED",))
+    assert "its process is gone" in page.text("note")
+
+
+def test_a_recorded_run_is_looked_through(opened: OpenConsole, page: Browser) -> None:
+    runs = opened.page.runs
+    runs.refresh()
+    runs.open("line")
+    try:
+        assert runs.flight is not None
+        page.until("state", ("▶ TIMEOUT",))
+        last = page.text("time")
+        runs.at.value = round(0.5 * runs.flight.latest, 1)
+        page.until("time", (f"{runs.at.value:.1f}",))
+        assert page.text("time") != last
+        assert page.text("state") != "▶ TIMEOUT"
+        assert page.text("mission").endswith("recorded")
+    finally:
+        runs.leave()
+
+
+def test_clicks_on_the_liquid_draw_a_path(opened: OpenConsole, page: Browser) -> None:
+    drawing = opened.page.drawing
+    opened.page.starting.choose()
+    drawing._turn(True)
+    drawn: list[Any] = []
+    try:
+        canvas = max(page.driver.find_elements("tag name", "canvas"), key=lambda c: c.size["width"] * c.size["height"])
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        for x, y in ((-60, 40), (0, -40), (60, 40)):
+            count = len(drawing.points)
+            for _ in range(50):  # the page may still load what makes it listen
+                ActionChains(page.driver).move_to_element_with_offset(canvas, x, y).click().perform()
+                page.text("state")
+                if len(drawing.points) > count:
+                    break
+            drawn.append(drawing.points[-1])
+        assert len({point for point in drawn}) == 3
+        assert drawn[0][0] < drawn[1][0] < drawn[2][0]  # to the right is +x
+        assert drawn[0][1] < drawn[1][1] > drawn[2][1]  # up is +y
+        assert all(abs(value) < 30.0 for point in drawn for value in point)
+        path = drawing.write()
+        assert "points_mm" in path.read_text(encoding="utf-8")
+    finally:
+        drawing._take_back("Clear")
+        drawing._turn(False)
+
+
+def test_a_page_without_the_token_shows_why(opened: OpenConsole, page: Browser) -> None:
+    page.driver.get(f"http://127.0.0.1:{opened.door.port}/stop")
+    assert "Only a page of this console may stop a mission." in page.driver.page_source
+    page.open(opened.door.address)
