@@ -180,7 +180,7 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         rows.append(("report", run.report))
     table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
     if json:
-        echo_json({**s, "report": run.report or None})
+        echo_json(s)
 
 
 def _coils(summary: dict[str, Any]) -> str:
