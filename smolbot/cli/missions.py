@@ -199,7 +199,7 @@ def _recovered(summary: dict[str, Any]) -> str:
     return ", ".join(f"{kind.replace('_', ' ')}: {times}" for kind, times in summary["recovered"].items() if times)
 
 
-def _not_recorded(recording: dict[str, Any]) -> str:
+def _not_recorded(recording: Any) -> str:
     """What the record lacks, and why; nothing where it lacks nothing.
 
     Examples
