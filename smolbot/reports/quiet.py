@@ -41,11 +41,13 @@ class QuietNoise:
 
 
 def quiet_recordings(flight: Flight) -> list[Recording]:
-    """Those of shots that only listened."""
+    """Those of shots that only listened, with samples: a reduced world makes none."""
     return [
         recording
         for played, recording in flight.record.recordings()
-        if played.shot.mode == "quiet" and all(isinstance(window, Listen) for window in played.shot.windows)
+        if played.shot.mode == "quiet"
+        and recording.duration > 0.0
+        and all(isinstance(window, Listen) for window in played.shot.windows)
     ]
 
 

@@ -223,6 +223,8 @@ def _signal(flight: Flight) -> list[Section]:
             "floor is the median between lines, from 20 Hz to 200 Hz.",
         )
         noise.add(table(*_lines(heard), numbers=True))
+    elif not quiet and not windows:
+        noise.missing(NO_SIGNALS)
     elif not quiet:
         noise.missing("Nothing was listened to before the first cycle (quiet_s, or an estimator that learns no noise).")
     return [fit, noise]

@@ -123,7 +123,7 @@ def _draw_spectrum(axes: Axes, flight: Flight, windows: list[Window], lines: Flo
         f"Spectrum of what fits leave, mean over {len(windows)} windows and all channels, in pT per root of Hz", pad=16
     )
     axes.set_xlabel(f"frequency in Hz (resolution {grid[1]:.0f} Hz)")
-    axes.set_xlim(0.0, 10.0 * max(flight.mission.robot.device.frequency, 60.0))
+    axes.set_xlim(0.0, 6.0 * max(flight.mission.robot.device.frequency, 100.0))
     axes.legend(loc="upper right")
     axes.grid()
 

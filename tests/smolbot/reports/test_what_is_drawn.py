@@ -11,6 +11,7 @@ from smolbot.reports.intervals import alike_for, difference, estimated, mean
 from smolbot.reports.quiet import heard_noise, quiet_recordings
 from smolbot.reports.residuals import BLOCK, cut_quiet, density, low_passed, windows_of
 from smolbot.reports.strain import strain_of
+from smolbot.reports.trail import Track
 
 
 def test_an_ellipse_holds_as_much_as_it_says():
@@ -109,3 +110,16 @@ def test_a_difference_is_the_difference_and_its_interval_holds_it():
     found = difference(second, first, mean)
     assert found.value == pytest.approx(second.mean() - first.mean())
     assert 0.0 < found.low < found.value < found.high
+
+
+def test_a_trail_goes_through_poses_in_straight_lines(flight):
+    truths = [m.truth for m in flight.trace.moments if m.truth is not None]
+    trail = Track.of(truths, np.array([1.0, 0.0, 0.0]))
+    first, second = trail.times[:2]
+    place, heading = trail.at(0.5 * (first + second))
+    np.testing.assert_allclose(place, 0.5 * (trail.places[0] + trail.places[1]), atol=1e-12)
+    np.testing.assert_allclose(heading, 0.5 * (trail.headings[0] + trail.headings[1]), atol=1e-9)
+    beside = np.array([[0.0, 1e-2, 0.0]])
+    through = trail.through(np.array([0.5 * (first + second)]), beside)
+    np.testing.assert_allclose(through.at(0.5 * (first + second))[0], beside[0])
+    assert np.isnan(Track.of([], np.array([1.0, 0.0, 0.0])).at(0.0)[0]).all()
