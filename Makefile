@@ -45,6 +45,7 @@ imports: setup
 	$(BIN)/lint-imports
 
 docs: setup
+	@rm -rf docs/reference/generated
 	$(BIN)/sphinx-build -W --keep-going -q -b html -d build/doctrees docs build/docs
 	@echo "Open build/docs/index.html"
 

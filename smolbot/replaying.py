@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import smolbot
+from smolbot.anymission import AnyMission
 from smolbot.blas import kernel
 from smolbot.flown import CycleRecord, Run
 from smolbot.flying import make_loop
@@ -42,7 +43,7 @@ class Replay:
     """
 
     record: RecordedRun
-    mission: MissionBase
+    mission: AnyMission
     changed: dict[str, str]
     cycles: list[CycleRecord]
     stop_reason: str = ""
