@@ -8,7 +8,6 @@ from pathlib import Path
 
 from smolbot.anymission import AnyMission, load_mission
 from smolbot.errors import InputError
-from smolbot.missionbase import MissionBase
 from smolbot.records.toml import as_used
 
 MISSION, RIG, ROBOT = "mission.toml", "rig.toml", "robot.toml"
@@ -30,7 +29,7 @@ class RunFiles:
     names: dict[str, str]
 
     @classmethod
-    def of(cls, mission: MissionBase) -> RunFiles:
+    def of(cls, mission: AnyMission) -> RunFiles:
         """Those of a mission that was loaded."""
         documents = {MISSION: mission.document, RIG: mission.rig.document, ROBOT: mission.robot.document}
         contents = {name: as_used(document).encode() for name, document in documents.items()}
@@ -57,7 +56,7 @@ class RunFiles:
         return load_mission(str(folder / MISSION), str(folder / RIG), laid)
 
 
-def _named(mission: MissionBase) -> Iterator[tuple[str, str, Path]]:
+def _named(mission: AnyMission) -> Iterator[tuple[str, str, Path]]:
     """Setting, stem of the copy, and path, of every file that the mission's files name."""
     sensors = mission.rig.sensors_file
     if sensors is not None:
