@@ -5,33 +5,22 @@ from __future__ import annotations
 import gc
 import re
 from collections.abc import Callable, Mapping
-from datetime import date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from smolbot.anymission import AnyMission, load_mission
-from smolbot.duty import Duty
+from smolbot.assembly import learned_sensors, make_loop
 from smolbot.errors import InputError
-from smolbot.flown import CycleRecord, Listener, Run, Tape
-from smolbot.heat import CoilHeat
+from smolbot.flown import CycleRecord, Listener, Run
 from smolbot.heatmemory import HeatMemory
 from smolbot.latch import Latch
-from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, tilt_frames
-from smolbot.localization.array_terms import OF_DEVICE
-from smolbot.localization.cold_start import SearchVolume
-from smolbot.localization.localizer import Localizer
-from smolbot.loop import Loop, StopRules
+from smolbot.loop import Loop
 from smolbot.missionbase import MissionBase
-from smolbot.missionfile import Mission
-from smolbot.motion.robot import magnet_inertia
 from smolbot.observationfile import Observation
 from smolbot.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.pausing import Pause
-from smolbot.pilots import Follower, Measurer, Pilot, Watcher
-from smolbot.plugins import load, load_world
-from smolbot.preparation import Quiet
+from smolbot.plugins import load_world
 from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
 from smolbot.recording.pump import Pump, Tapes
@@ -39,14 +28,8 @@ from smolbot.recording.recorder import Recorder, begin_message, end_message
 from smolbot.records.folder import PICTURE, RunFolder, provenance
 from smolbot.records.outcome import draw, sum_up
 from smolbot.records.trace import Trace
-from smolbot.safety import Rules, Safety
-from smolbot.scheduler import Scheduler
-from smolbot.sensorsfile import SensorsFile, UncertaintySection, write_sensors
-from smolbot.sightings import SightingRig
+from smolbot.sensorsfile import write_sensors
 from smolbot.signals import stop_signals
-from smolbot.soundwatch import SoundWatch
-from smolbot.tracking import Tracker
-from smolbot.watching import Glimpse, LedTracker
 from smolbot.worlds import Rig
 
 LEARNED = "sensors_learned.toml"
@@ -272,131 +255,6 @@ class _Flight:
                 draw(self.mission, flown, trace, folder.path / PICTURE)
             except OSError as error:
                 raise InputError(f"{folder.path}: the run's folder cannot be completed: {error}.") from error
-
-
-def make_loop(
-    rig: Rig,
-    mission: AnyMission,
-    listeners: tuple[Listener, ...] = (),
-    latch: Latch | None = None,
-    memory: HeatMemory | None = None,
-    tape: Tape | None = None,
-    pause: Pause | None = None,
-) -> Loop:
-    """The loop of a mission on an open rig, every part made from the mission's files."""
-    device, cycle = mission.robot.device, mission.cycle
-    tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
-    inertia = magnet_inertia(device.moment, device.l0)
-    scheduler = Scheduler(cycle, rig.limits, device, rig.excitation_field, rig.now, inertia)
-    listening = mission.base.localization
-    localizer = Localizer(rig.sensors, device, estimator=listening.estimator, volume=search_volume(mission))
-    whitened = listening.estimator == "whitened"
-    quiet = Quiet(
-        listening.quiet_s if whitened else 0.0, mission.rig.sample_rate, whitened and listening.learn_ring_down
-    )
-    stop = mission.base.stop
-    rules = StopRules(stop.max_duration_s, stop.lost_shots)
-    locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
-    return Loop(
-        rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
-        independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
-        array_filter=None if isinstance(tracker, Glimpse) else make_array_filter(mission, locator),
-        safety=make_safety(rig, mission, latch, memory), tape=tape, pause=pause,
-    )  # fmt: skip
-
-
-def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memory: HeatMemory | None = None) -> Safety:
-    """The safety of a mission's run, as its rig file says."""
-    section = mission.rig.sections.safety
-    rules = Rules(
-        max_duty=section.max_duty,
-        max_sigma=1e-3 * section.max_sigma_mm,
-        uncertain_shots=section.uncertain_shots,
-        stale_shots=section.stale_shots,
-        max_age=1e-3 * section.max_age_ms + mission.rig.turnaround,
-        reach=None if isinstance(mission, Observation) else _reach(mission, 1e-3 * section.reach_margin_mm),
-    )
-    names = (*mission.rig.coil_names, *(f"excitation {coil.name}" for coil in mission.rig.sections.excitation))
-    return Safety(
-        rig.limits,
-        rules,
-        Duty(names, section.duty_window_s),
-        CoilHeat(mission.rig.thermal, section.ambient_c),
-        SoundWatch(len(rig.sensors), section.sensor_shots, section.broken_sensors),
-        latch,
-        memory,
-    )
-
-
-def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The container, from its floor to the surface, and `margin` m more on every side."""
-    box = mission.rig.sections.container
-    center, half = 1e-3 * np.array(box.center_mm), 0.5e-3 * np.array(box.size_mm) + margin
-    (x, y), (right, back) = center - half, center + half
-    return (x, y, 1e-3 * box.floor_z_mm - margin), (right, back, 1e-3 * box.surface_z_mm + margin)
-
-
-def make_array_filter(mission: MissionBase, locator: object) -> ArrayFilter | None:
-    """What learns the sensors in flight, where the rig file says how far they may be off; None where it does not."""
-    covariance = mission.rig.sensor_covariance
-    if covariance is None or not isinstance(locator, Localizer) or locator.estimator != "whitened":
-        return None
-    n = len(covariance)
-    deviations = np.zeros((n + OF_DEVICE, n + OF_DEVICE))
-    deviations[:n, :n] = covariance
-    deviations[n:, n:] = np.diag(np.array(mission.robot.device_tolerances) ** 2)
-    frames = tilt_frames(mission.rig.sections.sensors.array)
-    return ArrayFilter(ArrayBelief(locator.sensors, locator.device, deviations, frames))
-
-
-def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
-    """The array as a flight learned it, for the next one to start from."""
-    rig, array = mission.rig, learned.belief.array(learned.deviations)
-    gains = rig.sensor_gains * (1.0 if array.gains is None else array.gains)
-    section = rig.sections.sensors.model_copy(
-        update={
-            "positions_mm": [(x, y, z) for x, y, z in (1e3 * array.positions).tolist()],
-            "axes": [(x, y, z) for x, y, z in array.axes.tolist()],
-            "gains": gains.tolist(),
-            "calibrated": None,
-        }
-    )
-    left = UncertaintySection.of(learned.covariance[:-OF_DEVICE, :-OF_DEVICE], learned.recordings)
-    return SensorsFile(
-        rig=rig.name, date=date.today(), description="learned in flight", sensors=section, uncertainty=left
-    )
-
-
-def _steer(mission: Mission) -> tuple[Tracker, Pilot]:
-    """Who believes and who decides where a robot is steered along a path."""
-    make = load("controllers", mission.law)
-    if mission.robot.kind == "helical":
-        screwed = mission.helix_setup()
-        return Tracker(screwed.helix, screwed.device, None), Follower(mission.path, make(screwed, mission.gains))
-    setup = mission.setup()
-    controller = make(setup, mission.gains)
-    return Tracker(setup.robot, setup.device, setup.table), Follower(mission.path, controller)
-
-
-def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
-    """The same where a device is only watched."""
-    section = mission.sections.observe
-    if section.measurements is not None:
-        glimpse = Glimpse(mission.robot.device)
-        return glimpse, Measurer(glimpse, section.measurements)
-    assert section.duration_s is not None
-    device, motion = mission.robot.device, mission.motion
-    tracker = Tracker(None, device, None) if motion is None else LedTracker(device, motion)
-    return tracker, Watcher(section.duration_s)
-
-
-def search_volume(mission: MissionBase) -> SearchVolume:
-    """Where the robot can be: inside the container, between its floor and a little above the surface."""
-    box = mission.rig.sections.container
-    center, half = np.array(box.center_mm) * 1e-3, 0.5e-3 * np.array(box.size_mm)
-    low = (*(center - half), box.floor_z_mm * 1e-3)
-    high = (*(center + half), box.surface_z_mm * 1e-3 + 0.01)
-    return SearchVolume(low, high, spacing=5e-3)
 
 
 def new_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) -> RunFolder:

@@ -11,9 +11,9 @@ import numpy as np
 
 import smolbot
 from smolbot.anymission import AnyMission
+from smolbot.assembly import make_loop
 from smolbot.blas import kernel
 from smolbot.flown import CycleRecord, Run
-from smolbot.flying import make_loop
 from smolbot.loop import StopRules
 from smolbot.missionbase import MissionBase
 from smolbot.poses import Pose

@@ -12,8 +12,9 @@ import pytest
 
 import smolbot
 from smolbot import flying
+from smolbot.assembly import make_loop
 from smolbot.errors import ConfigError, InputError, InterlockError, RigError, SmolbotError
-from smolbot.flying import LEARNED, fly, make_loop
+from smolbot.flying import LEARNED, fly
 from smolbot.loop import Loop
 from smolbot.missionfile import load_mission
 from smolbot.plugins import load_world

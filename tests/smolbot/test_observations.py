@@ -10,11 +10,12 @@ import pytest
 
 from sim.world import TankWorld
 from smolbot.anymission import load_mission
+from smolbot.assembly import make_loop
 from smolbot.cli import app as command_line
 from smolbot.control import Command
 from smolbot.errors import ConfigError
 from smolbot.flown import CycleRecord
-from smolbot.flying import fly, make_loop, run
+from smolbot.flying import fly, run
 from smolbot.localization.localizer import Localizer
 from smolbot.observationfile import Observation
 from smolbot.poses import Pose

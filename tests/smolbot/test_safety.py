@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from smolbot.anymission import load_mission
+from smolbot.assembly import make_loop, make_safety
 from smolbot.duty import Duty
 from smolbot.errors import OperatorStopError, RigError, SafetyError
-from smolbot.flying import fly, make_loop, make_safety
+from smolbot.flying import fly
 from smolbot.heat import Coil, CoilHeat, stepped
 from smolbot.latch import Latch
 from smolbot.limits import Limits
