@@ -126,12 +126,13 @@ class Terminal:
             os.environ["TERM"] = "xterm"
             os.execv(command[0], command)
         self.said = ""
+        self._unread = ""
 
     def until(self, words: str) -> str:
         """Read until `words` were written; what was since the last time."""
         import select
 
-        said = ""
+        said, self._unread = self._unread, ""
         while words not in said:
             assert select.select([self.fd], [], [], 60.0)[0], f"waited for {words!r}; got {said!r}"
             try:
@@ -139,9 +140,10 @@ class Terminal:
             except OSError:  # the terminal's other end was closed
                 read = b""
             assert read, f"ended before {words!r}; got {said!r}"
-            said += read.decode(errors="replace")
-        self.said += said
-        return said
+            self.said += (new := read.decode(errors="replace"))
+            said += new
+        said, words, self._unread = said.partition(words)
+        return said + words
 
     def type(self, keys: bytes) -> None:
         os.write(self.fd, keys)
