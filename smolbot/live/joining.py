@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,19 +89,19 @@ def _opened(port: int | None) -> Console:
         if os.name == "posix"
         else {"creationflags": 0x00000200}  # a process group of its own
     )
-    process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **apart
-    )
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end and process.poll() is None:
-        for console in running():
-            if console.process == process.pid:
-                assert process.stderr is not None
-                process.stderr.close()
-                return console
-        time.sleep(0.1)
-    if process.poll() is None:
-        process.kill()
-        raise InputError(f"No console opened within {PATIENCE:g} s.")
-    _, said = process.communicate()
-    raise InputError(f"No console could be opened: {said.strip() or f'exit code {process.returncode}'}")
+    with tempfile.TemporaryFile("w+") as said:  # not a pipe: the console goes on to write when nobody reads any more
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, **apart
+        )  # fmt: skip
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end and process.poll() is None:
+            for console in running():
+                if console.process == process.pid:
+                    return console
+            time.sleep(0.1)
+        if process.poll() is None:
+            process.kill()
+            raise InputError(f"No console opened within {PATIENCE:g} s.")
+        said.seek(0)
+        why = said.read().strip() or f"exit code {process.returncode}"
+    raise InputError(f"No console could be opened: {why}")
