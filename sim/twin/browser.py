@@ -17,8 +17,11 @@ OPTIONS = (
     "--disable-component-update", "--disable-sync", "--no-proxy-server",
 )  # fmt: skip
 
-LOOKS = 15
-"""Looks at the page's clock; the quickest one counts."""
+LOOKS = 5
+"""Looks at the page's clock."""
+
+SLACK = 0.002
+"""Seconds by which the wall's clock may have been set right since a page was loaded."""
 
 
 def missing() -> str:
@@ -89,15 +92,26 @@ class Browser:
         return found
 
     def clock(self) -> tuple[float, float]:
-        """What must be added to the page's times (s) to have the machine's monotonic clock, and how sure that is."""
-        best = (0.0, float("inf"))
+        """What must be added to the page's times (s) to have the machine's monotonic clock, and how sure that is.
+
+        A page says when, by the wall's clock, its own began; a look at both of the machine's clocks gives the rest. That
+        is held against what the page's clock shows between two looks at the machine's.
+
+        Raises
+        ------
+        RuntimeError
+            If they do not agree.
+        """
+        begun = 1e-3 * float(self.driver.execute_script("return performance.timeOrigin"))
+        before, wall, after = time.monotonic(), time.time(), time.monotonic()
+        offset = begun - wall + 0.5 * (before + after)
         for _ in range(LOOKS):
             before = time.monotonic()
-            told = 1e-3 * float(self.driver.execute_script("return performance.now()"))
+            told = offset + 1e-3 * float(self.driver.execute_script("return performance.now()"))
             after = time.monotonic()
-            if after - before < best[1]:
-                best = (0.5 * (before + after) - told, after - before)
-        return best[0], 0.5 * best[1]
+            if not before - SLACK <= told <= after + SLACK:
+                raise RuntimeError(f"the page's clock is off: {told:.4f} s is not within {before:.4f} and {after:.4f} s")
+        return offset, SLACK
 
     def watch_clicks(self, *, then_leave: bool = False) -> None:
         """Note when the button was pressed, before anything else hears of it; and leave the page right after."""

@@ -260,7 +260,8 @@ def show_stops(stops: list[Stop]) -> bool:
 def main() -> None:
     """Measure, print, and end with 1 if something took longer than is allowed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--stops", type=int, default=10, help="of each of the ways click and command")
+    parser.add_argument("--clicks", type=int, default=10, help="of STOP on the page")
+    parser.add_argument("--commands", type=int, default=10, help="stops without a page")
     parser.add_argument("--leaves", type=int, default=3, help="presses on a page that is left at once")
     parser.add_argument("--kills", type=int, default=3, help="of the console's process")
     parser.add_argument("--flights", type=int, default=2, help="with and without a console, for the loop's lateness")
@@ -273,7 +274,7 @@ def main() -> None:
     if reason:
         sys.exit(f"{reason}; or leave the browser out with --no-browser.")
     width, _, height = given.size.partition("x")
-    counts = {"click": given.stops, "leave": given.leaves, "command": given.stops, "kill": given.kills}
+    counts = {"click": given.clicks, "leave": given.leaves, "command": given.commands, "kill": given.kills}
     if given.no_browser:
         counts |= {"click": 0, "leave": 0}
     waits = np.random.default_rng(1)
