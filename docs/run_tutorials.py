@@ -185,7 +185,8 @@ class Shell:
 
     def __init__(self, folder: Path, path: str) -> None:
         environment = {
-            **os.environ, "PATH": path, "HOME": str(folder.parent / "home"), "NO_COLOR": "1", "PYTHONWARNINGS": "ignore",
+            **os.environ, "PATH": path, "HOME": str(folder.parent / "home"), "NO_COLOR": "1",
+            "PYTHONWARNINGS": "ignore",
             "PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1",
         }  # fmt: skip
         environment.pop("VIRTUAL_ENV", None)

@@ -1,6 +1,7 @@
 """A pinhole camera over the tank, not quite upright, with what a lens leaves of its distortion.
 
-Its projection is written here and nowhere else: `smolbot.optics`, which has to find its way back from pixels, has its own.
+Its projection is written here and nowhere else: `smolbot.optics`, which has to find its way back from pixels, has
+its own.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import numpy as np
 from sim.film.kernels import rays
 from smolbot.arrays import FloatArray
 
-
 FRAMED = 0.8
-"""Share of the picture's shorter side that what must be seen fills: it may be turned, and stand higher than the plate."""
+"""Share of the picture's shorter side that what must be seen fills: it may be turned, and stand higher than the
+plate."""
 
 
 @dataclass(frozen=True, eq=False)

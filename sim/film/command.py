@@ -14,7 +14,9 @@ from smolbot.errors import InputError
 
 def film(
     run: Annotated[Path | None, typer.Argument(help="Folder of a run in the simulated tank.", metavar="RUN")] = None,
-    out: Annotated[Path, typer.Option("--out", help="Video to write: .avi, or .mp4, smaller and blockier.")] = Path("film.avi"),
+    out: Annotated[Path, typer.Option("--out", help="Video to write: .avi, or .mp4, smaller and blockier.")] = Path(
+        "film.avi"
+    ),
     fps: Annotated[float | None, typer.Option(help="Frames per second; default: 25, or 5000 with --swing.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the camera: place, print, light, colours, noise.")] = 1,
     begin_s: Annotated[float | None, typer.Option(help="Film from here on, on the run's clock.")] = None,
@@ -23,7 +25,9 @@ def film(
     hide: Annotated[
         list[str] | None, typer.Option("--hide", help="FROM..TO: seconds in which a rod lies over the robot.")
     ] = None,
-    flat: Annotated[bool, typer.Option("--flat", help="Markers on the plate alone, none at the robot's height.")] = False,
+    flat: Annotated[
+        bool, typer.Option("--flat", help="Markers on the plate alone, none at the robot's height.")
+    ] = False,
     swing: Annotated[
         str | None, typer.Option(help="Film no run but the cantilever of this robot, excited and let go.")
     ] = None,
@@ -66,9 +70,7 @@ def film(
         echo_json({"video": str(out), "fiducials": str(fiducials), "frames": len(made.times), "begin_s": made.times[0]})
 
 
-def _film_swing(
-    name: str, rig: str, out: Path, fps: float | None, seed: int, truth: Path | None, json: bool
-) -> None:
+def _film_swing(name: str, rig: str, out: Path, fps: float | None, seed: int, truth: Path | None, json: bool) -> None:
     from sim.film.swing import film_swing
     from smolbot.rigfile import load_rig
     from smolbot.robotfile import load_robot

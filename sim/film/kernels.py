@@ -6,9 +6,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from smolbot.arrays import FloatArray
+
+Sheet = npt.NDArray[np.float32]
+"""Grey levels of what is printed, (rows, columns, 3)."""
 
 UNBENDING = 4
 """Fixed-point steps that undo a distortion of some tenths of a per cent to below 1e-9."""
@@ -72,13 +76,14 @@ def in_box(
 
 @njit(cache=True, error_model="numpy")
 def see_empty(
-    scale: float, width: int, height: int, lens: FloatArray, box: FloatArray, plate: FloatArray, caps: FloatArray,
+    scale: float, width: int, height: int, lens: FloatArray, box: FloatArray, plate: Sheet, caps: Sheet,
     corner: FloatArray, posts: FloatArray, tones: FloatArray, shading: FloatArray, relief: int,
 ) -> FloatArray:  # fmt: skip
     """The scene without a robot, (height, width, 3), each pixel the mean of `relief`² rays.
 
     Entries of `box`: middle (2) and half sides (2) of the container's inside, floor, surface, top of the wall, its
-    thickness, refractive index. `plate` and `caps` are what is printed on the floor and on the posts' tops, `scale` pixels
+    thickness, refractive index. `plate` and `caps` are what is printed on the floor and on the posts' tops, `scale`
+    pixels
     per m; rows of `posts`: middle (3) and half sides (3).
     """
     out = np.empty((height, width, 3))

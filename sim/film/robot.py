@@ -1,4 +1,5 @@
-"""The robot before the camera: a clear printed housing, half in the liquid, with its magnet and the ring of a meniscus."""
+"""The robot before the camera: a clear printed housing, half in the liquid, with its magnet and the ring of a
+meniscus."""
 
 from __future__ import annotations
 
@@ -83,7 +84,8 @@ def paint(
         return u0, v0, u1, v1
     frame[v0:v1, u0:u1] = see_robot(
         frame[v0:v1, u0:u1].copy(), u0, v0, FINE, camera.lens, stage.surface, stage.index, rotation,
-        looks.boxes(position, rotation), looks.resin, CLEAR, looks.ring, stage.lamp, int(np.argmax(np.abs(rotation[2]))),
+        looks.boxes(position, rotation), looks.resin, CLEAR, looks.ring, stage.lamp,
+        int(np.argmax(np.abs(rotation[2]))),
     )  # fmt: skip
     return u0, v0, u1, v1
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sim.film.camera import Camera
-from sim.film.kernels import see_empty
+from sim.film.kernels import Sheet, see_empty
 from smolbot.arrays import BoolArray, FloatArray
 from smolbot.rigfile import RigConfig
 
@@ -24,7 +23,8 @@ RELIEF = 2  # rays per pixel and direction
 
 @dataclass(frozen=True)
 class Marker:
-    """A printed marker: its number, its middle as it should be, where and how it truly lies (m, rad), on a post or not."""
+    """A printed marker: its number, its middle as it should be, where and how it truly lies (m, rad), on a post or
+    not."""
 
     number: int
     center: tuple[float, float]
@@ -91,7 +91,8 @@ class Stage:
 def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) -> Stage:
     """The rig's container on a plate, printed and lit by hand: markers at its corners, and on posts at its sides.
 
-    The posts end at the liquid's surface: markers in two planes tell where the camera is, and those in the robot's own see it
+    The posts end at the liquid's surface: markers in two planes tell where the camera is, and those in the robot's
+    own see it
     without parallax. Print alone, all in one plane, leaves a camera's tilt unsure by half a degree.
     """
     section = rig.sections.container
@@ -126,9 +127,6 @@ def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) 
     )  # fmt: skip
 
 
-Sheet = npt.NDArray[np.float32]
-
-
 def printed_sheets(stage: Stage, rng: np.random.Generator) -> tuple[Sheet, Sheet, FloatArray]:
     """The plate and the posts' tops from straight above, (n, n, 3), and their lower left corner (2,) in m.
 
@@ -142,8 +140,8 @@ def printed_sheets(stage: Stage, rng: np.random.Generator) -> tuple[Sheet, Sheet
     grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (n, n)).astype(np.float32), (0, 0), 0.06 * PRINT)
     blotches = cv2.resize(rng.normal(0.0, 1.0, (9, 9)).astype(np.float32), (n, n), interpolation=cv2.INTER_CUBIC)
     tone = 1.0 + 0.012 * grain / grain.std() + 0.015 * blotches
-    plate = (stage.tones[0] * tone[:, :, None]).astype(np.float32)
-    caps = np.full_like(plate, 0.0)
+    plate: Sheet = (stage.tones[0] * tone[:, :, None]).astype(np.float32)
+    caps: Sheet = np.full_like(plate, 0.0)
     caps[:] = stage.tones[0]
     lines = 1e3 * (np.arange(n) / (1e3 * PRINT) + low[:, None])  # in mm
     for axis in (0, 1):  # a faint grid of 10 mm, as on a cutting mat
@@ -187,6 +185,17 @@ def photograph(stage: Stage, camera: Camera, rng: np.random.Generator) -> FloatA
     box = np.array([*stage.center, *stage.half, stage.floor, stage.surface, stage.top, WALL, stage.index])
     return np.asarray(
         see_empty(
-            1e3 * PRINT, width, height, camera.lens, box, plate, caps, low, stage.posts, stage.tones, stage.shading, RELIEF
+            1e3 * PRINT,
+            width,
+            height,
+            camera.lens,
+            box,
+            plate,
+            caps,
+            low,
+            stage.posts,
+            stage.tones,
+            stage.shading,
+            RELIEF,
         )
     )

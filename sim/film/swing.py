@@ -1,4 +1,5 @@
-"""High-speed clips of a cantilever that is excited and let go, as under a microscope (the paper's Movie S1 and Fig. S2)."""
+"""High-speed clips of a cantilever that is excited and let go, as under a microscope (the paper's Movie S1 and Fig.
+S2)."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ EXPOSURE = 60e-6  # s
 
 @dataclass(frozen=True, eq=False)
 class SwingFilm:
-    """A clip's truth: deflections (n,), in rad, at the frames' times (n,), in s; when the drive ended (s); the device as drawn.
+    """A clip's truth: deflections (n,), in rad, at the frames' times (n,), in s; when the drive ended (s); the
+    device as drawn.
 
     `damping` (1/s) is that of an exponential decay, `loss` (rad/s) what the amplitude loses in a linear one.
     """
@@ -54,7 +56,8 @@ class SwingFilm:
 def swung(
     rig: RigConfig, robot: RobotConfig, seed: int, cycles: int, free: float, current: float
 ) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-    """Deflection (n,) in rad, over time (n,) in s, of the tank's own cantilever in a housing held over the excitation coils.
+    """Deflection (n,) in rad, over time (n,) in s, of the tank's own cantilever in a housing held over the
+    excitation coils.
 
     Driven by `cycles` of `current` (A) at the believed resonance, then free for `free` s. Returned are also when the
     drive ended, and the device as packed for the kernel.
@@ -87,7 +90,7 @@ def swung(
             tuple(middle), tuple(quaternion), device, np.zeros(3), coils.fields.rows, coils.fields.coefficients,
             coils.circuits, state, poses, i, trace, i * SUBSTEPS, STEP, SUBSTEPS, np.zeros((0, 1)), 0,
         )  # fmt: skip
-    times = STEP / SUBSTEPS * np.arange(1, len(trace) + 1)
+    times = np.asarray(STEP / SUBSTEPS * np.arange(1, len(trace) + 1), np.float64)
     return times, trace[:, 0], on * STEP, device
 
 
@@ -106,7 +109,8 @@ def film_swing(
     """
     if not 8.0 * robot.device.frequency <= fps <= 1e6:
         raise InputError(
-            f"A swing at {robot.device.frequency:g} Hz needs {8.0 * robot.device.frequency:.0f} frames per second or more; "
+            f"A swing at {robot.device.frequency:g} Hz needs {8.0 * robot.device.frequency:.0f} frames per second "
+            "or more; "
             f"got {fps:g}."
         )
     rng = np.random.default_rng([seed, 0x5711])
@@ -120,7 +124,10 @@ def film_swing(
     grain = Grain(rng, SIZE)
     with Writer(path, PLAYED, SIZE) as writer:
         for time in frames:
-            parts = [scene.picture(float(np.interp(time + shift, times, theta))) for shift in EXPOSURE * (np.arange(3) - 1) / 3]
+            parts = [
+                scene.picture(float(np.interp(time + shift, times, theta)))
+                for shift in EXPOSURE * (np.arange(3) - 1) / 3
+            ]
             writer.write(grain.over(blurred(np.mean(parts, axis=0), scene.blur)))
     return made
 
@@ -140,7 +147,9 @@ class _Scene:
         right, up = c * along - s * aside, s * along + c * aside
         c, s = math.cos(roll), math.sin(roll)
         self.x, self.z = c * right + s * up, -s * right + c * up
-        self.light = 1.0 + rng.uniform(-0.15, 0.15) * (u / SIZE[0] - 0.5) + rng.uniform(-0.15, 0.15) * (v / SIZE[1] - 0.5)
+        self.light = (
+            1.0 + rng.uniform(-0.15, 0.15) * (u / SIZE[0] - 0.5) + rng.uniform(-0.15, 0.15) * (v / SIZE[1] - 0.5)
+        )
         self.polish = rng.uniform(-0.2, 0.2, 2)
         wall = 0.5 + 0.5 * np.tanh((np.abs(self.x) - 1.35e-3) / 0.05e-3)
         self.chamber = 18.0 + 30.0 * wall + 6.0 * rng.uniform() * (self.z < -0.3e-3)
@@ -155,7 +164,11 @@ class _Scene:
         magnet = np.clip(0.5 - SCALE * reach, 0.0, 1.0)
         shine = 185.0 * (1.0 + self.polish[0] * ahead / half + self.polish[1] * aside / half)
         bend = 0.5 * math.tan(theta) * np.clip(self.z + self.l0, 0.0, None) ** 2 / (2.0 * self.l0)
-        blade = np.clip(0.5 - SCALE * (np.abs(self.x - bend) - 0.02e-3), 0.0, 1.0) * (self.z < self.l0) * (self.z > -self.l0)
+        blade = (
+            np.clip(0.5 - SCALE * (np.abs(self.x - bend) - 0.02e-3), 0.0, 1.0)
+            * (self.z < self.l0)
+            * (self.z > -self.l0)
+        )
         picture = self.chamber + 40.0 * blade
         picture = (1.0 - magnet) * picture + magnet * shine
         return np.repeat((picture * self.light)[:, :, None], 3, axis=2) * np.array([0.98, 1.0, 1.02])

@@ -60,5 +60,7 @@ def read_trail(run: str | Path) -> tuple[Trail, AnyMission]:
     times = np.array([pose.time for pose in known])
     order = np.argsort(times, kind="stable")
     kept = order[np.concatenate([[True], np.diff(times[order]) > 1e-9])]
-    trail = Trail(times[kept], np.array([known[i].position for i in kept]), np.array([known[i].orientation for i in kept]))
+    trail = Trail(
+        times[kept], np.array([known[i].position for i in kept]), np.array([known[i].orientation for i in kept])
+    )
     return trail, record.mission()

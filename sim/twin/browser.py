@@ -94,7 +94,8 @@ class Browser:
     def clock(self) -> tuple[float, float]:
         """What must be added to the page's times (s) to have the machine's monotonic clock, and how sure that is.
 
-        A page says when, by the wall's clock, its own began; a look at both of the machine's clocks gives the rest. That
+        A page says when, by the wall's clock, its own began; a look at both of the machine's clocks gives the rest.
+        That
         is held against what the page's clock shows between two looks at the machine's.
 
         Raises
@@ -110,7 +111,9 @@ class Browser:
             told = offset + 1e-3 * float(self.driver.execute_script("return performance.now()"))
             after = time.monotonic()
             if not before - SLACK <= told <= after + SLACK:
-                raise RuntimeError(f"the page's clock is off: {told:.4f} s is not within {before:.4f} and {after:.4f} s")
+                raise RuntimeError(
+                    f"the page's clock is off: {told:.4f} s is not within {before:.4f} and {after:.4f} s"
+                )
         return offset, SLACK
 
     def watch_clicks(self, *, then_leave: bool = False) -> None:

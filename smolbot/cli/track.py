@@ -25,7 +25,9 @@ DOUBT = 1e-4  # m: more than this unsure of the camera is told
 
 
 def track(
-    video: Annotated[Path, typer.Argument(help="Video from above; with --deflection a high-speed clip.", metavar="VIDEO")],
+    video: Annotated[
+        Path, typer.Argument(help="Video from above; with --deflection a high-speed clip.", metavar="VIDEO")
+    ],
     fiducials: Annotated[
         Path | None, typer.Option(help="TOML file of the ArUco markers and their places; see the documentation.")
     ] = None,
@@ -44,12 +46,15 @@ def track(
         float | None, typer.Option(help="Known height of the robot; default: the liquid's surface in the run's rig.")
     ] = None,
     mark: Annotated[
-        str, typer.Option(help="Where the dark mark is: head, tail or none; auto: the magnet, as the robot file has it.")
+        str,
+        typer.Option(help="Where the dark mark is: head, tail or none; auto: the magnet, as the robot file has it."),
     ] = "auto",
     background: Annotated[
         Path | None, typer.Option(help="Picture of the scene without the robot; default: the video's median.")
     ] = None,
-    run: Annotated[Path | None, typer.Option("--run", help="Folder of the run that was filmed, to compare with.")] = None,
+    run: Annotated[
+        Path | None, typer.Option("--run", help="Folder of the run that was filmed, to compare with.")
+    ] = None,
     offset_s: Annotated[
         float | None, typer.Option(help="When the video began on the run's clock; default: by the best match.")
     ] = None,
@@ -66,8 +71,10 @@ def track(
 ) -> None:
     """Find the robot in a video from above: a track in mm, and a run's errors against it.
 
-    The robot is what differs from the scene that stands still and has the robot's outline; its head is told from its tail by
-    its magnet. Markers (--fiducials) or four points (--corners, --corners-mm) say where pixels are. The video is aligned
+    The robot is what differs from the scene that stands still and has the robot's outline; its head is told from its
+    tail by
+    its magnet. Markers (--fiducials) or four points (--corners, --corners-mm) say where pixels are. The video is
+    aligned
     with the run by the best match of their displacements. Leaves track.csv, track.json and track.png; a track in
     RUN/optical is the run's optical reference.
 
@@ -115,7 +122,8 @@ def _check_points(fiducials: Path | None, corners: str | None, corners_mm: str |
         raise InputError("Give --fiducials or --corners, not both.")
     if fiducials is None and corners is None:
         raise InputError(
-            "Where pixels are must be known: --fiducials FILE, or --corners 'u,v u,v u,v u,v' with --corners-mm 'x,y …'."
+            "Where pixels are must be known: --fiducials FILE, or --corners 'u,v u,v u,v u,v' with --corners-mm "
+            "'x,y …'."
         )
     if (corners is None) != (corners_mm is None):
         raise InputError("--corners and --corners-mm belong together: four points in the picture, and where they are.")
@@ -218,15 +226,15 @@ def _follow(film: Video, view: View, body: Body, height: float, background: Path
 
 
 def _report(
-    found: OpticalTrack, film: Video, view: View, height: float, config: RobotConfig, poses: RunPoses | None, run: Path | None,
-    offset_s: float | None, folder: Path, json: bool, *, told: str, notes: list[str], known: bool,
+    found: OpticalTrack, film: Video, view: View, height: float, config: RobotConfig, poses: RunPoses | None,
+    run: Path | None, offset_s: float | None, folder: Path, json: bool, *, told: str, notes: list[str], known: bool,
 ) -> None:  # fmt: skip
     import numpy as np
 
     from smolbot.cli.show import as_json, echo_json, table
+    from smolbot.optics.opticaltrack import write_optical_track
     from smolbot.optics.picture import draw_track
     from smolbot.optics.trackfigures import tracking_error
-    from smolbot.optics.opticaltrack import write_optical_track
 
     figures: dict[str, Any] = {
         "video": str(film.path), "fps": film.fps, "frames": found.total, "seen": len(found.frames),
@@ -235,14 +243,21 @@ def _report(
         "camera_sigma_mm": 1e3 * found.view_sigma, "camera_place_mm": 1e3 * view.place,
     }  # fmt: skip
     rows = [
-        ("frames", f"{found.total} at {film.fps:g} per second; robot seen in {len(found.frames)}, hidden in {found.hidden}"),
+        (
+            "frames",
+            f"{found.total} at {film.fps:g} per second; robot seen in {len(found.frames)}, hidden in {found.hidden}",
+        ),
         ("camera", "; ".join(notes) + f"; at {', '.join(f'{1e3 * v:.0f}' for v in view.place)} mm"),
         ("robot", f"{config.name}, at z = {1e3 * height:.2f} mm ({told})"),
-        ("sure to", f"{figures['sigma_mm']:.3f} mm by its outline, {figures['camera_sigma_mm']:.3f} mm by the camera's place"),
+        (
+            "sure to",
+            f"{figures['sigma_mm']:.3f} mm by its outline, {figures['camera_sigma_mm']:.3f} mm by the camera's place",
+        ),
     ]
     if found.view_sigma > DOUBT:
-        rows.append(("warning", "parallax: where the camera is, is not known well enough. Put markers at the robot's height, "
-                     "or in two planes, or say --camera-height-mm"))  # fmt: skip
+        unsure = "parallax: where the camera is, is not known well enough"
+        cure = "Put markers at the robot's height, or in two planes, or say --camera-height-mm"
+        rows.append(("warning", f"{unsure}. {cure}"))
     if found.head_unsure:
         figures["head_unsure"] = found.head_unsure
         rows.append(("warning", f"in {found.head_unsure} frames nothing tells head from tail; see --mark"))
@@ -266,8 +281,13 @@ def _report(
             figures["tracking_error_mm"] = error
             rows.append(("tracking error", f"{_plain(error)} mm, of the robot as seen to the path"))
         e = figures["position_error_mm"]
-        line = f"{len(analysis.times)} poses   ·   position error {e['mean']:.2f} ± {e['std']:.2f} mm   ·   " \
-            f"angle error {figures['angle_error_deg']['mean']:.1f} ± {figures['angle_error_deg']['std']:.1f}°   ·   " + line  # fmt: skip
+        a = figures["angle_error_deg"]
+        said = [
+            f"{len(analysis.times)} poses",
+            f"position error {e['mean']:.2f} ± {e['std']:.2f} mm",
+            f"angle error {a['mean']:.1f} ± {a['std']:.1f}°",
+        ]
+        line = "   ·   ".join([*said, line])
     _make(folder)
     write_optical_track(folder / "track.csv", found)
     what = film.path.name if run is None else run.resolve().name
@@ -290,12 +310,15 @@ def _compared(figures: dict[str, Any], given: bool) -> list[tuple[str, str]]:
     if "z_error_mm" in figures:
         known = figures["z_error_mm"]
         height += f"; from the known height {known['mean']:+.2f} ± {known['std']:.2f} mm"
+    sides = [f"{figures[k]['mean']:+.2f} ± {figures[k]['std']:.2f}" for k in ("x_error_mm", "y_error_mm")]
     return [
-        ("video began", f"{figures['offset_s']:.3f} s on the run's clock ({how}); correlation {figures['correlation']:.4f}"),
+        (
+            "video began",
+            f"{figures['offset_s']:.3f} s on the run's clock ({how}); correlation {figures['correlation']:.4f}",
+        ),
         ("position error", f"{_plain(figures['position_error_mm'])} mm (x and y), of {figures['poses']} poses"),
         ("to optical path", f"{_plain(figures['to_optical_path_mm'])} mm"),
-        ("error in x, y", ", ".join(f"{figures[k]['mean']:+.2f} ± {figures[k]['std']:.2f}" for k in ("x_error_mm", "y_error_mm"))
-         + " mm"),
+        ("error in x, y", ", ".join(sides) + " mm"),
         ("error in z", height),
         ("angle error", f"{_plain(figures['angle_error_deg'])}°, mean of signs {figures['angle_bias_deg']:+.2f}°"),
         *([("as tracked", f"{_plain(figures['tracked_position_error_mm'])} mm")]

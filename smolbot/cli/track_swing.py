@@ -29,7 +29,8 @@ def measure_swing(
 
     if not told and clip.fps < SLOW:
         raise InputError(
-            f"{clip.path}: tells {clip.fps:g} frames per second, at which it is to be played; say with --fps what it was recorded "
+            f"{clip.path}: tells {clip.fps:g} frames per second, at which it is to be played; say with --fps what "
+            "it was recorded "
             "at, such as --fps 5000."
         )
     swing = follow_swing(clip)
@@ -42,16 +43,23 @@ def measure_swing(
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error}.") from error
     f, a, d = (figures[k] for k in ("frequency_hz", "amplitude_deg", "damping_per_s"))
-    line = f"{f['value']:.2f} Hz   ·   {figures['largest_deg']:.1f}° at most   ·   damping {d['value']:.2f} 1/s, {ringing.model}"
+    largest = f"{figures['largest_deg']:.1f}° at most"
+    line = f"{f['value']:.2f} Hz   ·   {largest}   ·   damping {d['value']:.2f} 1/s, {ringing.model}"
     draw_swing(swing, ringing, folder / "swing.png", title=f"Swing in {clip.path.name}", line=line)
     rows = [
         ("frames", f"{swing.total} at {clip.fps:g} per second; magnet seen in {len(swing.frames)}"),
         ("angles", _angles(swing)),
         ("largest", f"{figures['largest_deg']:.2f}°"),
-        ("free swing", f"from {1e3 * ringing.begin:.1f} to {1e3 * ringing.end:.1f} ms, rms left {figures['rms_deg']:.3f}°"),
+        (
+            "free swing",
+            f"from {1e3 * ringing.begin:.1f} to {1e3 * ringing.end:.1f} ms, rms left {figures['rms_deg']:.3f}°",
+        ),
         ("resonance", f"{f['value']:.3f} ± {f['std']:.1g} Hz"),
         ("amplitude", f"{a['value']:.2f} ± {a['std']:.1g}° when it is let go"),
-        ("damping", f"{d['value']:.3f} ± {d['std']:.1g} 1/s, {ringing.model}; {figures['loss_deg_per_s']:.1f}°/s at first"),
+        (
+            "damping",
+            f"{d['value']:.3f} ± {d['std']:.1g} 1/s, {ringing.model}; {figures['loss_deg_per_s']:.1f}°/s at first",
+        ),
         ("other model", f"rms left {figures['other_model_rms_deg']:.3f}°"),
         ("written", f"{folder}: swing.csv, swing.json, swing.png"),
     ]
@@ -62,7 +70,9 @@ def measure_swing(
 
 def _angles(swing: Swing) -> str:
     if swing.by_arc:
-        return f"by the arc of the magnet's centre, {swing.radius:.1f} ± {swing.radius_sigma:.2f} pixels about its pivot"
+        return (
+            f"by the arc of the magnet's centre, {swing.radius:.1f} ± {swing.radius_sigma:.2f} pixels about its pivot"
+        )
     return "by how the magnet is turned: its arc is too short to tell the pivot"
 
 

@@ -1,7 +1,9 @@
 """When a video began on a run's clock: the shift with which both tell of the same movement.
 
-A camera has no clock in common with the rig. Both displacements are compared over all shifts; the best is that with the greatest
-likelihood, refined below a frame. Poses and camera may be apart by a constant, `APART`: a robot that goes straight on at one
+A camera has no clock in common with the rig. Both displacements are compared over all shifts; the best is that with
+the greatest
+likelihood, refined below a frame. Poses and camera may be apart by a constant, `APART`: a robot that goes straight
+on at one
 speed looks the same a moment later and elsewhere, and only that constant tells when.
 """
 
@@ -12,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.arrays import BoolArray, FloatArray
 from smolbot.errors import InputError
 from smolbot.optics.opticaltrack import OpticalTrack
 from smolbot.optics.runposes import RunPoses
@@ -62,7 +64,8 @@ def align(track: OpticalTrack, run: RunPoses, offset: float | None = None) -> Al
     ratios = np.array([_likeness(track, run, value)[1] for value in offsets])
     if not np.any(np.isfinite(ratios)):
         raise InputError(
-            f"Video and run cannot be aligned: at no shift do {LEAST} poses or more lie within the video while the robot "
+            f"Video and run cannot be aligned: at no shift do {LEAST} poses or more lie within the video while "
+            "the robot "
             f"moves by {1e3 * MOVED:g} mm or more; {spans}. Say with --offset-s when the video began."
         )
     best = int(np.nanargmax(np.where(np.isfinite(ratios), ratios, -np.inf)))
@@ -70,14 +73,16 @@ def align(track: OpticalTrack, run: RunPoses, offset: float | None = None) -> Al
     correlation, _ = _likeness(track, run, refined)
     if correlation < ALIKE:
         raise InputError(
-            f"Video and run do not show the same movement: at best, with the video from {track.times[0] + refined:.2f} s on, "
-            f"their displacements correlate by {correlation:.2f}; {spans}. Is it the right run, and are x and y the rig's?"
+            "Video and run do not show the same movement: at best, with the video from "
+            f"{track.times[0] + refined:.2f} s on, "
+            f"their displacements correlate by {correlation:.2f}; {spans}. Is it the right run, and are x and y "
+            "the rig's?"
         )
     _, known = _paired(track, run, refined)
     return Alignment(refined, _sigma(track, run, refined), int(known.sum()), correlation)
 
 
-def _paired(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[FloatArray, FloatArray]:
+def _paired(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[FloatArray, BoolArray]:
     places, _, known = track.at(run.times - offset)
     return places, known
 

@@ -61,7 +61,8 @@ class PathAnalysis:
     def figures(self) -> dict[str, Any]:
         """Figures of merit, in the units that their names carry.
 
-        ``position_error_mm`` is the paper's: mean and standard deviation of the horizontal distance. ``z_error_from_mean_mm`` is
+        ``position_error_mm`` is the paper's: mean and standard deviation of the horizontal distance.
+        ``z_error_from_mean_mm`` is
         the paper's too: of the distance from the mean height.
         """
         off = 1e3 * (self.poses - self.optical)

@@ -1,6 +1,8 @@
-"""The swing of a cantilever in a high-speed clip, as in the paper's Fig. S2: the magnet's place and angle in each frame.
+"""The swing of a cantilever in a high-speed clip, as in the paper's Fig. S2: the magnet's place and angle in each
+frame.
 
-Assumptions: the camera looks along the axis of oscillation and stands still; the magnet is the largest bright thing; the
+Assumptions: the camera looks along the axis of oscillation and stands still; the magnet is the largest bright thing;
+the
 file's own frame rate is that of playing, unless it was told otherwise.
 """
 
@@ -78,7 +80,8 @@ def follow_swing(clip: Video) -> Swing:
             rows.append(found)
     if len(rows) < 20:
         raise InputError(
-            f"{clip.path}: a bright magnet is seen in {len(rows)} of {clip.frames} frames; it must be {BRIGHT:.0f} grey levels "
+            f"{clip.path}: a bright magnet is seen in {len(rows)} of {clip.frames} frames; it must be "
+            f"{BRIGHT:.0f} grey levels "
             f"brighter than what is around it, and cover {SMALLEST} pixels or more."
         )
     table = np.array(rows)
@@ -98,11 +101,13 @@ def follow_swing(clip: Video) -> Swing:
         arc -= arc.mean()
     elif not np.all(np.isfinite(turn)):
         raise InputError(
-            f"{clip.path}: the swing is too small to show its arc (radius {radius:.0f} ± {sigma:.0f} pixels), and the magnet has "
+            f"{clip.path}: the swing is too small to show its arc (radius {radius:.0f} ± {sigma:.0f} pixels), and "
+            "the magnet has "
             "no corners that tell how it is turned. Come nearer with the camera."
         )
     return Swing(
-        np.array(frames), np.array(frames) / clip.fps, centers - (pivot if sigma < ROUND * radius else centers.mean(axis=0)),
+        np.array(frames), np.array(frames) / clip.fps,
+        centers - (pivot if sigma < ROUND * radius else centers.mean(axis=0)),
         arc, turn, radius, sigma, clip.frames,
     )  # fmt: skip
 
@@ -112,7 +117,7 @@ def _magnet(frame: Any) -> tuple[float, ...] | None:
     import cv2
 
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-    level, mask = cv2.threshold(cv2.GaussianBlur(grey, (0, 0), 1.0), 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    _, mask = cv2.threshold(cv2.GaussianBlur(grey, (0, 0), 1.0), 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     if count < 2:
         return None

@@ -20,7 +20,8 @@ A TOML file, mm in the rig's world frame::
 Markers in one plane fix that plane, and leave the camera's tilt unsure by some tenths of a degree: what is 15 mm above
 them is then seen 0.1 to 0.3 mm off. Put some of them, or all, at the robot's height.
 
-Markers under a liquid are seen higher than they lie: give ``surface - depth / n`` as their height (n: refractive index).
+Markers under a liquid are seen higher than they lie: give ``surface - depth / n`` as their height (n: refractive
+index).
 """
 
 from __future__ import annotations
@@ -163,7 +164,8 @@ def view_by_markers(picture: Any, file: FiducialsFile, camera_height: float | No
     off = view.rms / view.scale(points.mean(axis=0))
     if off > MISPLACED:
         raise InputError(
-            f"Markers {_listed(here)} do not lie where the file says: {view.rms:.1f} pixels or {1e3 * off:.2f} mm (rms) "
+            f"Markers {_listed(here)} do not lie where the file says: {view.rms:.1f} pixels or {1e3 * off:.2f} mm "
+            "(rms) "
             "are left. Check ids, places, turn_deg and side_mm; and height_mm of the camera."
         )
     return Found(view, tuple(here), missing)
@@ -185,7 +187,8 @@ def _detect(picture: Any, dictionary: str) -> dict[int, FloatArray]:
 
 
 def _sharpened(grey: Any, quad: FloatArray) -> FloatArray:
-    """Corners (4, 2) where lines through the four edges of a black square meet, each edge found to a fraction of a pixel."""
+    """Corners (4, 2) where lines through the four edges of a black square meet, each edge found to a fraction of a
+    pixel."""
     import cv2
 
     side = float(np.mean(np.linalg.norm(quad - np.roll(quad, 1, axis=0), axis=1)))

@@ -123,7 +123,9 @@ def read_optical_track(path: str | Path) -> OpticalTrack:
         reader = csv.DictReader(file)
         missing = [name for name in NEEDED if name not in (reader.fieldnames or [])]
         if missing:
-            raise InputError(f"{path}: column {', '.join(missing)} is missing; an optical track has {', '.join(NEEDED)}.")
+            raise InputError(
+                f"{path}: column {', '.join(missing)} is missing; an optical track has {', '.join(NEEDED)}."
+            )
         rows = [_numbers(path, number, row) for number, row in enumerate(reader, 2)]
     if len(rows) < 2:
         raise InputError(f"{path}: holds {len(rows)} rows; a track has two or more.")

@@ -1,7 +1,9 @@
 """Fits the outline of a body of known size to a picture: centre and heading to a fraction of a pixel.
 
-The body is a level box; what is seen of it is the hull of its eight projected corners, so its sides, too, are seen as a camera
-sees them. Along the hull's normals the picture's steepest step from body to background is sought; Gauss-Newton then moves
+The body is a level box; what is seen of it is the hull of its eight projected corners, so its sides, too, are seen
+as a camera
+sees them. Along the hull's normals the picture's steepest step from body to background is sought; Gauss-Newton then
+moves
 and turns the body until the steps lie on the hull.
 """
 
@@ -52,7 +54,8 @@ class Fit:
     """Middle (x, y in m) and heading (rad) of a body, and how well its outline is borne out.
 
     `share` is the part of the outline near which a step was found, `rms` (m) how far those steps are from it,
-    `sigma` (m) what that leaves unsure of the middle, `contrast` (grey levels) how the body differs from the background.
+    `sigma` (m) what that leaves unsure of the middle, `contrast` (grey levels) how the body differs from the
+    background.
     """
 
     x: float
@@ -131,9 +134,7 @@ def fit_outline(
     return Fit(float(x), float(y), _wrapped(float(heading)), share, rms, sigma, contrast)
 
 
-def mark_moment(
-    grey: FloatArray, offset: tuple[int, int], view: View, body: Body, fit: Fit, height: float
-) -> float:
+def mark_moment(grey: FloatArray, offset: tuple[int, int], view: View, body: Body, fit: Fit, height: float) -> float:
     """How far ahead of the middle the dark in the body lies, in half lengths; 0 where nothing is dark.
 
     `grey` (rows, columns) is the picture itself, not its difference.
@@ -170,9 +171,7 @@ def _samples(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.vstack(points), np.vstack(normals)
 
 
-def _inside(
-    view: View, body: Body, pose: Any, height: float, ahead: FloatArray, aside: FloatArray
-) -> FloatArray:
+def _inside(view: View, body: Body, pose: Any, height: float, ahead: FloatArray, aside: FloatArray) -> FloatArray:
     """Pixels (n, 2) of points within the body, in half lengths ahead and half widths to the left of its middle."""
     x, y, heading = (pose.x, pose.y, pose.heading) if isinstance(pose, Fit) else pose
     c, s = math.cos(heading), math.sin(heading)

@@ -79,7 +79,8 @@ def _draw_scene(
         axes.plot(*(1e3 * planned[:, :2].T), color=PLANNED, lw=8, alpha=0.5, solid_capstyle="round", zorder=1,
                   label="planned")  # fmt: skip
     if analysis is not None:
-        axes.scatter(*(1e3 * analysis.poses[:, :2].T), s=11, color=LOCATED, alpha=0.75, lw=0, zorder=3, label="located")
+        x, y = 1e3 * analysis.poses[:, :2].T
+        axes.scatter(x, y, s=11, color=LOCATED, alpha=0.75, lw=0, zorder=3, label="located")
     split = np.nonzero(np.diff(track.frames) > 3)[0] + 1
     for i, piece in enumerate(np.split(track.positions, split)):
         axes.plot(*(1e3 * piece[:, :2].T), color=SEEN, lw=1.8, zorder=4, label="seen by camera" if i == 0 else None)

@@ -82,7 +82,8 @@ def fit_ringing(times: FloatArray, angles: FloatArray, begin: float | None = Non
     kept = (times >= begin) & (times <= end)
     if (end - begin) * rough < PERIODS or np.count_nonzero(kept) < FRAMES * PERIODS:
         raise InputError(
-            f"From {begin:.4f} to {end:.4f} s there are {max((end - begin) * rough, 0.0):.1f} periods of free swing; {PERIODS} or more "
+            f"From {begin:.4f} to {end:.4f} s there are {max((end - begin) * rough, 0.0):.1f} periods of free "
+            f"swing; {PERIODS} or more "
             "are needed. Say with --from-s and --to-s where it is free."
         )
     t, y = times[kept] - begin, angles[kept]

@@ -6,10 +6,10 @@ import numpy as np
 
 from smolbot.optics.opticaltrack import OpticalTrack
 from smolbot.optics.runposes import RunPoses
-from smolbot.paths import Path
+from smolbot.paths import Curve
 
 
-def tracking_error(track: OpticalTrack, path: Path, run: RunPoses) -> dict[str, float] | None:
+def tracking_error(track: OpticalTrack, path: Curve, run: RunPoses) -> dict[str, float] | None:
     """Distance of the robot as seen to the path, in mm, from when its start was reached to the last pose.
 
     `track` must be on the run's clock. None where no frame shows the robot then.

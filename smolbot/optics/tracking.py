@@ -1,7 +1,9 @@
-"""Follows one body through a video: against the median of the frames, by its outline; frames that hide it are left out."""
+"""Follows one body through a video: against the median of the frames, by its outline; frames that hide it are left
+out."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,8 +13,8 @@ import numpy as np
 
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
-from smolbot.optics.outline import Body, Fit, fit_outline, mark_moment
 from smolbot.optics.opticaltrack import OpticalTrack
+from smolbot.optics.outline import Body, Fit, fit_outline, mark_moment
 from smolbot.optics.video import Video
 from smolbot.optics.view import View
 
@@ -41,7 +43,8 @@ def track_body(
 ) -> OpticalTrack:  # fmt: skip
     """Where `body` is in every frame of `video` that shows it.
 
-    Assumptions: the camera stands still, and so does everything but the body and its shadow; the body is level, its middle at z =
+    Assumptions: the camera stands still, and so does everything but the body and its shadow; the body is level, its
+    middle at z =
     `height`; it covers no place in half of the frames or more (or `background` shows the scene without it).
 
     Parameters
@@ -83,11 +86,12 @@ def track_body(
         what = (
             f"the largest thing that differs from the background covers {1e6 * largest:.1f} mm²"
             if largest > 0
-            else "nothing differs from the background; a robot that never moves needs --background, a picture without it"
+            else "nothing differs from the background; a robot that never moves needs --background, a picture without"
         )
         raise InputError(
             f"{video.path}: the robot is never seen in {video.frames} frames: looked for a body of "
-            f"{2e3 * body.half[0]:.1f} x {2e3 * body.half[1]:.1f} mm ({wanted:.1f} mm²) at z = {1e3 * height:.1f} mm; {what}."
+            f"{2e3 * body.half[0]:.1f} x {2e3 * body.half[1]:.1f} mm ({wanted:.1f} mm²) at z = {1e3 * height:.1f} "
+            f"mm; {what}."
         )
     return _assembled(seen, video, view, body, height)
 
@@ -186,12 +190,14 @@ class _Finder:
         if not (math.isfinite(u) and math.isfinite(v)):
             return 0, 0, 0, 0
         return (
-            max(int(u - reach), 0), max(int(v - reach), 0), min(int(u + reach) + 1, width), min(int(v + reach) + 1, height)
+            max(int(u - reach), 0), max(int(v - reach), 0),
+            min(int(u + reach) + 1, width), min(int(v + reach) + 1, height),
         )  # fmt: skip
 
 
 def _clearest(blob: Any, difference: Any, area: float) -> Any:
-    """The part of a blob that differs most, as large as the body (`area` in pixels): a shadow that touches it falls away."""
+    """The part of a blob that differs most, as large as the body (`area` in pixels): a shadow that touches it falls
+    away."""
     values = difference[blob]
     if len(values) <= area:
         return blob
@@ -207,7 +213,7 @@ def _assembled(seen: list[_Seen], video: Video, view: View, body: Body, height: 
     headings = raw.copy()
     breaks = [0, *(np.nonzero(np.diff(frames) > SHORT_GAP * video.fps)[0] + 1), len(frames)]
     unsure = 0
-    for first, last in zip(breaks, breaks[1:], strict=False):
+    for first, last in itertools.pairwise(breaks):
         piece = headings[first:last]
         half_turns = np.round(np.diff(piece) / math.pi)
         signs = np.concatenate([[0.0], np.cumsum(half_turns)]) % 2  # a fit may come out by the other end

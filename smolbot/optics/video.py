@@ -62,7 +62,9 @@ class Video:
             int(capture.get(self._cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(self._cv2.CAP_PROP_FRAME_HEIGHT))
         )  # fmt: skip
         if fps is None and not (math.isfinite(told) and 0 < told < FASTEST):
-            raise InputError(f"{path}: tells a frame rate of {told:g} per second; say with --fps what it was recorded at.")
+            raise InputError(
+                f"{path}: tells a frame rate of {told:g} per second; say with --fps what it was recorded at."
+            )
         self.fps = told if fps is None else fps
         self.frames, looks = self._read_through(capture, int(promised) if promised > 0 else None)
         self.background: Image = _median(looks)
@@ -136,7 +138,9 @@ def read_picture(path: Path, size: tuple[int, int]) -> Image:
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture.")
     if picture.shape[1::-1] != size:
-        raise InputError(f"{path}: has {picture.shape[1]} x {picture.shape[0]} pixels; the video has {size[0]} x {size[1]}.")
+        raise InputError(
+            f"{path}: has {picture.shape[1]} x {picture.shape[0]} pixels; the video has {size[0]} x {size[1]}."
+        )
     return picture
 
 

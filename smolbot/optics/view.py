@@ -138,7 +138,9 @@ def check_points(pixels: FloatArray, points: FloatArray) -> None:
     for name, values in (("pixels", pixels), ("places", points[:, :2])):
         if not np.all(np.isfinite(values)):
             raise InputError(f"The {name} of the known points must be finite numbers.")
-        triples = [(i, j, k) for i in range(len(values)) for j in range(i) for k in range(j)] if len(values) == 4 else []
+        triples = (
+            [(i, j, k) for i in range(len(values)) for j in range(i) for k in range(j)] if len(values) == 4 else []
+        )
         spread = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
         reach = float(np.ptp(values, axis=0).max())
         on_line = spread[1] < 0.02 * spread[0] or reach <= 0
