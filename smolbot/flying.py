@@ -30,6 +30,7 @@ from smolbot.records.outcome import draw, sum_up
 from smolbot.records.trace import Trace
 from smolbot.sensorsfile import write_sensors
 from smolbot.signals import stop_signals
+from smolbot.turns import short_turns
 from smolbot.worlds import Rig
 
 LEARNED = "sensors_learned.toml"
@@ -198,7 +199,8 @@ class _Flight:
             loop = make_loop(rig, mission, (self._hear, *extra), self.latch, memory, self.tapes, self.pause)
             gc.freeze()  # what is there by now is not looked through again while the robot waits
             try:
-                loop.fly()
+                with short_turns():
+                    loop.fly()
             finally:
                 gc.unfreeze()
                 self._settle(loop)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from typing import Annotated
 
@@ -40,6 +41,7 @@ def twin(
     from smolbot.anymission import load_mission
     from smolbot.hardware.priority import ask_for_priority
     from smolbot.observationfile import Observation
+    from smolbot.turns import TURN
 
     faults = [parse_fault(text) for text in fault or []]
     loaded = load_mission(mission, rig) if rig is not None else load_mission(mission, _twin_for(mission))
@@ -48,6 +50,7 @@ def twin(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: end.set())
     ask_for_priority()
+    sys.setswitchinterval(TURN)
     running = Twin(loaded.rig, loaded.robot, np.array(place), seed, control=control)
     try:
         for one in faults:
