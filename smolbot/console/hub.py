@@ -164,7 +164,7 @@ class Hub:
         if self.busy:
             raise InputError(f"{self.busy} flies; stop it before the next one is started.")
         output = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the child has ended)
-        command = [sys.executable, "-m", "smolbot", "run", *arguments, "--live"]
+        command = [sys.executable, "-P", "-m", "smolbot", "run", *arguments, "--live"]
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
             env=os.environ | {ENVIRONMENT: str(self.file), "COLUMNS": "120"},
@@ -172,7 +172,7 @@ class Hub:
         )  # fmt: skip
         child = Child(process, name, output)
         self._children.append(child)
-        self.log(f"Started: smolbot {' '.join(command[3:])} (process {process.pid}).")
+        self.log(f"Started: smolbot {' '.join(command[4:])} (process {process.pid}).")
         threading.Thread(target=self._await_end, args=(child,), name="child", daemon=True).start()
         return child
 

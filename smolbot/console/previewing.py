@@ -22,7 +22,7 @@ def preview(arguments: Sequence[str]) -> tuple[bool, str]:
     arguments : sequence of str
         Of the command: the mission, and options.
     """
-    command = [sys.executable, "-m", "smolbot", "preview", *arguments, "--json"]
+    command = [sys.executable, "-P", "-m", "smolbot", "preview", *arguments, "--json"]
     if os.name == "posix":
         command = ["nice", *command]
     try:

@@ -82,7 +82,7 @@ def find_console(port: int | None = None) -> tuple[Console, bool]:
 
 
 def _opened(port: int | None) -> Console:
-    command = [sys.executable, "-m", "smolbot", "console", "--follow"]
+    command = [sys.executable, "-P", "-m", "smolbot", "console", "--follow"]
     command += [] if port is None else ["--port", str(port)]
     apart: dict[str, Any] = (
         {"start_new_session": True}

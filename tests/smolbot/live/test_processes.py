@@ -26,12 +26,13 @@ class Session:
 
     def __init__(self, folder: Path, port: int) -> None:
         self.folder, self.port = folder, port
-        self.environment = os.environ | {"XDG_RUNTIME_DIR": str(folder)}
+        (folder / "session").mkdir()
+        self.environment = os.environ | {"XDG_RUNTIME_DIR": str(folder / "session")}
         self.environment.pop(ENVIRONMENT, None)
 
     def begin(self, *arguments: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [sys.executable, "-m", "smolbot", *arguments], cwd=self.folder, env=self.environment, text=True,
+            [sys.executable, "-P", "-m", "smolbot", *arguments], cwd=self.folder, env=self.environment, text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip
 
@@ -97,7 +98,7 @@ def test_a_console_that_hangs_stops_its_mission(session: Session, console: subpr
 
 def test_a_mission_opens_a_console_for_itself_which_ends_after_it(session: Session) -> None:
     run = session.flying("a")
-    written = list((session.folder / "smolbot").glob("console-*.json"))
+    written = list((session.folder / "session" / "smolbot").glob("console-*.json"))
     assert len(written) == 1
     known = read(written[0])
     assert known is not None
