@@ -24,9 +24,13 @@ REACHES = (0.9e-3, 0.9e-3, 0.6e-3, 0.6e-3, *[0.4e-3] * 8)
 SCALE = np.array([1e-3, 1e-3, 1.0])  # of a change in x, y (m) and heading (rad)
 SETTLED = (2e-6, 2e-4)  # m and rad
 
-NEAR = 0.15e-3  # m: a step that lies this near to the hull bears it out
+NEAR = 0.2e-3  # m: a step that lies this near to the hull bears it out
+SHARP = 0.08  # of the body's contrast, in a pixel: what ends more softly is a shadow
+SPAN = 4  # samples on either side that a step is made out from
 STEP = 0.5  # pixels between two samples of a profile
 INSET = 0.3  # of the half sides: the rim whose colour counts as the body's
+GRAIN = 3.0  # grey levels: noise of a colour, and what a codec makes of it
+UNEVEN = 0.1  # share of the light
 CORNER = 0.1  # of an edge, at each end, that is left out: printed corners are round
 
 
@@ -54,8 +58,8 @@ class Fit:
     """Middle (x, y in m) and heading (rad) of a body, and how well its outline is borne out.
 
     `share` is the part of the outline near which a step was found, `rms` (m) how far those steps are from it,
-    `sigma` (m) what that leaves unsure of the middle, `contrast` (grey levels) how the body differs from the
-    background.
+    `sigma` (m) what that leaves unsure of the middle, `sharpness` (1/pixel) how steep those steps are, as a
+    share of the body's contrast.
     """
 
     x: float
@@ -64,7 +68,7 @@ class Fit:
     share: float
     rms: float
     sigma: float
-    contrast: float
+    sharpness: float
 
 
 def hull(view: View, body: Body, x: float, y: float, heading: float, height: float) -> FloatArray:
@@ -77,7 +81,7 @@ def hull(view: View, body: Body, x: float, y: float, heading: float, height: flo
 
 def fit_outline(
     signal: FloatArray, offset: tuple[int, int], view: View, body: Body, start: tuple[float, float, float],
-    height: float,
+    height: float, light: FloatArray,
 ) -> Fit | None:  # fmt: skip
     """Fit the body to a patch of the picture.
 
@@ -91,6 +95,8 @@ def fit_outline(
         Middle (m) and heading (rad) to start from, right to half a length and some 25 degrees.
     height : float, in m
         z of the body's middle.
+    light : ndarray, shape (3,)
+        Colour of the background hereabouts.
 
     Returns
     -------
@@ -99,15 +105,14 @@ def fit_outline(
     """
     x, y, heading = start
     per_metre = view.scale(np.array([x, y, height]))
-    share, rms, sigma, contrast = 0.0, math.inf, math.inf, 0.0
+    share, rms, sigma, sharpness = 0.0, math.inf, math.inf, 0.0
     for reach in REACHES:
         corners = hull(view, body, x, y, heading, height)
         points, normals = _samples(corners)
         tone = _tone(signal, offset, view, body, (x, y, heading), height)
-        if tone is None:
+        if tone is None or np.dot(telling(tone, light), tone) <= 0:
             return None
-        contrast = float(np.linalg.norm(tone))
-        found, at = _steps(signal, offset, points, normals, tone, reach * per_metre)
+        found, at, steep = _steps(signal @ telling(tone, light), offset, points, normals, reach * per_metre)
         if np.count_nonzero(found) < 0.25 * len(points):
             return None
         # how a point of the outline moves, in pixels, with x, y (m) and heading (rad)
@@ -122,6 +127,7 @@ def fit_outline(
         share = float(np.count_nonzero(close)) / len(points)
         if np.count_nonzero(close) < 8:
             return None
+        sharpness = float(np.median(steep[found][close]))
         rms = float(np.sqrt(np.mean(left[close] ** 2))) / per_metre
         borne = slopes[found][close] * SCALE
         squares = borne.T @ borne
@@ -131,7 +137,30 @@ def fit_outline(
         sigma = math.sqrt(0.5 * (spread[0, 0] + spread[1, 1])) * rms * per_metre
         if settled and reach == REACHES[-1]:
             break
-    return Fit(float(x), float(y), _wrapped(float(heading)), share, rms, sigma, contrast)
+    return Fit(float(x), float(y), _wrapped(float(heading)), share, rms, sigma, sharpness)
+
+
+def telling(tone: FloatArray, light: FloatArray) -> FloatArray:
+    """Weights (3,) of the colours with which a body that differs by `tone` counts 1, and what disturbs counts least.
+
+    Disturbances are noise, `GRAIN` in each colour, and light of the background's own colour that is stronger or weaker by
+    `UNEVEN`: shadows, a meniscus, a lamp's mirror image. Colour tells a body from them, brightness only where it is much.
+    """
+    weights = _spared(tone, light)
+    return np.asarray(weights / np.dot(weights, tone))
+
+
+def unlike(difference: FloatArray, background: FloatArray) -> FloatArray:
+    """By how many standard deviations of those disturbances colours (..., 3) differ from the background's."""
+    squares = np.sum(difference * _spared(difference, background), axis=-1)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+
+def _spared(difference: FloatArray, light: FloatArray) -> FloatArray:
+    """The inverse covariance of the disturbances, times `difference`."""
+    along = np.sum(difference * light, axis=-1, keepdims=True)
+    uneven = UNEVEN**2 / (GRAIN**2 + UNEVEN**2 * np.sum(light * light, axis=-1, keepdims=True))
+    return np.asarray((difference - uneven * along * light) / GRAIN**2)
 
 
 def mark_moment(grey: FloatArray, offset: tuple[int, int], view: View, body: Body, fit: Fit, height: float) -> float:
@@ -194,27 +223,29 @@ def _tone(
 
 
 def _steps(
-    signal: FloatArray, offset: tuple[int, int], points: FloatArray, normals: FloatArray, tone: FloatArray, reach: float
-) -> tuple[BoolArray, FloatArray]:
-    """Where along each normal, in pixels, the body ends: a step found or not, and its place."""
+    value_at: FloatArray, offset: tuple[int, int], points: FloatArray, normals: FloatArray, reach: float
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Where along each normal, in pixels, the body ends: a step found or not, its place, and how steep it is.
+
+    `value_at` (rows, columns) is 1 on the body's rim and 0 on the background.
+    """
     s = np.arange(-reach, reach + 0.5 * STEP, STEP)
     at = points[:, None] + s[None, :, None] * normals[:, None]
-    size = float(np.linalg.norm(tone))
-    # towards the body's own colour and no further: a magnet behind its rim counts as body
-    value = np.zeros(at.shape[:2])
-    for c in range(3):
-        value += tone[c] / size * _sampled(signal[:, :, c], offset, at.reshape(-1, 2)).reshape(value.shape)
-    fall = -np.diff(value, axis=1)
-    fall = 0.25 * (np.roll(fall, 1, axis=1) + 2.0 * fall + np.roll(fall, -1, axis=1))[:, 1:-1]
-    middles = 0.5 * (s[1:] + s[:-1])[1:-1]
+    value = _sampled(value_at, offset, at.reshape(-1, 2)).reshape(at.shape[:2])
+    # the mean over two pixels within less that over two without: blocks and noise of a codec are as steep as an edge
+    sums = np.cumsum(np.pad(value, ((0, 0), (1, 0))), axis=1)
+    span = sums[:, SPAN:] - sums[:, :-SPAN]
+    fall = (span[:, :-SPAN] - span[:, SPAN:]) / SPAN**2
+    middles = s[SPAN - 1 : len(s) - SPAN] + 0.5 * STEP
     weighed = fall * np.exp(-0.5 * (middles / (0.6 * reach)) ** 2)
     best = np.argmax(weighed, axis=1)
     peak = np.take_along_axis(fall, best[:, None], axis=1)[:, 0]
     near = np.abs(middles[None, :] - middles[best][:, None]) <= 2.5
-    rise = np.where(near, np.maximum(fall - 0.3 * peak[:, None], 0.0), 0.0)
+    rise = np.where(near, np.maximum(fall - 0.5 * peak[:, None], 0.0), 0.0)
     place = rise @ middles / np.maximum(rise.sum(axis=1), 1e-9)
-    found = (peak > 0.06 * size * STEP) & (best > 0) & (best < len(middles) - 1)
-    return found, place
+    steep = peak / STEP
+    found = (steep > SHARP) & (best > 0) & (best < len(middles) - 1)
+    return found, place, steep
 
 
 def _robust(slopes: FloatArray, wanted: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ import numpy as np
 from smolbot.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.optics.opticaltrack import OpticalTrack
-from smolbot.optics.outline import Body, Fit, fit_outline, mark_moment
+from smolbot.optics.outline import Body, Fit, fit_outline, mark_moment, unlike
 from smolbot.optics.video import Video
 from smolbot.optics.view import View
 
@@ -26,7 +26,9 @@ CANDIDATES = 4  # blobs that are tried where the body is not near its last place
 SIZES = (0.25, 3.0)  # of the expected area that a blob may have
 CLEARLY = 6.0  # times the noise: a pixel that differs
 LEAST_DIFFERENCE = 6.0  # grey levels, likewise
+LEAST_UNLIKE = 2.0  # standard deviations of noise and uneven light, likewise
 TELLING = 0.05  # of half lengths: a mark less far from the middle tells head from tail no more
+PLAINLY = 0.25  # of half lengths: a mark so far on the other side tells by itself
 SHORT_GAP = 0.25  # s: over longer ones heading is not carried on
 
 
@@ -108,20 +110,33 @@ class _Finder:
         place = np.array([[fit.x, fit.y, self._height]])
         pixel = self._view.pixels(place)[0]
         reach = (float(np.linalg.norm(self._body.half[:2])) + MARGIN) * self._view.scale(place[0])
-        patch, offset = self._patch(frame, pixel, reach)
+        patch, offset, light = self._patch(frame, pixel, reach)
         if patch is None:
             return None
-        found = fit_outline(patch, offset, self._view, self._body, (fit.x, fit.y, fit.heading), self._height)
+        found = fit_outline(patch, offset, self._view, self._body, (fit.x, fit.y, fit.heading), self._height, light)
         return found if found is not None and found.share >= BORNE_OUT else None
 
     def anywhere(self, frame: Any) -> tuple[Fit | None, float]:
         """The body wherever it is, or None, and the area in m² of the largest thing that differs."""
         import cv2
 
-        difference = cv2.absdiff(frame, self._brightened(frame)).max(axis=2)
-        smooth = cv2.GaussianBlur(difference, (0, 0), 1.5)
+        empty = self._gain(frame) * self._empty
+        smooth = cv2.GaussianBlur(frame.astype(np.float32) - empty, (0, 0), 1.5)
+        largest = 0.0
+        # by what no shadow does first; a body without a colour of its own is only darker or brighter
+        for clear in (unlike(smooth, empty), np.abs(smooth).max(axis=2) * (LEAST_UNLIKE / LEAST_DIFFERENCE)):
+            best, area = self._among(frame, clear.astype(np.float32))
+            largest = max(largest, area)
+            if best is not None:
+                break
+        return best, largest
+
+    def _among(self, frame: Any, smooth: Any) -> tuple[Fit | None, float]:
+        """The body among the blobs in which `smooth` (rows, columns) is large."""
+        import cv2
+
         noise = 1.4826 * float(np.median(smooth[::4, ::4]))
-        mask = (smooth > max(CLEARLY * noise, LEAST_DIFFERENCE)).astype(np.uint8)
+        mask = (smooth > max(CLEARLY * noise, LEAST_UNLIKE)).astype(np.uint8)
         count, labels, stats, middles = cv2.connectedComponentsWithStats(mask)
         largest, tried, expected = 0.0, [], {}
         for i in range(1, count):
@@ -136,7 +151,7 @@ class _Finder:
         best: Fit | None = None
         for _, i in sorted(tried)[:CANDIDATES]:
             fit = self._fit_blob(frame, labels == i, smooth, expected[i])
-            if fit is not None and (best is None or fit.share * fit.contrast > best.share * best.contrast):  # no shadow
+            if fit is not None and (best is None or fit.share * fit.sharpness > best.share * best.sharpness):
                 best = fit
         return best, largest
 
@@ -159,30 +174,27 @@ class _Finder:
         heading = math.atan2(*(ends[0] - ends[1])[::-1])
         x, y = (float(v) for v in self._view.on_plane(middle[None], self._height)[0])
         reach = (float(np.linalg.norm(self._body.half[:2])) + MARGIN) * self._view.scale(np.array([x, y, self._height]))
-        patch, offset = self._patch(frame, middle, reach)
+        patch, offset, light = self._patch(frame, middle, reach)
         if patch is None:
             return None
         best: Fit | None = None
         for turn in (0.0, 0.5 * math.pi, 0.25 * math.pi, -0.25 * math.pi):
-            fit = fit_outline(patch, offset, self._view, self._body, (x, y, heading + turn), self._height)
+            fit = fit_outline(patch, offset, self._view, self._body, (x, y, heading + turn), self._height, light)
             if fit is not None and fit.share >= BORNE_OUT and (best is None or fit.share > best.share):
                 best = fit
         return best
 
-    def _brightened(self, frame: Any) -> Any:
-        """The empty scene, as bright as `frame`: lamps flicker."""
-        import cv2
+    def _gain(self, frame: Any) -> float:
+        """How bright `frame` is, to the empty scene: lamps flicker."""
+        return float(np.median(frame[::8, ::8])) / max(self._level, 1.0)
 
-        gain = float(np.median(frame[::8, ::8])) / max(self._level, 1.0)
-        return cv2.convertScaleAbs(self._empty, alpha=min(max(gain, 0.7), 1.4))
-
-    def _patch(self, frame: Any, pixel: FloatArray, reach: float) -> tuple[Any, tuple[int, int]]:
-        """Picture less background around a pixel, or None outside of the picture; and its first pixel."""
+    def _patch(self, frame: Any, pixel: FloatArray, reach: float) -> tuple[Any, tuple[int, int], FloatArray]:
+        """Picture less background around a pixel, or None outside of the picture; its first pixel; the background's colour."""
         u0, v0, u1, v1 = self._window(pixel, reach)
         if u1 - u0 < 8 or v1 - v0 < 8:
-            return None, (0, 0)
-        gain = float(np.median(frame[::8, ::8])) / max(self._level, 1.0)
-        return frame[v0:v1, u0:u1].astype(np.float64) - gain * self._empty[v0:v1, u0:u1], (u0, v0)
+            return None, (0, 0), np.zeros(3)
+        behind = self._gain(frame) * self._empty[v0:v1, u0:u1].astype(np.float64)
+        return frame[v0:v1, u0:u1] - behind, (u0, v0), np.median(behind.reshape(-1, 3), axis=0)
 
     def _window(self, pixel: FloatArray, reach: float) -> tuple[int, int, int, int]:
         height, width = self._empty.shape[:2]
@@ -222,6 +234,7 @@ def _assembled(seen: list[_Seen], video: Video, view: View, body: Body, height: 
         if abs(total) < TELLING:
             unsure += last - first
         flip = signs + (1.0 if total < 0 else 0.0)
+        flip += evidence * (-1.0 if total < 0 else 1.0) < -PLAINLY  # the robot turned by a quarter or more since the last
         headings[first:last] = piece + math.pi * flip
     headings = np.asarray(np.unwrap(headings))
     c, s = np.cos(headings), np.sin(headings)
