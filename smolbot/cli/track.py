@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from smolbot.robotfile import RobotConfig
 
 VAGUE = 0.05  # s: more than this unsure of when the video began is told: a tenth of a millimetre of a robot's way
+STAYS = 0.4  # share of the frames: with half of them the median shows the robot, not the scene
 DOUBT = 1e-4  # m: more than this unsure of the camera is told
 
 
@@ -113,7 +114,7 @@ def track(
     found = _follow(film, view, body, height, background, json)
     _report(
         found, film, view, height, config, poses, run, offset_s, folder, json, told=told, notes=notes,
-        known=robot_z_mm is not None,
+        known=robot_z_mm is not None, pictured=background is not None,
     )  # fmt: skip
 
 
@@ -228,6 +229,7 @@ def _follow(film: Video, view: View, body: Body, height: float, background: Path
 def _report(
     found: OpticalTrack, film: Video, view: View, height: float, config: RobotConfig, poses: RunPoses | None,
     run: Path | None, offset_s: float | None, folder: Path, json: bool, *, told: str, notes: list[str], known: bool,
+    pictured: bool,
 ) -> None:  # fmt: skip
     import numpy as np
 
@@ -261,6 +263,13 @@ def _report(
     if found.head_unsure:
         figures["head_unsure"] = found.head_unsure
         rows.append(("warning", f"in {found.head_unsure} frames nothing tells head from tail; see --mark"))
+    stay = found.stay(0.5 * min(config.size[0], config.size[2]))
+    figures["longest_stay"] = stay
+    if stay > STAYS and not pictured:
+        covered = (
+            f"the robot covers one place in {100 * stay:.0f} % of the frames, and may be taken for part of the scene"
+        )
+        rows.append(("warning", f"{covered}. Film for longer before or after, or give --background"))
     analysis = path = None
     line = f"{len(found.frames)} of {found.total} frames"
     if poses is not None and run is not None:

@@ -83,6 +83,12 @@ class OpticalTrack:
         known = inside & (self.times[after] - self.times[after - 1] <= max(GAP, 1.5 * self._step))
         return places, headings, known
 
+    def stay(self, reach: float) -> float:
+        """Largest share of the video's frames in which the robot was within `reach` (m) of one and the same place."""
+        places = self.positions[:, :2]
+        near = [np.count_nonzero(np.sum((places - place) ** 2, axis=1) < reach**2) for place in places[::5]]
+        return max(near) / self.total
+
     @property
     def _step(self) -> float:
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0

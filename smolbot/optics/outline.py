@@ -143,8 +143,8 @@ def fit_outline(
 def telling(tone: FloatArray, light: FloatArray) -> FloatArray:
     """Weights (3,) of the colours with which a body that differs by `tone` counts 1, and what disturbs counts least.
 
-    Disturbances are noise, `GRAIN` in each colour, and light of the background's own colour that is stronger or weaker by
-    `UNEVEN`: shadows, a meniscus, a lamp's mirror image. Colour tells a body from them, brightness only where it is much.
+    Disturbances are noise, `GRAIN` in each colour, and light of the background's own colour that is stronger or weaker
+    by `UNEVEN`: shadows, a meniscus, a lamp's mirror image. Colour tells a body from them, brightness where it is much.
     """
     weights = _spared(tone, light)
     return np.asarray(weights / np.dot(weights, tone))

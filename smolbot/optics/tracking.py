@@ -189,7 +189,7 @@ class _Finder:
         return float(np.median(frame[::8, ::8])) / max(self._level, 1.0)
 
     def _patch(self, frame: Any, pixel: FloatArray, reach: float) -> tuple[Any, tuple[int, int], FloatArray]:
-        """Picture less background around a pixel, or None outside of the picture; its first pixel; the background's colour."""
+        """Picture less background around a pixel, or None outside of it; its first pixel; the background's colour."""
         u0, v0, u1, v1 = self._window(pixel, reach)
         if u1 - u0 < 8 or v1 - v0 < 8:
             return None, (0, 0), np.zeros(3)
@@ -234,7 +234,7 @@ def _assembled(seen: list[_Seen], video: Video, view: View, body: Body, height: 
         if abs(total) < TELLING:
             unsure += last - first
         flip = signs + (1.0 if total < 0 else 0.0)
-        flip += evidence * (-1.0 if total < 0 else 1.0) < -PLAINLY  # the robot turned by a quarter or more since the last
+        flip += evidence * (-1.0 if total < 0 else 1.0) < -PLAINLY  # turned by a quarter or more
         headings[first:last] = piece + math.pi * flip
     headings = np.asarray(np.unwrap(headings))
     c, s = np.cos(headings), np.sin(headings)
