@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from smolbot.cli.missions import JsonOption
+from smolbot.cli.options import JsonOption
 from smolbot.cli.show import echo_json, table
 from smolbot.errors import InputError
 

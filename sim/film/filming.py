@@ -24,7 +24,6 @@ DISTANCE = 0.35  # m from camera to floor: a 35 mm lens over a coil set
 RULER = 2e-3  # m: how well a lab measures a camera's height
 NOISE_POOL = 5
 JITTER = 64
-LUMA = np.array([0.114, 0.587, 0.299])
 
 
 @dataclass(frozen=True, eq=False)

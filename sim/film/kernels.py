@@ -83,8 +83,7 @@ def see_empty(
 
     Entries of `box`: middle (2) and half sides (2) of the container's inside, floor, surface, top of the wall, its
     thickness, refractive index. `plate` and `caps` are what is printed on the floor and on the posts' tops, `scale`
-    pixels
-    per m; rows of `posts`: middle (3) and half sides (3).
+    pixels per m; rows of `posts`: middle (3) and half sides (3).
     """
     out = np.empty((height, width, 3))
     cx, cy, hx, hy, floor, surface, top, wall, index = box

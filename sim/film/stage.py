@@ -78,10 +78,6 @@ class Stage:
         rows = [[*m.center, middle, wide, wide, half] for m in self.markers if m.raised]
         return np.array(rows).reshape(-1, 6)
 
-    def height_of(self, marker: Marker) -> float:
-        """z of a marker, in m."""
-        return self.surface if marker.raised else self.floor
-
     def inside(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
         """Which points (n, 2 or 3) lie over the container's floor, or within `margin` around it."""
         away = np.abs(points[:, :2] - self.center) - margin
@@ -91,9 +87,8 @@ class Stage:
 def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) -> Stage:
     """The rig's container on a plate, printed and lit by hand: markers at its corners, and on posts at its sides.
 
-    The posts end at the liquid's surface: markers in two planes tell where the camera is, and those in the robot's
-    own see it
-    without parallax. Print alone, all in one plane, leaves a camera's tilt unsure by half a degree.
+    The posts end at the liquid's surface: markers in two planes tell where the camera is, and those in the robot's own
+    see it without parallax. Print alone, all in one plane, leaves a camera's tilt unsure by half a degree.
     """
     section = rig.sections.container
     center, half = 1e-3 * np.array(section.center_mm), 0.5e-3 * np.array(section.size_mm)

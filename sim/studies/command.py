@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smolbot.cli.missions import SetOption
+from smolbot.cli.options import SetOption
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def _mission_options(
     given: Mapping[str, object],
 ) -> Options:  # fmt: skip
     from sim.studies.study import Options
-    from smolbot.cli.missions import settings_from
+    from smolbot.cli.options import settings_from
 
     if mission is None:
         raise InputError(f"study {study.name} needs a mission: smolbot study {study.name} MISSION, such as r_path.")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sim.simulate import Plant
-from smolbot.cli.missions import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+from smolbot.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:

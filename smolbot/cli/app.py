@@ -94,7 +94,9 @@ def _root(
 def register_own() -> None:
     """Add the commands that are no entry points."""
     from smolbot.cli import check, console, missions
+    from smolbot.cli.run import run
 
+    app.command("run")(run)
     missions.register(app)
     check.register(app)
     console.register(app)

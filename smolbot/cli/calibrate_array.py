@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smolbot.cli.missions import JsonOption, SetOption, settings_from
+from smolbot.cli.options import JsonOption, SetOption, settings_from
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from smolbot.cli.missions import JsonOption
+from smolbot.cli.options import JsonOption
 
 
 def export(

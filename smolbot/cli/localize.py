@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smolbot.cli.missions import JsonOption
+from smolbot.cli.options import JsonOption
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:

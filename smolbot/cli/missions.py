@@ -1,13 +1,11 @@
-"""``run``, ``preview``, ``list`` and ``init``."""
+"""``preview``, ``list`` and ``init``."""
 
 from __future__ import annotations
 
 import re
 import shutil
-from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,212 +13,17 @@ from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
-    from smolbot.anymission import AnyMission
-    from smolbot.flown import Listener, Run
     from smolbot.helixpreview import HelixPreview
     from smolbot.missionfile import Mission
     from smolbot.preview import Preview
 
-MissionArgument = Annotated[
-    str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")
-]
-RigOption = Annotated[
-    str | None, typer.Option("--rig", help="Rig to use instead of the mission's own, by name or path.")
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        help="key=value laid over the mission file; rig.key=value over the rig file; @FILE: all of a TOML file.",
-    ),
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+from smolbot.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    for name, function in (("run", run), ("preview", preview), ("list", list_), ("init", init)):
+    for name, function in (("preview", preview), ("list", list_), ("init", init)):
         app.command(name)(function)
-
-
-def settings_from(pairs: list[str] | None) -> dict[str, str]:
-    """``key=value`` options as a dictionary; ``@gains.toml`` stands for all that the file holds.
-
-    Raises
-    ------
-    InputError
-        For an option without ``=``, or a file that cannot be read.
-    """
-    found: dict[str, str] = {}
-    for pair in pairs or []:
-        if pair.startswith("@"):
-            found |= _settings_of(Path(pair[1:]))
-            continue
-        key, equals, value = pair.partition("=")
-        if not equals or not key.strip():
-            raise InputError(f"--set needs key=value, such as controller.tolerance_mm=0.5; got '{pair}'.")
-        found[key.strip()] = value.strip()
-    return found
-
-
-def _settings_of(path: Path) -> dict[str, str]:
-    """What a TOML file holds, as settings."""
-    import json
-    import tomllib
-
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"--set @{path}: cannot be read as TOML: {error}.") from error
-    found: dict[str, str] = {}
-
-    def lay(prefix: str, values: dict[str, Any]) -> None:
-        for key, value in values.items():
-            if isinstance(value, dict):
-                lay(f"{prefix}{key}.", value)
-            else:
-                found[f"{prefix}{key}"] = json.dumps(value, default=str)
-
-    lay("", data)
-    return found
-
-
-def run(
-    mission: MissionArgument,
-    rig: RigOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same run, bit for bit.")] = 1,
-    out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
-    set_: SetOption = None,
-    gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
-    live: Annotated[
-        bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")
-    ] = False,
-    report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
-    json: JsonOption = False,
-) -> None:
-    """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
-    from smolbot.anymission import load_mission
-    from smolbot.cli.live import watched
-    from smolbot.cli.progress import shown_progress
-    from smolbot.flying import fly, new_folder
-    from smolbot.keyboard import KEY, Keyboard
-    from smolbot.latch import Latch
-    from smolbot.operator import TerminalOperator
-    from smolbot.records.folder import RunFolder
-    from smolbot.signals import stop_signals
-
-    settings = settings_from(set_)
-    loaded = load_mission(mission, rig, settings)
-    folder = RunFolder(out) if out is not None else new_folder(loaded, seed)
-    latch, operator = Latch(), TerminalOperator()
-    keyboard = Keyboard(partial(latch.shut, KEY, "stopped"))
-    with stop_signals(latch), shown_progress(loaded) as progress, keyboard:
-        operator.pauses += [progress.paused, keyboard.paused]
-        if keyboard.active:
-            operator.say("q, Esc or Ctrl-C stops the run")
-
-        def listeners(_: AnyMission) -> tuple[Listener, ...]:
-            return (progress,)
-
-        with watched(loaded, seed, latch, operator.say) if live else nullcontext((None, None)) as (pause, pump):
-            flown = fly(
-                loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator,
-                latch=latch, report=report, pause=pause, live=pump,
-            )  # fmt: skip
-    _show_run(loaded, flown, json)
-    raise typer.Exit(_exit_code(flown))
-
-
-def _exit_code(run: Run) -> int:
-    if run.status in ("stopped", "failed"):
-        return 3
-    return 0 if run.summary["verdict"] == "passed" else 1
-
-
-def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
-    from smolbot.cli.observations import observation_rows
-    from smolbot.records.summary import label_of
-
-    s = run.summary
-    rows = [
-        ("status", f"{s['status']}: {s['stop_reason']}"),
-        ("verdict", "; ".join([str(s["verdict"]), *_texts(s["verdict_reasons"])])),
-        ("robot time" if "path_length_mm" in s else "time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
-        ("loop rate", f"{s['loop_rate_hz']:.2f} Hz (timeline allows {s['timeline_limit_hz']:.2f} Hz)"),
-        ("computing", _compute(s)),
-    ]
-    for key, label in (
-        ("localization_error_mm", "localization error"),
-        ("tracked_error_mm", "tracked pose error"),
-        ("orientation_error_deg", "orientation error"),
-        ("axis_error_deg", "axis error"),
-        ("axis_error_tracked_deg", "axis error, tracked"),
-        ("axis_to_path_deg", "axis against path"),
-        ("tracking_error_mm", "tracking error"),
-    ):
-        if key in s:
-            unit = key.rsplit("_", 1)[1]
-            rows.append((label, ", ".join(f"{name} {value:.2f}" for name, value in s[key].items()) + f" {unit}"))  # type: ignore[attr-defined]
-    rows += observation_rows(s)
-    if s["r_squared_median"] is not None:
-        rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
-    if "turns" in s:
-        rows.append(("magnet", f"{s['turns']:g} turns, {s['pauses']} pauses, {s['step_outs']} step-outs"))
-    elif "coil_energy_j" in s:
-        rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
-    if s.get("duty_peak"):
-        rows.append(("coils", _coils(s)))
-    if told := _recovered(s):
-        rows.append(("recovered", told))
-    if told := _not_recorded(s.get("recording", {})):
-        rows.append(("not recorded", told))
-    rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
-    rows.append(("picture", f"{run.folder}/path.png"))
-    if run.report:
-        rows.append(("report", run.report))
-    table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
-    if json:
-        echo_json(s)
-
-
-def _coils(summary: dict[str, Any]) -> str:
-    """How long and how hot: of all coils, the one that came nearest to its limit from 20 °C."""
-    duty: dict[str, float] = summary["duty_peak"]
-    busiest = max(duty, key=lambda name: duty[name])
-    told = f"driven for at most {100 * duty[busiest]:.0f} % of the time ({busiest})"
-    peaks, limits = summary["coil_temperature_peak_c"], summary["coil_temperature_limit_c"]
-    if not peaks:
-        return told
-    hottest = max(peaks, key=lambda name: (peaks[name] - 20.0) / (limits[name] - 20.0))
-    return f"{told}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
-
-
-def _recovered(summary: dict[str, Any]) -> str:
-    return ", ".join(f"{kind.replace('_', ' ')}: {times}" for kind, times in summary["recovered"].items() if times)
-
-
-def _not_recorded(recording: Any) -> str:
-    """What the record lacks, and why; nothing where it lacks nothing.
-
-    Examples
-    --------
-    >>> _not_recorded({"dropped": 3, "error": "OSError: the disk is full"})
-    '3 messages: OSError: the disk is full'
-    """
-    dropped = recording.get("dropped")
-    parts = [f"{dropped} messages" if dropped else "", str(recording.get("error") or "")]
-    return ": ".join(part for part in parts if part)
-
-
-def _texts(value: Any) -> list[str]:
-    return [str(v) for v in value]
-
-
-def _compute(summary: dict[str, Any]) -> str:
-    times = summary["compute_ms"]
-    if times["median"] is None:
-        return "no cycle was played"
-    return f"median {times['median']:.2f} ms, p99 {times['p99']:.2f} ms (turnaround {summary['turnaround_ms']:g} ms)"
 
 
 def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = None, json: JsonOption = False) -> None:

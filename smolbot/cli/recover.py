@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smolbot.cli.missions import JsonOption
+from smolbot.cli.options import JsonOption
 
 if TYPE_CHECKING:
     from smolbot.recording.recovering import Recovery

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smolbot.cli.options import JsonOption
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:
     from smolbot.replaying import Replay
 
 ESTIMATORS = ("whitened", "paper")
+
+FIGURES = (".png", ".svg", ".pdf")
 
 
 def replay(
@@ -29,7 +32,7 @@ def replay(
     out: Annotated[
         Path | None, typer.Option("--out", help="Figure to write; default: replay.png in the run folder.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Locate again in what a run heard: the same poses bit for bit, or those of other settings, compared."""
     from smolbot.records.replay_picture import draw_replay
@@ -38,6 +41,8 @@ def replay(
 
     if estimator is not None and estimator not in ESTIMATORS:
         raise InputError(f"--estimator must be one of {', '.join(ESTIMATORS)}; got '{estimator}'.")
+    if out is not None and out.suffix.lower() not in FIGURES:
+        raise InputError(f"--out {out}: a figure is one of {', '.join(FIGURES)}; got '{out.suffix}'.")
     if out is not None and not out.absolute().parent.is_dir():
         raise InputError(f"--out {out}: there is no folder {out.parent}.")
     played = play(run, estimator=estimator, half_periods=half_periods, device=device)

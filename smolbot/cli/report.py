@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from smolbot.cli.missions import JsonOption
+from smolbot.cli.options import JsonOption
 from smolbot.cli.show import as_json, echo_json, table
 from smolbot.errors import InputError
 
@@ -18,29 +18,34 @@ OutOption = Annotated[
     Path | None,
     typer.Option(help="Page to write; default: report.html in the run's folder, for several comparison.html here."),
 ]
+SECONDS, RATE = 10.0, 12
 AnimationOption = Annotated[
     Path | None,
     typer.Option("--animate", help="Animation to make of one run: .gif, or .mp4 where ffmpeg is."),
 ]
-SecondsOption = Annotated[float, typer.Option(min=1.0, max=120.0, help="Length of the animation.")]
-RateOption = Annotated[int, typer.Option(min=1, max=60, help="Its pictures a second.")]
+SecondsOption = Annotated[
+    float | None, typer.Option(min=1.0, max=120.0, help=f"Length of the animation; default: {SECONDS:g}.")
+]
+RateOption = Annotated[int | None, typer.Option(min=1, max=60, help=f"Its pictures a second; default: {RATE}.")]
 
 
 def report(
     runs: RunsArgument,
     out: OutOption = None,
     animate: AnimationOption = None,
-    seconds: SecondsOption = 10.0,
-    fps: RateOption = 12,
+    seconds: SecondsOption = None,
+    fps: RateOption = None,
     json: JsonOption = False,
 ) -> None:
     """Write the report of a run, or compare several: one page that needs no other file and no network."""
+    if animate is None and (seconds is not None or fps is not None):
+        raise InputError("--seconds and --fps are of an animation: name its file with --animate.")
     if len(runs) > 1:
         if animate is not None:
             raise InputError(f"--animate shows one run; got {len(runs)}.")
         _compare(runs, out, json)
     elif animate is not None:
-        _animate(runs[0], animate, seconds, fps, json)
+        _animate(runs[0], animate, seconds or SECONDS, fps or RATE, json)
     else:
         _report(runs[0], out, json)
 

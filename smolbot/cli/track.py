@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smolbot.cli.missions import JsonOption
+from smolbot.cli.options import JsonOption
 from smolbot.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,11 +76,9 @@ def track(
     """Find the robot in a video from above: a track in mm, and a run's errors against it.
 
     The robot is what differs from the scene that stands still and has the robot's outline; its head is told from its
-    tail by
-    its magnet. Markers (--fiducials) or four points (--corners, --corners-mm) say where pixels are. The video is
-    aligned
-    with the run by the best match of their displacements. Leaves track.csv, track.json and track.png; a track in
-    RUN/optical is the run's optical reference.
+    tail by its magnet. Markers (--fiducials) or four points (--corners, --corners-mm) say where pixels are. The video
+    is aligned with the run by the best match of their displacements. Leaves track.csv, track.json and track.png; a
+    track in RUN/optical is the run's optical reference.
 
     Frames that do not show the robot are counted and left out.
     """

@@ -18,7 +18,7 @@ from smolbot.live.feed import Feed, Pausing
 from smolbot.live.frames import LinkError
 
 if TYPE_CHECKING:
-    from smolbot.recording.pump import Message
+    from smolbot.recording.jobs import Message
 
 PATIENCE = 30.0
 """Seconds that a console has to open its page."""

@@ -1,10 +1,8 @@
 """When a video began on a run's clock: the shift with which both tell of the same movement.
 
-A camera has no clock in common with the rig. Both displacements are compared over all shifts; the best is that with
-the greatest
-likelihood, refined below a frame. Poses and camera may be apart by a constant, `APART`: a robot that goes straight
-on at one
-speed looks the same a moment later and elsewhere, and only that constant tells when.
+A camera has no clock in common with the rig. Both displacements are compared over all shifts; the best is that with the
+greatest likelihood, refined below a frame. Poses and camera may be apart by a constant, `APART`: a robot that goes
+straight on at one speed looks the same a moment later and elsewhere, and only that constant tells when.
 """
 
 from __future__ import annotations

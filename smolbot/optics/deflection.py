@@ -2,8 +2,7 @@
 frame.
 
 Assumptions: the camera looks along the axis of oscillation and stands still; the magnet is the largest bright thing;
-the
-file's own frame rate is that of playing, unless it was told otherwise.
+the file's own frame rate is that of playing, unless it was told otherwise.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Fits the outline of a body of known size to a picture: centre and heading to a fraction of a pixel.
 
-The body is a level box; what is seen of it is the hull of its eight projected corners, so its sides, too, are seen
-as a camera
-sees them. Along the hull's normals the picture's steepest step from body to background is sought; Gauss-Newton then
-moves
-and turns the body until the steps lie on the hull.
+The body is a level box; what is seen of it is the hull of its eight projected corners, so its sides, too, are seen as a
+camera sees them. Along the hull's normals the picture's steepest step from body to background is sought; Gauss-Newton
+then moves and turns the body until the steps lie on the hull.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ def track_body(
     """Where `body` is in every frame of `video` that shows it.
 
     Assumptions: the camera stands still, and so does everything but the body and its shadow; the body is level, its
-    middle at z =
-    `height`; it covers no place in half of the frames or more (or `background` shows the scene without it).
+    middle at z = `height`; it covers no place in half of the frames or more (or `background` shows the scene without
+    it).
 
     Parameters
     ----------

@@ -137,6 +137,9 @@ def require_windows(record: RecordedRun, half_periods: int | None) -> None:
     """Raise ``InputError`` unless there is something to locate in, and as much of it as is wanted."""
     cycles = set(record.shot_of_cycle)
     heard = [p for p in record.played if p.samples is not None and p.number in cycles]
+    if not record.moments:
+        short = "" if record.whole else "; it was cut short before the first"
+        raise InputError(f"{record.path}: holds no cycle, so there is nothing to replay{short}.")
     if not heard:
         raise InputError(
             f"{record.path}: holds no windows of any cycle, so nothing can be located anew; "

@@ -6,18 +6,15 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 from smolbot.flown import Event
-from smolbot.recording import messages
 from smolbot.recording import run_pb2 as pb
 from smolbot.recording.converter import Converter
+from smolbot.recording.jobs import Cycle, Happened, Job, Message, Played, Told, is_heard
 from smolbot.records.trace import Moment
 from smolbot.sensing import Recording
 from smolbot.shots import Shot
-from smolbot.sightings import Sighting
 
 CAPACITY = 4096
 """Shots, cycles and events that may wait: minutes of them."""
@@ -33,29 +30,6 @@ LOOK_EVERY = 0.02
 
 PATIENCE = 10.0
 """Seconds that the end of a run waits for what is not yet written."""
-
-
-@dataclass(frozen=True)
-class Message:
-    """One message of a record.
-
-    Attributes
-    ----------
-    topic : str
-    time : float, in s
-        On the rig's clock.
-    content : protobuf message
-        As ``run.proto`` describes it.
-    """
-
-    topic: str
-    time: float
-    content: Any
-
-    @property
-    def nanoseconds(self) -> int:
-        """Its time as a record has it."""
-        return max(round(self.time * 1e9), 0)
 
 
 class Sink(Protocol):
@@ -111,7 +85,7 @@ class Pump:
         self._memory = memory
         self._patience = patience
         self._capacity = capacity
-        self._queue: deque[_Job] = deque()
+        self._queue: deque[Job] = deque()
         self._over = threading.Event()
         self._closed = False
         self._shots = 0
@@ -131,20 +105,20 @@ class Pump:
 
     def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
         """A shot was played; see `smolbot.flown.Tape`."""
-        self._put(_Played(self._shots, shot, recording if self._windows else None, ended, _is_heard(recording)))
+        self._put(Played(self._shots, shot, recording if self._windows else None, ended, is_heard(recording)))
         self._shots += 1
 
     def happened(self, event: Event) -> None:
         """See `smolbot.flown.Tape`."""
-        self._put(_Happened(event))
+        self._put(Happened(event))
 
     def cycle(self, number: int, moment: Moment) -> None:
         """The cycle of that number is over; its shot was the last that was played."""
-        self._put(_Cycle(number, self._shots - 1, moment, time.monotonic() - self._begun))
+        self._put(Cycle(number, self._shots - 1, moment, time.monotonic() - self._begun))
 
     def tell(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
         """Any other message. One that tells of the end may `wait` for its place."""
-        self._put(_Told(Message(topic, when, content)), self._patience if wait else 0.0)
+        self._put(Told(Message(topic, when, content)), self._patience if wait else 0.0)
 
     def close(self) -> None:
         """Write what still waits, then end; harmless when repeated."""
@@ -160,7 +134,7 @@ class Pump:
         else:
             self._drain()
 
-    def _put(self, job: _Job, patience: float = 0.0) -> None:
+    def _put(self, job: Job, patience: float = 0.0) -> None:
         until = time.monotonic() + patience
         while not self._has_room(job.size):
             if self._over.is_set() or time.monotonic() >= until:
@@ -206,7 +180,7 @@ class Pump:
         self._tell_of_drops()
         self._sink.flush()
 
-    def _hand_on(self, job: _Job) -> None:
+    def _hand_on(self, job: Job) -> None:
         self._taken_out += job.size
         try:
             made = tuple(job.messages(self._converter))
@@ -268,103 +242,3 @@ class Tapes:
         """What was dropped, and what went wrong, for the summary; of the first pump, the recorder."""
         first = self._pumps[0]
         return {"dropped": first.dropped, "error": first.error}
-
-
-class _Job(Protocol):
-    @property
-    def count(self) -> int:
-        """Messages that it makes."""
-
-    @property
-    def size(self) -> int:
-        """Bytes of samples that it holds."""
-
-    def messages(self, converter: Converter) -> Iterable[Message]: ...
-
-
-@dataclass(frozen=True)
-class _Told:
-    message: Message
-    count = 1
-    size = 0
-
-    def messages(self, converter: Converter) -> Iterable[Message]:
-        yield self.message
-
-
-@dataclass(frozen=True)
-class _Happened:
-    event: Event
-    count = 1
-    size = 0
-
-    def messages(self, converter: Converter) -> Iterable[Message]:
-        yield Message("/events", self.event.time, messages.event_message(self.event))
-
-
-@dataclass(frozen=True)
-class _Played:
-    number: int
-    shot: Shot
-    recording: Recording | None
-    ended: float
-    heard: bool
-
-    @property
-    def count(self) -> int:
-        return 1 + self._samples
-
-    @property
-    def size(self) -> int:
-        return 0 if self.recording is None else self.recording.field.nbytes
-
-    @property
-    def _samples(self) -> bool:
-        return self.heard and self.recording is not None
-
-    def messages(self, converter: Converter) -> Iterable[Message]:
-        shot = messages.shot_message(self.number, self.shot, self.ended, heard=self.heard)
-        yield Message("/shots", self.shot.start, shot)
-        if self._samples:
-            assert self.recording is not None
-            samples = messages.samples_message(self.number, self.recording, converter)
-            yield Message("/windows", self.recording.clock, samples)
-
-
-def _is_heard(recording: Recording | None) -> bool:
-    return recording is not None and not isinstance(recording, Sighting)
-
-
-@dataclass(frozen=True)
-class _Cycle:
-    number: int
-    shot: int
-    moment: Moment
-    wall: float
-    size = 0
-
-    @property
-    def count(self) -> int:
-        cycle = self.moment.cycle
-        return 2 + (cycle.pose is not None) + (cycle.tracked is not None) + self._knows_truth
-
-    @property
-    def _knows_truth(self) -> bool:
-        return self.moment.truth is not None or self.moment.truth_at_end is not None
-
-    def messages(self, converter: Converter) -> Iterable[Message]:
-        cycle, number = self.moment.cycle, self.number
-        at = min(cycle.shot.end, cycle.ended)
-        if cycle.pose is not None:
-            yield Message("/poses/raw", cycle.pose.time, messages.pose_message(number, cycle.pose))
-        if cycle.tracked is not None:
-            yield Message("/poses/tracked", cycle.tracked.time, messages.pose_message(number, cycle.tracked))
-        if self._knows_truth:
-            truth = messages.truth_message(number, self.moment.truth, self.moment.truth_at_end, self.moment.way)
-            yield Message("/poses/true", at, truth)
-        yield Message("/commands", at, messages.command_message(number, cycle.command))
-        timing = pb.Timing(
-            number=number, shot=self.shot, ended=cycle.ended, compute=cycle.compute, rig=cycle.rig,
-            has_pose=cycle.pose is not None, has_tracked=cycle.tracked is not None, wall=self.wall,
-        )  # fmt: skip
-        yield Message("/timing", at, timing)

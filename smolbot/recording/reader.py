@@ -13,7 +13,7 @@ import numpy as np
 
 from smolbot.anymission import AnyMission
 from smolbot.control import Command
-from smolbot.errors import InputError
+from smolbot.errors import ConfigError, InputError
 from smolbot.flown import CycleRecord, Event, Run
 from smolbot.poses import Pose
 from smolbot.recording import messages
@@ -121,7 +121,13 @@ class RecordedRun:
         with tempfile.TemporaryDirectory() as folder:
             for name, content in self.begin.files.items():
                 (Path(folder) / name).write_bytes(content)
-            return self.files.load(Path(folder), settings)
+            try:
+                mission = self.files.load(Path(folder), settings)
+            except ConfigError as error:
+                raise ConfigError(str(error).replace(folder, str(self.path))) from error
+        for document in (mission.document, mission.rig.document, mission.robot.document):
+            document.path = self.path / document.path.name  # what is told later names the record, not where it was
+        return mission
 
     @property
     def knows_truth(self) -> bool:

@@ -14,7 +14,8 @@ from smolbot.recording import messages
 from smolbot.recording import run_pb2 as pb
 from smolbot.recording.converter import Converter
 from smolbot.recording.files import RunFiles
-from smolbot.recording.pump import Message, Pump
+from smolbot.recording.jobs import Message
+from smolbot.recording.pump import Pump
 
 RECORD = "run.mcap"
 """File of a run folder."""

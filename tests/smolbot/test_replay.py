@@ -168,3 +168,30 @@ def test_ten_missions_are_replayed_bit_for_bit(tmp_path, name, seed, settings):
     again = replay(tmp_path / "run")
     assert again.first_difference() is None
     assert len(again.cycles) == len(again.record.moments) > 9
+
+
+def test_a_figure_that_is_no_picture_is_refused_before_anything_is_played(flown, tmp_path):
+    from smolbot.cli.replay import replay as command
+
+    for out in (tmp_path / "figure", tmp_path / "figure.xls"):
+        with pytest.raises(InputError, match=r"one of \.png"):
+            command(flown[1], estimator="paper", out=out)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_record_that_ends_before_the_first_cycle_says_so(flown, tmp_path):
+    record = read_run(flown[1])
+    record.moments, record.shot_of_cycle, record.whole = [], [], False
+    with pytest.raises(InputError, match="no cycle.*cut short"):
+        replay(record)
+
+
+def test_faults_of_a_recorded_mission_name_the_record(flown):
+    record = read_run(flown[1])
+    mission = record.mission()
+    for document in (mission.document, mission.rig.document, mission.robot.document):
+        assert document.path.parent == record.path
+    record.begin.files["rig.toml"] += b"nonsense = 1\n"
+    with pytest.raises(ConfigError) as told:
+        record.mission()
+    assert f"{record.path}/rig.toml:" in str(told.value)

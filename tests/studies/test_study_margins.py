@@ -16,7 +16,7 @@ from sim.studies.margins import STUDY, conclude, cycles_of, work_path
 from sim.studies.margins_report import files
 from sim.studies.study import Chunk, Options
 from smolbot.cli.app import main
-from smolbot.cli.missions import settings_from
+from smolbot.cli.options import settings_from
 from smolbot.errors import InputError
 from smolbot.missionfile import load_mission
 

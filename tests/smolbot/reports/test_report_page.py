@@ -313,3 +313,11 @@ def test_what_cannot_be_reported_ends_with_2_and_one_line(words, message, folder
     assert out == ""
     assert message in err
     assert err.count("\n") == 1
+
+
+def test_a_length_without_an_animation_is_refused(folder):
+    from smolbot.cli.report import report
+
+    for options in ({"seconds": 3.0}, {"fps": 5}):
+        with pytest.raises(InputError, match="--animate"):
+            report([folder], **options)

@@ -1,0 +1,71 @@
+"""Arguments and options that several commands share, and what ``--set`` means."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from smolbot.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+
+MissionArgument = Annotated[
+    str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")
+]
+RigOption = Annotated[
+    str | None, typer.Option("--rig", help="Rig to use instead of the mission's own, by name or path.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="key=value laid over the mission file; rig.key=value over the rig file; @FILE: all of a TOML file.",
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+
+
+def settings_from(pairs: list[str] | None) -> dict[str, str]:
+    """``key=value`` options as a dictionary; ``@gains.toml`` stands for all that the file holds.
+
+    Raises
+    ------
+    InputError
+        For an option without ``=``, or a file that cannot be read.
+    """
+    found: dict[str, str] = {}
+    for pair in pairs or []:
+        if pair.startswith("@"):
+            found |= _settings_of(Path(pair[1:]))
+            continue
+        key, equals, value = pair.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"--set needs key=value, such as controller.tolerance_mm=0.5; got '{pair}'.")
+        found[key.strip()] = value.strip()
+    return found
+
+
+def _settings_of(path: Path) -> dict[str, str]:
+    """What a TOML file holds, as settings."""
+    import json
+    import tomllib
+
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"--set @{path}: cannot be read as TOML: {error}.") from error
+    found: dict[str, str] = {}
+
+    def lay(prefix: str, values: dict[str, Any]) -> None:
+        for key, value in values.items():
+            if isinstance(value, dict):
+                lay(f"{prefix}{key}.", value)
+            else:
+                found[f"{prefix}{key}"] = json.dumps(value, default=str)
+
+    lay("", data)
+    return found
