@@ -20,6 +20,16 @@ from smolbot.hardware.wiring import BenchSection
 TICK = 2e-3
 """Seconds between two looks at the clock; a reader who waits for a sample is served when it is there."""
 
+STEP = 250
+"""Samples that are played in one go, with nobody else at the card."""
+
+BREATH = 1e-4
+"""Seconds for which the card lets others at it between two steps, where it has to catch up: a lock that is let go and
+taken at once goes to nobody else."""
+
+FRESH = 0.02
+"""Seconds that a look at a contact waits for the card to have played until now."""
+
 LATE = 0.03
 """Seconds between two such looks that are worth an entry in the journal: this machine had no time for the twin."""
 
@@ -95,6 +105,7 @@ class CardModel:
         self._changed = threading.Condition(threading.RLock())
         self._held = np.zeros(len(section.used_outputs))
         self._lines = 0
+        self._all_open = True
         self.outputs: Generation | None = None
         self.clocked: Generation | None = None
         self.inputs: Acquisition | None = None
@@ -137,19 +148,25 @@ class CardModel:
                     self.journal.note("late", seconds=now - latest)
                 latest = now
                 try:
-                    self._catch_up()
+                    behind = self._step_on()
                 except Exception as error:  # the tank broke: say so to whoever reads, do not die in silence
                     self.broken = f"{type(error).__name__}: {error}"
                     self.journal.note("broken", error=self.broken)
-                    self._end = True
+                    self._end, behind = True, False
                 self._changed.notify_all()
                 wake = min([self.time_of(sample) for sample in self._awaited], default=np.inf)
             self.faults.tick()
-            pause = min(TICK, wake - time.monotonic())
+            pause = BREATH if behind else min(TICK, wake - time.monotonic())
             if pause > 0:
                 time.sleep(pause)
 
     def _catch_up(self) -> None:
+        """Play until now."""
+        while self._step_on():
+            pass
+
+    def _step_on(self) -> bool:
+        """Play on towards now, for a step at most; whether there is more to play."""
         rate = self.plant.rate
         target = int((time.monotonic() - self._epoch) * rate)
         late = target - self.plant.played - int(BACKLOG * rate)
@@ -157,8 +174,9 @@ class CardModel:
             self._epoch += late / rate
             target -= late
             self.journal.note("stood still", seconds=late / rate)
-        while self.plant.played < target:
-            self._step(min(target - self.plant.played, 250))
+        if self.plant.played < target:
+            self._step(min(target - self.plant.played, STEP))
+        return self.plant.played < target
 
     def _step(self, n: int) -> None:
         first = self.plant.played
@@ -179,6 +197,7 @@ class CardModel:
         self._stick()
         currents, contacts, enabled = self._contacts.pass_through(first, volts, lines)
         free = [load for load in range(len(contacts)) if load != self._contacts.stuck]
+        self._all_open = not bool(self._contacts.closed.any())
         self.watch.follow(first, self._epoch, currents, contacts[free], enabled)
         self.plant.advance(currents)
         self._phases(first + n)
@@ -358,11 +377,12 @@ class CardModel:
             self._lines = levels
 
     def line(self, name: str) -> bool:
-        """Level of an input line."""
+        """Level of an input line. Waits for nobody at the card, and `FRESH` s at most for it to be up to date."""
         if name == self.section.relays.all_open:
-            with self._changed:
-                self._catch_up()
-                return not bool(self._contacts.closed.any())
+            asked = time.monotonic()
+            while self.time_of(self.plant.played) < asked and time.monotonic() < asked + FRESH:
+                time.sleep(0.5 * TICK)
+            return self._all_open
         if name == self.section.operator.stop_line:
             return not self.faults.holds("button")
         return False
@@ -378,19 +398,16 @@ class CardModel:
                 self._expired = False
 
     def feed(self) -> None:
-        """Reset the watchdog's timer.
+        """Reset the watchdog's timer. Waits for nothing: a watchdog has a timer of its own, whatever the card is at.
 
         Raises
         ------
         CardError
             If it has expired.
         """
-        fed = time.monotonic()  # when it came, not when the card has time to look
-        if not self._expired:
-            self._fed = fed
-        with self._changed:
-            if self._expired:
-                raise CardError(-200678, "Watchdog timer task has expired; the lines are in their expiration states.")
+        if self._expired:
+            raise CardError(-200678, "Watchdog timer task has expired; the lines are in their expiration states.")
+        self._fed = time.monotonic()
 
     @property
     def expired(self) -> bool:
