@@ -13,8 +13,8 @@ import smolbot
 from smolbot.anymission import AnyMission
 from smolbot.assembly import make_loop
 from smolbot.blas import kernel
-from smolbot.flown import CycleRecord, Run
-from smolbot.loop import StopRules
+from smolbot.flown import CycleRecord
+from smolbot.loop import Loop, StopRules
 from smolbot.missionbase import MissionBase
 from smolbot.poses import Pose
 from smolbot.recording.playback import PlayedPilot, PlayedRig, PlayedScheduler, require_windows
@@ -114,11 +114,15 @@ def replay(
 
         mission.robot.calibrated = load_device(device, mission.robot.name).device
         changed["device"] = str(device)
-    flown = _play(record, mission, half_periods, bool(changed))
+    flown = make_replay_loop(record, mission, half_periods, bool(changed)).fly()
     return Replay(record, mission, changed, flown.cycles, "" if flown.status == "completed" else flown.stop_reason)
 
 
-def _play(record: RecordedRun, mission: Any, half_periods: int | None, changed: bool) -> Run:
+def make_replay_loop(record: RecordedRun, mission: Any, half_periods: int | None = None, changed: bool = False) -> Loop:
+    """The loop of a flight with the record in place of its world, scheduler and pilot.
+
+    `changed`: the mission's settings are not those of the flight.
+    """
     rig = PlayedRig(record, mission.rig.sensors, mission.rig.limits, half_periods)
     loop = make_loop(rig, mission)
     loop.scheduler = PlayedScheduler(record, rig, loop.scheduler.cycle, rig.limits, mission.robot.device)  # type: ignore[assignment]
@@ -129,7 +133,7 @@ def _play(record: RecordedRun, mission: Any, half_periods: int | None, changed: 
         loop.quiet = replace(loop.quiet, duration=0.0, learn_ring_down=False)
     if changed:  # poses that others would have given steer nothing, so that no pose of theirs can do harm
         loop.safety.rules = Rules(stale_shots=len(record.played) + 1)
-    return loop.fly()
+    return loop
 
 
 def _difference(recorded: Pose | None, found: Pose | None) -> str:
