@@ -65,7 +65,7 @@ benchmark: setup
 
 # The messages of a record, from their description.
 proto: setup
-	$(BIN)/python -m grpc_tools.protoc -I. --python_out=. --pyi_out=. smolbot/recording/run.proto
+	$(BIN)/python -m grpc_tools.protoc -I. --python_out=. --pyi_out=. smolbot/runs/recording/run.proto
 
 # Debian packages that some tests need; the only target that touches the system.
 system-deps:

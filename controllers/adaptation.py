@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 GATE = 9.0
 """Squared distance, in standard deviations, beyond which a motion is not believed: was its window played at all?"""

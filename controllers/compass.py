@@ -13,8 +13,8 @@ from numba import njit
 
 from controllers.allocation import forces_by_field
 from controllers.force_allocator import SLACK, SLOPES
-from smolbot.arrays import FloatArray
-from smolbot.control import Setup
+from smolbot.core.arrays import FloatArray
+from smolbot.motion.controller import Setup
 
 DIRECTIONS = 72
 """Headings among which is chosen."""

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 from smolbot.motion.kernels import nearest
-from smolbot.paths import Curve
+from smolbot.paths.curve import Curve
 
 BACK, AHEAD = 2e-3, 4e-3
 """How far, in m, from where it was, the robot is looked for: a letter's strands cross."""

@@ -14,13 +14,13 @@ import numpy as np
 
 from controllers.course import Course
 from controllers.pace import Pace
-from smolbot.arrays import FloatArray
-from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.shots import Actuate
 from smolbot.errors import InputError
-from smolbot.paths import Curve
-from smolbot.poses import Pose
-from smolbot.scheduler import stretched_actuation
-from smolbot.shots import Actuate
+from smolbot.flight.scheduler import stretched_actuation
+from smolbot.motion.controller import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.paths.curve import Curve
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable

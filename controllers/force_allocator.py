@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from controllers.allocation import field_and_force, search, strongest_alone
-from smolbot.arrays import BoolArray, FloatArray, as_floats
+from smolbot.core.arrays import BoolArray, FloatArray, as_floats
 from smolbot.errors import InputError, SmolbotError
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class ForceAllocator:
 
     Examples
     --------
-    >>> from smolbot.missionfile import load_mission
+    >>> from smolbot.config.mission import load_mission
     >>> setup = load_mission("line").setup()
     >>> allocator = ForceAllocator(setup.table, 8.0, 0.89e-3, least_field=1e-3)
     >>> here = np.array([0.008, 0.0, 0.060])

@@ -10,13 +10,13 @@ from typing import ClassVar
 import numpy as np
 
 from controllers.screwing import Leg, Screwing
-from smolbot.arrays import FloatArray
-from smolbot.control import Command, Gain, HelixSetup, Phase, complete_gains
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.shots import Mechanical, MoveMagnet
 from smolbot.motion import helixkernels as kernels
+from smolbot.motion.controller import Command, Gain, HelixSetup, Phase, complete_gains
 from smolbot.motion.helix import rotation, state_of
-from smolbot.paths import Curve
-from smolbot.poses import Pose
-from smolbot.shots import Mechanical, MoveMagnet
+from smolbot.paths.curve import Curve
 
 RUNWAY = 15e-3
 """Straight continuation of a path at both ends, in m: the way in, and something to look ahead at."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from smolbot.speeds import SpeedProfile
+from smolbot.paths.speed_profile import SpeedProfile
 
 CATCH_UP = 1.5
 """A robot that is behind may be asked for this multiple of the wanted speed."""

@@ -17,14 +17,14 @@ from controllers.force_allocator import ForceAllocator, UnreachableForceError
 from controllers.pace import Pace
 from controllers.starts import plan_starts
 from lookup_tables import OutsideTableError
-from smolbot.arrays import FloatArray
-from smolbot.control import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.shots import Actuate
 from smolbot.errors import InputError
+from smolbot.motion.controller import Command, Gain, Phase, Reach, Setup, complete_gains
 from smolbot.motion.gradient import body_of
 from smolbot.motion.kernels import DRAG, FORWARD, HEADING, NEAR, ROTATIONAL_DRAG, plan
-from smolbot.paths import Curve
-from smolbot.poses import Pose
-from smolbot.shots import Actuate
+from smolbot.paths.curve import Curve
 
 STEP = 7.5e-3
 """Longest step of a rollout, in s."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 from smolbot.motion import helixkernels as kernels
 from smolbot.motion.helix import Helix
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 MOST_STARTS = 64
 """Sets of currents tried with many coils; each costs a rollout."""

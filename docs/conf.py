@@ -73,7 +73,7 @@ _NAMES = {"float64": "FloatArray", "bool": "BoolArray"}
 def _name_arrays(app: Any, what: str, name: str, obj: Any, options: Any, signature: str, returns: str) -> Any:
     """Arrays by the names that the code has for them."""
     return tuple(
-        None if text is None else _ARRAY.sub(lambda found: f"~smolbot.arrays.{_NAMES[found[1]]}", text)
+        None if text is None else _ARRAY.sub(lambda found: f"~smolbot.core.arrays.{_NAMES[found[1]]}", text)
         for text in (signature, returns)
     )
 

@@ -50,9 +50,9 @@ def save(figure: Any, name: str, *, shaded: bool = False) -> None:
 
 def tank(start: tuple[float, float] = (0.0, 0.0), seed: int = 1, *, ideal: bool = True) -> Any:
     """The shipped tank with the robot put down at `start`, in m."""
-    from sim.world import TankWorld
-    from smolbot.rigfile import load_rig
-    from smolbot.robotfile import load_robot
+    from sim.tank.world import TankWorld
+    from smolbot.config.rig import load_rig
+    from smolbot.config.robot import load_robot
 
     return TankWorld.open(load_rig("tank"), load_robot("gradient"), start, seed, ideal=ideal)
 
@@ -206,7 +206,7 @@ def learned() -> None:
 def _believed_error(seed: int, settings: dict[str, str]) -> tuple[Any, Any]:
     """Times in s of a flight, and how far in mm the tracked position is off, smoothed over two seconds."""
     from smolbot import load_mission
-    from smolbot.flying import fly
+    from smolbot.flight.session import fly
 
     mission = load_mission("r_path", None, settings)
     held: list[Any] = []

@@ -11,39 +11,39 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "Actuate": "shots",
-    "Command": "control",
-    "Controller": "control",
-    "Curve": "paths",
-    "Device": "sensing",
-    "Excite": "shots",
-    "Gain": "control",
-    "Limits": "limits",
-    "Listen": "shots",
+    "Actuate": "core.shots",
+    "Command": "motion.controller",
+    "Controller": "motion.controller",
+    "Curve": "paths.curve",
+    "Device": "core.sensing",
+    "Excite": "core.shots",
+    "Gain": "motion.controller",
+    "Limits": "core.limits",
+    "Listen": "core.shots",
     "Localizer": "localization.localizer",
-    "Mission": "missionfile",
-    "MoveMagnet": "shots",
-    "NoiseModel": "localization.noise",
-    "Observation": "observationfile",
-    "Pose": "poses",
-    "Recording": "sensing",
-    "Rest": "shots",
-    "Rig": "worlds",
-    "RingDown": "shots",
-    "Rotate": "shots",
-    "Run": "flown",
+    "Mission": "config.mission",
+    "MoveMagnet": "core.shots",
+    "NoiseModel": "localization.noise.model",
+    "Observation": "config.observation",
+    "Pose": "core.pose",
+    "Recording": "core.sensing",
+    "Rest": "core.shots",
+    "Rig": "core.rig",
+    "RingDown": "core.shots",
+    "Rotate": "core.shots",
+    "Run": "runs.run",
     "SearchVolume": "localization.cold_start",
-    "SensorArray": "sensing",
-    "Setup": "control",
-    "Shot": "shots",
+    "SensorArray": "core.sensing",
+    "Setup": "motion.controller",
+    "Shot": "core.shots",
     "SmolbotError": "errors",
-    "Tracker": "tracking",
-    "Witness": "worlds",
-    "load_mission": "anymission",
-    "load_rig": "rigfile",
-    "read_run": "recording.reader",
-    "replay": "replaying",
-    "run": "flying",
+    "Tracker": "flight.tracking.tracker",
+    "Witness": "core.rig",
+    "load_mission": "config.load",
+    "load_rig": "config.rig",
+    "read_run": "runs.recording.reader",
+    "replay": "flight.replay",
+    "run": "flight.session",
 }
 
 __all__ = [
@@ -95,23 +95,23 @@ def __dir__() -> list[str]:
 
 
 if TYPE_CHECKING:
-    from smolbot.anymission import load_mission
-    from smolbot.control import Command, Controller, Gain, Setup
+    from smolbot.config.load import load_mission
+    from smolbot.config.mission import Mission
+    from smolbot.config.observation import Observation
+    from smolbot.config.rig import load_rig
+    from smolbot.core.limits import Limits
+    from smolbot.core.pose import Pose
+    from smolbot.core.rig import Rig, Witness
+    from smolbot.core.sensing import Device, Recording, SensorArray
+    from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot
     from smolbot.errors import SmolbotError
-    from smolbot.flown import Run
-    from smolbot.flying import run
-    from smolbot.limits import Limits
+    from smolbot.flight.replay import replay
+    from smolbot.flight.session import run
+    from smolbot.flight.tracking.tracker import Tracker
     from smolbot.localization.cold_start import SearchVolume
     from smolbot.localization.localizer import Localizer
-    from smolbot.localization.noise import NoiseModel
-    from smolbot.missionfile import Mission
-    from smolbot.observationfile import Observation
-    from smolbot.paths import Curve
-    from smolbot.poses import Pose
-    from smolbot.recording.reader import read_run
-    from smolbot.replaying import replay
-    from smolbot.rigfile import load_rig
-    from smolbot.sensing import Device, Recording, SensorArray
-    from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot
-    from smolbot.tracking import Tracker
-    from smolbot.worlds import Rig, Witness
+    from smolbot.localization.noise.model import NoiseModel
+    from smolbot.motion.controller import Command, Controller, Gain, Setup
+    from smolbot.paths.curve import Curve
+    from smolbot.runs.recording.reader import read_run
+    from smolbot.runs.run import Run

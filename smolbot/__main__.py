@@ -1,5 +1,5 @@
 """``python -m smolbot``."""
 
-from smolbot.cli.app import main
+from smolbot.ui.cli.app import main
 
 main()

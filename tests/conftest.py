@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from smolbot.config.mission import Mission, load_mission
+from smolbot.config.rig import load_rig
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.localization.forward import deflection, sensor_field
-from smolbot.missionfile import Mission, load_mission
-from smolbot.poses import Pose
-from smolbot.rigfile import load_rig
-from smolbot.rotations import quaternion_from_axes
-from smolbot.sensing import Device, Recording, SensorArray
 
 # No test depends on the wall clock or on what was drawn before.
 settings.register_profile("smolbot", deadline=None, derandomize=True, database=None)
@@ -31,7 +31,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def cold_coils(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """No test begins with coils that another one has warmed; the folder where their heat is kept instead."""
     folder = tmp_path_factory.getbasetemp() / "heat" / str(next(_NUMBERS))
-    monkeypatch.setattr("smolbot.heatmemory.kept_at", lambda rig: folder / f"{rig}.json")
+    monkeypatch.setattr("smolbot.flight.safety.heat_store.kept_at", lambda rig: folder / f"{rig}.json")
     return folder
 
 

@@ -12,7 +12,7 @@ from sphinx.util.docutils import SphinxDirective
 
 def root_command() -> Any:
     """``smolbot`` with all its commands, those of entry points too."""
-    from smolbot.cli import app as cli
+    from smolbot.ui.cli import app as cli
 
     cli.register_own()
     return typer.main.get_command(cli.app)

@@ -1,6 +1,6 @@
 """Tables of the keys that a user's file may have, made from the models that check it.
 
-    {filekeys} smolbot.missionfile:MissionFile
+    {filekeys} smolbot.config.mission:MissionFile
     :example: missions/r_path.toml
 
 `section` puts a header in front of the names of tables. `example` is a file of the package whose values and comments
@@ -21,7 +21,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 import smolbot
-from smolbot.config import _inner_model
+from smolbot.config.document import _inner_model
 
 UNITS = {
     "mm": "mm", "ms": "ms", "s": "s", "a": "A", "hz": "Hz", "deg": "°", "percent": "%", "mm_s": "mm/s",

@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
-from smolbot.control import Command, Controller, Setup
+from smolbot.config.feasibility import covariances_along
+from smolbot.config.mission import Mission
+from smolbot.config.plugins import load
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot, Window
 from smolbot.errors import InputError
-from smolbot.fitness import covariances_along
-from smolbot.localization.transients import QUIET_AFTER
-from smolbot.missionfile import Mission
+from smolbot.flight.tracking.tracker import Tracker
+from smolbot.localization.noise.excitation_transients import QUIET_AFTER
+from smolbot.motion.controller import Command, Controller, Setup
 from smolbot.motion.gradient import advance
 from smolbot.motion.robot import Robot
-from smolbot.plugins import load
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
-from smolbot.shots import Actuate, Excite, Listen, RingDown, Shot, Window
-from smolbot.tracking import Tracker
 
 _UP = np.array([0.0, 0.0, 1.0])
 

@@ -12,11 +12,11 @@ from functools import cache
 import numpy as np
 
 from sim.analysis.flight import Instant, Model, State, turned
-from smolbot.arrays import FloatArray
-from smolbot.control import Controller
-from smolbot.poses import Pose
-from smolbot.rotations import rotation_error
-from smolbot.shots import Actuate
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import rotation_error
+from smolbot.core.shots import Actuate
+from smolbot.motion.controller import Controller
 
 PAIRS = 8
 """Pairs of poses, either side of the nominal one, that a law is asked at."""

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sim.analysis.linear import Cycle
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 if TYPE_CHECKING:
     from control import StateSpace

@@ -13,10 +13,10 @@ import numpy as np
 
 from sim.analysis.flight import Model, fly
 from sim.analysis.linear import Cycle, linearised
-from smolbot.arrays import FloatArray
-from smolbot.control import Controller, Gain
+from smolbot.config.plugins import load
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
-from smolbot.plugins import load
+from smolbot.motion.controller import Controller, Gain
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """A pinhole camera over the tank, not quite upright, with what a lens leaves of its distortion.
 
-Its projection is written here and nowhere else: `smolbot.optics`, which has to find its way back from pixels, has its
+Its projection is written here and nowhere else: `smolbot.runs.optics`, which has to find its way back from pixels, has its
 own.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.film.kernels import rays
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 FRAMED = 0.8
 """Share of the picture's shorter side that what must be seen fills: it may be turned, and stand higher than the

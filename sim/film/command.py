@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from smolbot.cli.options import JsonOption
-from smolbot.cli.show import echo_json, table
 from smolbot.errors import InputError
+from smolbot.ui.cli.options import JsonOption
+from smolbot.ui.cli.show import echo_json, table
 
 
 def film(
@@ -72,8 +72,8 @@ def film(
 
 def _film_swing(name: str, rig: str, out: Path, fps: float | None, seed: int, truth: Path | None, json: bool) -> None:
     from sim.film.swing import film_swing
-    from smolbot.rigfile import load_rig
-    from smolbot.robotfile import load_robot
+    from smolbot.config.rig import load_rig
+    from smolbot.config.robot import load_robot
 
     rate = 5000.0 if fps is None else fps
     made = film_swing(load_rig(rig), load_robot(name), out, seed=seed, fps=rate)

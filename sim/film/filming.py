@@ -14,11 +14,11 @@ from sim.film.camera import Camera, draw_camera
 from sim.film.robot import Looks, draw_looks, paint, shade
 from sim.film.stage import DICTIONARY, PRINT_ERROR, SIDE, Stage, draw_stage, photograph
 from sim.film.trail import Trail
-from smolbot.arrays import FloatArray
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.errors import InputError
-from smolbot.rigfile import RigConfig
-from smolbot.robotfile import RobotConfig
-from smolbot.rotations import matrix_from_quaternion
 
 DISTANCE = 0.35  # m from camera to floor: a 35 mm lens over a coil set
 RULER = 2e-3  # m: how well a lab measures a camera's height

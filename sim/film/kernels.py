@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 Sheet = npt.NDArray[np.float32]
 """Grey levels of what is printed, (rows, columns, 3)."""

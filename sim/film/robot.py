@@ -10,9 +10,9 @@ import numpy as np
 from sim.film.camera import Camera, crossing, refracted
 from sim.film.kernels import see_robot
 from sim.film.stage import Stage
-from smolbot.arrays import FloatArray
-from smolbot.robotfile import RobotConfig
-from smolbot.rotations import matrix_from_quaternion
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion
 
 FINE = 3  # rays per pixel and direction
 AROUND = 2.2e-3  # m beyond the housing that its meniscus reaches

@@ -8,8 +8,8 @@ import numpy as np
 
 from sim.film.camera import Camera
 from sim.film.kernels import Sheet, see_empty
-from smolbot.arrays import BoolArray, FloatArray
-from smolbot.rigfile import RigConfig
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import BoolArray, FloatArray
 
 DICTIONARY = "4x4_50"
 SIDE = 8e-3  # of a marker's black square, in m

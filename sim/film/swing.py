@@ -9,19 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.cantilever import STATE_LENGTH, swing
-from sim.coils import TankCoils
 from sim.film.filming import Grain, Writer, blurred
-from sim.magnet import true_device
-from sim.mismatch import Streams, draw
-from sim.sensors import TrueSensors
-from sim.settings import TankSettings
-from smolbot.arrays import FloatArray
-from smolbot.config import validate
+from sim.tank.magnetics.cantilever import STATE_LENGTH, swing
+from sim.tank.magnetics.coils import TankCoils
+from sim.tank.magnetics.magnet import true_device
+from sim.tank.magnetics.sensors import TrueSensors
+from sim.tank.mismatch import Streams, draw
+from sim.tank.settings import TankSettings
+from smolbot.config.document import validate
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.errors import InputError
-from smolbot.rigfile import RigConfig
-from smolbot.robotfile import RobotConfig
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
 
 STEP, SUBSTEPS = 1e-3, 50  # s; the tank's own
 SCALE = 80e3  # pixels per m

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from smolbot.anymission import AnyMission
-from smolbot.arrays import FloatArray
+from smolbot.config.load import AnyMission
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
-from smolbot.recording.reader import read_run
+from smolbot.runs.recording.reader import read_run
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.reduced.fit import linear_fit
-from smolbot.arrays import FloatArray
-from smolbot.fitness import noise_levels
+from smolbot.config.feasibility import noise_levels
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.sensing import Recording
 from smolbot.localization import basis, kernels
 from smolbot.localization.expected import noise_parts
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import ComplexArray, NoiseModel
+from smolbot.localization.noise.model import ComplexArray, NoiseModel
+from smolbot.localization.noise.whitening import whitened_model
 from smolbot.localization.problem import LinearModel, paper_model
-from smolbot.localization.whitening import whitened_model
-from smolbot.rigfile import RigConfig
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
-from smolbot.sensing import Recording
-from smolbot.sightings import Fitted
+from smolbot.localization.synthetic import Fitted
 
 N_PHASES = 4
 """Phases of the oscillation, half a turn in all, of which one is drawn for each recording."""

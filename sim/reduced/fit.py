@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 N = 8  # position (3), rotation (3), phase, amplitude
 WORST = 1e11

@@ -6,27 +6,27 @@ import math
 
 import numpy as np
 
-from sim.coilfields import CoilSet
-from sim.coils import TankCoils, volume
-from sim.floating import put_down
-from sim.history import History
-from sim.hydrodynamics import Hull
-from sim.magnet import true_device
-from sim.mismatch import Streams, Truth, draw
 from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, move, note
-from sim.sensors import TrueSensors
-from sim.settings import TankSettings
-from smolbot.arrays import FloatArray
-from smolbot.rigfile import RigConfig
-from smolbot.robotfile import RobotConfig
-from smolbot.shots import Actuate, Excite, Window
+from sim.tank.carriers.floating import put_down
+from sim.tank.carriers.hydrodynamics import Hull
+from sim.tank.history import History
+from sim.tank.magnetics.coil_fields import CoilSet
+from sim.tank.magnetics.coils import TankCoils, volume
+from sim.tank.magnetics.magnet import true_device
+from sim.tank.magnetics.sensors import TrueSensors
+from sim.tank.mismatch import Streams, Truth, draw
+from sim.tank.settings import TankSettings
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.shots import Actuate, Excite, Window
 
 SPACING = 1e-3
 """Of the plane's table, in m: cubic splines through it are good to some nT per A between coils 84 mm apart."""
 
 
 class ReducedPlant:
-    """Plays windows for the robot's motion alone; takes the arguments of `sim.tank.Tank`.
+    """Plays windows for the robot's motion alone; takes the arguments of `sim.tank.tank.Tank`.
 
     Left out: inertia, what the excitation does to the housing, how the cantilever rings when a field changes, friction
     and turning at walls. The swing that is left of an excitation turns the robot a little as it is pulled, and is kept.
@@ -37,7 +37,7 @@ class ReducedPlant:
     sensors : TrueSensors
         Where they truly stand; nothing is recorded.
     device : ndarray
-        As `sim.cantilever.swing` takes it.
+        As `sim.tank.magnetics.cantilever.swing` takes it.
     history : History
     time : float, in s
     """
@@ -117,7 +117,7 @@ def _plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray,
     """
     from scipy.ndimage import spline_filter1d
 
-    from sim.cantilever import fields_at
+    from sim.tank.magnetics.cantilever import fields_at
 
     low, high = volume(rig)
     x, y = (np.arange(low[k], high[k] + 2 * SPACING, SPACING) for k in (0, 1))

@@ -1,4 +1,4 @@
-"""The reduced rig: keeps the promise of `smolbot.worlds.Rig`, but hands out sightings instead of signals."""
+"""The reduced rig: keeps the promise of `smolbot.core.rig.Rig`, but hands out sightings instead of signals."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from sim.coils import NominalExcitation
-from sim.history import TankWitness
 from sim.reduced.errors import FitErrors, Heard, true_room
 from sim.reduced.kernel import SWING
 from sim.reduced.plant import ReducedPlant
-from sim.settings import TankSettings
-from smolbot.anymission import AnyMission
-from smolbot.arrays import FloatArray, as_floats
-from smolbot.config import validate
+from sim.tank.history import TankWitness
+from sim.tank.magnetics.coils import NominalExcitation
+from sim.tank.settings import TankSettings
+from smolbot.config.document import validate
+from smolbot.config.load import AnyMission
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray, as_floats
+from smolbot.core.rig import Witness
+from smolbot.core.rotations import half_turned
+from smolbot.core.sensing import Device, Recording
+from smolbot.core.shots import Listen, Rest, Shot
 from smolbot.errors import InputError, RigError
 from smolbot.localization.localizer import Localizer
-from smolbot.rigfile import RigConfig
-from smolbot.robotfile import RobotConfig
-from smolbot.rotations import half_turned
-from smolbot.sensing import Device, Recording
-from smolbot.shots import Listen, Rest, Shot
-from smolbot.sightings import Sighting, Sightings
-from smolbot.worlds import Witness
+from smolbot.localization.synthetic import Sighting, Sightings
 
 AMPLITUDE_SPREAD = 0.02
 """Share by which the amplitude varies from burst to burst: what is left of the swing when a drive begins."""
@@ -34,14 +34,14 @@ AMPLITUDE_SPREAD = 0.02
 class ReducedRig:
     """A tank without Bullet, sensors' samples and fits: `sim.reduced.plant` moves, `sim.reduced.errors` sees.
 
-    Draws its mismatches as `sim.rig.TankRig` does from the same seed; everything that it returns is labelled
+    Draws its mismatches as `sim.tank.rig.TankRig` does from the same seed; everything that it returns is labelled
     by its `provenance`.
 
     Examples
     --------
-    >>> from smolbot.rigfile import load_rig
-    >>> from smolbot.robotfile import load_robot
-    >>> from smolbot.shots import Actuate
+    >>> from smolbot.config.rig import load_rig
+    >>> from smolbot.config.robot import load_robot
+    >>> from smolbot.core.shots import Actuate
     >>> rig = ReducedRig(load_rig("tank"), load_robot("gradient"), TankSettings(), np.zeros(2), seed=1)
     >>> for _ in range(20):
     ...     rig.play(Shot((Actuate((8.0, 0.0, 0.0, 0.0), 0.1),)))
@@ -151,7 +151,7 @@ class ReducedRig:
 
 
 def open_reduced(mission: AnyMission, seed: int, *, ideal: bool = False) -> ReducedRig:
-    """The reduced plant of a mission: pass it to `smolbot.flying.fly` as ``opener``. Raises as `require_flyable`."""
+    """The reduced plant of a mission: pass it to `smolbot.flight.session.fly` as ``opener``. Raises as `require_flyable`."""
     require_flyable(mission)
     settings, faults = validate(TankSettings, mission.rig.sections.tank, ("tank",))
     if settings is None:

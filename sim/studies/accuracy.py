@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from sim.static_bench import StaticBench
 from sim.studies.benches import (
     REFERENCE_POSITION,
     characterised,
@@ -21,20 +20,21 @@ from sim.studies.benches import (
 )
 from sim.studies.columns import chosen, columns_of, joined
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
-from smolbot.arrays import FloatArray
-from smolbot.localization.array_calibration import ArrayCalibration, calibrate_sensors
+from sim.tank.static_bench import StaticBench
+from smolbot.bench.calibration.array import ArrayCalibration, calibrate_sensors
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.sensing import Recording
+from smolbot.localization.device.ringdown import measure
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.localization.ringdown import measure
+from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.statistics import (
     circular_standard_deviation,
     differential_circular_mean_absolute_error,
     differential_mean_absolute_error,
     standard_deviation,
 )
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
-from smolbot.sensing import Recording
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 WIDE, FINE = "wide", "fine"
@@ -221,7 +221,7 @@ def line(case: dict[str, Any]) -> str:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Error against the true move for each axis over the wide span, and bars of all MAE."""
-    from sim.studies.picture import COLORS, slide, titled
+    from sim.batch.slide import COLORS, slide, titled
 
     cases = outcome.figures["cases"]
     name = cases[0]["estimator"]

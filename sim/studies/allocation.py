@@ -10,7 +10,7 @@ import numpy as np
 
 from sim.studies.columns import chosen, joined
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 if TYPE_CHECKING:
     from controllers.force_allocator import ForceAllocator
@@ -151,7 +151,7 @@ def work(chunk: Chunk) -> Columns:
     """All directions at one place."""
     from controllers.force_allocator import SLACK, ForceAllocator, UnreachableForceError
     from sim.studies.benches import rig_named
-    from smolbot.robotfile import load_robot
+    from smolbot.config.robot import load_robot
 
     rig, rng = rig_named(chunk["rig"]), rng_of(chunk)
     moment, limits = load_robot("gradient").device.moment, rig.limits
@@ -253,7 +253,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Force by direction at some places, allocated and by brute force."""
-    from sim.studies.picture import BOUND, WHITENED, slide
+    from sim.batch.slide import BOUND, WHITENED, slide
 
     columns = outcome.columns
     head, either = outcome.figures["cases"]

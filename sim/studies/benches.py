@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from sim.static_bench import StaticBench, with_sensors
 from sim.studies.study import Chunk
-from smolbot.arrays import FloatArray
-from smolbot.localization.localizer import Estimator, Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.poses import Pose
-from smolbot.rigfile import RigConfig, load_rig
-from smolbot.rotations import (
+from sim.tank.static_bench import StaticBench, with_sensors
+from smolbot.config.rig import RigConfig, load_rig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import (
     quaternion_from_axes,
     quaternion_from_rotation_vector,
     quaternion_product,
     rotation_error,
 )
-from smolbot.sensing import Device, Recording
+from smolbot.core.sensing import Device, Recording
+from smolbot.localization.localizer import Estimator, Localizer
+from smolbot.localization.noise.model import NoiseModel
 
 QUIET_SECONDS = 10.0
 """Quiet time that a noise model is learned from."""

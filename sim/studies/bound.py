@@ -121,7 +121,7 @@ def _line(case: dict[str, Any]) -> str:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Errors against N with the bound, and the distribution of NEES."""
-    from sim.studies.picture import BOUND, COLORS, even_ticks, limit_line, name_line, slide, titled
+    from sim.batch.slide import BOUND, COLORS, even_ticks, limit_line, name_line, slide, titled
 
     cases = outcome.figures["cases"]
     scale = min(case["mismatch"] for case in cases)

@@ -10,7 +10,7 @@ import numpy as np
 from sim.studies.benches import characterised, localizers, open_bench, pose_row
 from sim.studies.columns import chosen, columns_of, joined, position_errors
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
-from smolbot.rotations import rotation_error
+from smolbot.core.rotations import rotation_error
 
 HALF_PERIODS = 6
 CHUNK = 125
@@ -100,7 +100,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Where poses are, trusted or not; and their errors against height."""
-    from sim.studies.picture import COLORS, LIMIT, OTHERS, limit_line, slide, titled
+    from sim.batch.slide import COLORS, LIMIT, OTHERS, limit_line, slide, titled
 
     cases = outcome.figures["cases"]
     first = cases[0]

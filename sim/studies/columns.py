@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sim.studies.study import Columns
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 
 def columns_of(rows: Sequence[Mapping[str, Any]]) -> Columns:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smolbot.cli.options import SetOption
 from smolbot.errors import InputError
+from smolbot.ui.cli.options import SetOption
 
 if TYPE_CHECKING:
     from sim.studies.study import Options, Outcome, Study
@@ -62,7 +62,7 @@ def study(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
 ) -> None:
     """A study of localization, or of a mission's loop: a table, a figure and results.csv in a folder of its own."""
-    from smolbot.cli.show import echo_json, table
+    from smolbot.ui.cli.show import echo_json, table
 
     loaded = load_study(name)
     if loaded.mission:
@@ -141,7 +141,7 @@ def _mission_options(
     given: Mapping[str, object],
 ) -> Options:  # fmt: skip
     from sim.studies.study import Options
-    from smolbot.cli.options import settings_from
+    from smolbot.ui.cli.options import settings_from
 
     if mission is None:
         raise InputError(f"study {study.name} needs a mission: smolbot study {study.name} MISSION, such as r_path.")

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.static_bench import StaticBench
-from smolbot.arrays import FloatArray
-from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
+from sim.tank.static_bench import StaticBench
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
 
 BLOCKS, SMALLEST, LARGEST = 300, 3, 12
 """Samples are averaged to about so many blocks, of so many samples at least and at most (0.24 ms at 50 kS/s): against

@@ -74,7 +74,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Scatter against damping, with trend lines."""
-    from sim.studies.picture import BOUND, COLORS, limit_line, slide, titled
+    from sim.batch.slide import BOUND, COLORS, limit_line, slide, titled
 
     cases, trends = outcome.figures["cases"], outcome.figures["trends"]
     names = list(dict.fromkeys(c["estimator"] for c in cases))

@@ -13,8 +13,8 @@ from sim.studies.benches import characterised, localizers, open_bench, optimised
 from sim.studies.columns import chosen, columns_of, joined
 from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
-from smolbot.arrays import FloatArray
-from smolbot.sensing import Device
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Device
 
 EDGE_MM = (math.pi / 4.0) ** (1.0 / 3.0)
 """Edge of the cube with the volume of the paper's magnet, diameter 1 x 1 mm."""
@@ -123,7 +123,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Depth against size; scatter against height for the paper's magnet."""
-    from sim.studies.picture import BOUND, COLORS, OTHERS, limit_line, name_line, slide, titled
+    from sim.batch.slide import BOUND, COLORS, OTHERS, limit_line, name_line, slide, titled
 
     depths, cases = outcome.figures["depths"], outcome.figures["cases"]
     name = depths[0]["estimator"]

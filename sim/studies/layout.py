@@ -11,14 +11,14 @@ from sim.studies.benches import RING_DOWN, characterised, rig_named
 from sim.studies.layout_search import Judge, Layout, Search
 from sim.studies.layout_value import AXES, Mismatch, Poses, Volume, judge
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
-from smolbot.arrays import FloatArray
-from smolbot.fitness import noise_levels
+from smolbot.config.feasibility import noise_levels
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_matrix
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.localization.bounds import Window
 from smolbot.localization.expected import expected_covariance
-from smolbot.poses import Pose
-from smolbot.rigfile import RigConfig
-from smolbot.rotations import quaternion_from_matrix
-from smolbot.sensing import Device, SensorArray
 
 HALF_PERIODS = 2
 ROOMS = 4
@@ -204,7 +204,7 @@ def bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Both layouts, and the bound that each gives at 80 mm."""
-    from sim.studies.picture import OTHERS, slide, titled
+    from sim.batch.slide import OTHERS, slide, titled
 
     figures, columns = outcome.figures, outcome.columns
     before, after = figures["layouts"]["rig"], figures["layouts"]["found"]

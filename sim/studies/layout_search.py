@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sim.studies.layout_value import AXES, HALF_WIDTH, MIN_DISTANCE, Mismatch, Poses, sideways
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.localization import basis as time_functions
 from smolbot.localization.bounds import Window, channel_series
-from smolbot.localization.levels import NoiseLevels
-from smolbot.localization.whitening import blocks
-from smolbot.sensing import Device, SensorArray
+from smolbot.localization.noise.room import NoiseLevels
+from smolbot.localization.noise.whitening import blocks
 
 IntArray = npt.NDArray[np.int64]
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.localization.bounds import Bound, Response, Window, channel_series
-from smolbot.localization.noise import NoiseModel
-from smolbot.rotations import matrix_from_quaternion
-from smolbot.sensing import Device, SensorArray
+from smolbot.localization.noise.model import NoiseModel
 
 HALF_WIDTH = 0.075
 """Of the square that sensors may stand in, in m."""

@@ -17,9 +17,9 @@ from sim.analysis.lqr import Weights, between, closest_gains
 from sim.studies.columns import joined
 from sim.studies.margins_report import figures_of, files, rows_of
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
-from smolbot.arrays import FloatArray
+from smolbot.config.mission import Mission, load_mission
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
-from smolbot.missionfile import Mission, load_mission
 
 PARTS = 4
 """Pieces that the cycles of a flight are dealt out to."""
@@ -68,7 +68,7 @@ def chunks(options: Options) -> list[Chunk]:
         For a mission without a loop, or one that would not arrive on the controller's own model.
     """
     from sim.analysis.flight import require_loop
-    from smolbot.preview import preview
+    from smolbot.flight.preview.gradient import preview
 
     mission = mission_of(options)
     require_loop(mission)
@@ -133,7 +133,7 @@ def work_gains(chunk: Chunk) -> Columns:
 
 
 def _declared(mission: Mission) -> Mapping[str, Any]:
-    from smolbot.plugins import load
+    from smolbot.config.plugins import load
 
     declared: Mapping[str, Any] = load("controllers", mission.law).gains
     return declared
@@ -141,8 +141,8 @@ def _declared(mission: Mission) -> Mapping[str, Any]:
 
 def _flown(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> FloatArray:
     """Rows (seed, tracking rms in mm, robot time in s, passed) of flights of the reduced plant; none on a bench."""
+    from sim.batch.command import Plant, fly_one
     from sim.reduced.rig import require_flyable
-    from sim.simulate import Plant, fly_one
 
     try:
         require_flyable(mission)

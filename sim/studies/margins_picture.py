@@ -33,7 +33,7 @@ def loop_at(columns: Columns, index: int) -> SampledLoop:
 
 def draw_margins(outcome: Outcome, path: Path) -> None:
     """Gain margin along the path; characteristic loci and step responses at the median and the worst place."""
-    from sim.studies.picture import PAPER, WHITENED, slide
+    from sim.batch.slide import PAPER, WHITENED, slide
 
     figures, columns = outcome.figures, outcome.columns
     worst, median = worst_place(columns), median_place(columns)
@@ -60,7 +60,7 @@ def _said(value: float, unit: str) -> str:
 def _draw_path(axes: Axes, columns: Columns, worst: int) -> None:
     from matplotlib.collections import LineCollection
 
-    from sim.studies.picture import PAPER, titled
+    from sim.batch.slide import PAPER, titled
 
     points = np.column_stack([columns["x_mm"], columns["y_mm"]])
     margin = np.minimum(columns["gain_margin_db"], MOST_DB)
@@ -84,7 +84,7 @@ def _draw_path(axes: Axes, columns: Columns, worst: int) -> None:
 
 
 def _draw_loci(axes: Axes, columns: Columns, shown: list[tuple[int, str, str]]) -> None:
-    from sim.studies.picture import LIMIT, titled
+    from sim.batch.slide import LIMIT, titled
 
     angles = np.linspace(0.02, math.pi, 800)
     circle = np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 200))
@@ -106,7 +106,7 @@ def _draw_loci(axes: Axes, columns: Columns, shown: list[tuple[int, str, str]]) 
 
 
 def _draw_steps(axes: Axes, columns: Columns, shown: list[tuple[int, str, str]]) -> None:
-    from sim.studies.picture import titled
+    from sim.batch.slide import titled
 
     length = max(4.0 * float(np.median(np.minimum(columns["settle_s"], 30.0))), 1.0)
     for index in np.linspace(0, len(columns["arc_mm"]) - 1, 25).astype(int):

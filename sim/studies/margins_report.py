@@ -11,7 +11,7 @@ import numpy as np
 from sim.analysis.loop import UNSTABLE, Margins
 from sim.analysis.lqr import Weights
 from sim.studies.study import Columns, Outcome
-from smolbot.missionfile import Mission
+from smolbot.config.mission import Mission
 
 
 def _summary(table: Columns, name: str) -> dict[str, Any]:

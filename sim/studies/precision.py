@@ -63,7 +63,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Scatter against N, and against the rate that it costs."""
-    from sim.studies.picture import BOUND, COLORS, LIMIT, even_ticks, name_line, slide, titled
+    from sim.batch.slide import BOUND, COLORS, LIMIT, even_ticks, name_line, slide, titled
 
     cases = outcome.figures["cases"]
     names = list(dict.fromkeys(c["estimator"] for c in cases))

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from sim.studies.study import Chunk, Columns, Options, Study
+from smolbot.config.rig import RigConfig
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.errors import InputError
-from smolbot.rigfile import RigConfig
-from smolbot.sensing import Device, SensorArray
 
 
 class StudyFolder:
@@ -92,7 +92,7 @@ class StudyFolder:
             writer.writerows(zip(*(_texts(column) for column in shown.values()), strict=True))
 
     def _write_json(self, name: str, data: Any) -> None:
-        from smolbot.cli.show import as_json
+        from smolbot.ui.cli.show import as_json
 
         (self.path / name).write_text(json.dumps(as_json(data), indent=2, default=str) + "\n", encoding="utf-8")
 
@@ -172,7 +172,7 @@ def run_chunks(
 
 def described(options: Options, study: Study, rig: RigConfig) -> dict[str, Any]:
     """What ``study.json`` says of a study beside its figures: seed, noise, layout, devices, mismatch, versions."""
-    from smolbot.records.folder import provenance
+    from smolbot.runs.folder import provenance
 
     origin = provenance(options.seed, {}, {})
     noise = rig.sections.noise.model_dump()

@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from sim.static_bench import Disturbance, StaticBench
 from sim.studies.benches import characterised, localizers, open_bench, prior_near, reference_orientation, rig_named
 from sim.studies.columns import chosen, columns_of, joined
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
-from smolbot.arrays import FloatArray
+from sim.tank.static_bench import Disturbance, StaticBench
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.localization.forward import dipole_field
 from smolbot.localization.statistics import differential_mean_absolute_error
-from smolbot.rigfile import RigConfig
-from smolbot.rotations import matrix_from_quaternion
-from smolbot.sensing import Device, SensorArray
 
 HEIGHTS = (0.080, 0.085, 0.090, 0.095, 0.100)
 """Of the device above the sensors, in m."""
@@ -212,7 +212,7 @@ def _differential(part: Columns) -> float:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Errors along z at each height with the scalpel, and their mean with and without."""
-    from sim.studies.picture import COLORS, OTHERS, slide, titled
+    from sim.batch.slide import COLORS, OTHERS, slide, titled
 
     cases = outcome.figures["cases"]
     names = list(dict.fromkeys(name_of(c) for c in cases))

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from sim.static_bench import StaticBench
 from sim.studies.benches import prior_near, reference_orientation
 from sim.studies.columns import position_errors, rms
 from sim.studies.cramer_rao import bound
 from sim.studies.study import Columns
+from sim.tank.static_bench import StaticBench
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.statistics import standard_deviation
 

@@ -22,12 +22,12 @@ from sim.studies.benches import (
 )
 from sim.studies.running import executor_for, run_chunks
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.sensing import Recording
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
-from smolbot.sensing import Recording
 
 HALF_PERIODS = (2, 20)
 SCALES = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.05])
@@ -221,7 +221,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """Bars on a logarithmic scale."""
-    from sim.studies.picture import BOUND, COLORS, LIMIT, slide, titled
+    from sim.batch.slide import BOUND, COLORS, LIMIT, slide, titled
 
     cases = outcome.figures["cases"]
     fast, ratio = cases[0]["locate_ms"], cases[0]["ratio"]

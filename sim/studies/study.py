@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from smolbot.core.sensing import Device
 from smolbot.localization.localizer import Estimator
-from smolbot.sensing import Device
 
 if TYPE_CHECKING:
-    from smolbot.rigfile import RigConfig
+    from smolbot.config.rig import RigConfig
 
 Columns = dict[str, Any]
 """Rows of a study: one-dimensional arrays of equal length, named with their unit. Keys with a leading underscore hold

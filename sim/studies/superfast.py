@@ -18,10 +18,10 @@ from sim.studies.benches import (
 )
 from sim.studies.columns import chosen, columns_of, joined, position_errors
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Device, Recording
 from smolbot.localization.localizer import Localizer
-from smolbot.poses import Pose
-from smolbot.sensing import Device, Recording
 
 SEGMENTS = (1, 2, 4, 8)
 """Half-periods of a segment."""
@@ -102,9 +102,9 @@ def _rows(recording: Recording, poses: tuple[Pose, ...], chunk: Chunk) -> list[d
 
 def _tracked(localizer: Localizer, recording: Recording, poses: tuple[Pose, ...]) -> tuple[Pose, ...]:
     """The same poses through the tracker of a robot that is left alone; each pose itself until it has begun."""
+    from smolbot.core.shots import Listen, Shot
+    from smolbot.flight.tracking.tracker import Tracker
     from smolbot.motion.robot import Robot
-    from smolbot.shots import Listen, Shot
-    from smolbot.tracking import Tracker
 
     device = localizer.device
     robot = Robot.in_liquid(
@@ -243,7 +243,7 @@ def _step_line(case: dict[str, Any]) -> str:
 
 def draw(outcome: Outcome, path: Path) -> None:
     """The steps as they were found, and sigma over time."""
-    from sim.studies.picture import COLORS, LIMIT, OTHERS, name_line, slide, titled
+    from sim.batch.slide import COLORS, LIMIT, OTHERS, name_line, slide, titled
 
     cases, columns = outcome.figures["cases"], outcome.columns
     best = str(next(n for n in ("whitened", "paper") if n in columns["estimator"]))

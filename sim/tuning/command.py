@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sim.simulate import Plant
-from smolbot.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+from sim.batch.command import Plant
 from smolbot.errors import InputError
+from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 
 if TYPE_CHECKING:
     from optuna import Study
 
     from sim.tuning.search import Problem
-    from smolbot.missionfile import Mission
+    from smolbot.config.mission import Mission
 
 LEAST_TRIALS = 2
 JOURNAL = "trials.journal"
@@ -43,12 +43,12 @@ def tune(
     json: JsonOption = False,
 ) -> None:
     """Tune a mission's gains over drawn worlds: a gains file, pass rates before and after, what each gain matters."""
-    from sim.executors import open_executor
+    from sim.batch.executors import open_executor
     from sim.tuning.report import draw, gains_file, importances, write_trials
     from sim.tuning.search import open_study, search
     from sim.tuning.verdict import better
     from sim.tuning.verdict import held_out as confirm
-    from smolbot.missionfile import load_mission
+    from smolbot.config.mission import load_mission
 
     settings = settings_from(set_)
     loaded = load_mission(mission, rig, settings)
@@ -86,7 +86,7 @@ def _problem(
     """What is to be tuned; raises `InputError` for a gain that the law does not have."""
     from sim.tuning.search import Problem
     from sim.tuning.verdict import FIRST_HELD_OUT
-    from smolbot.plugins import load
+    from smolbot.config.plugins import load
 
     if plant is Plant.REDUCED:
         from sim.reduced.rig import require_flyable
@@ -136,7 +136,7 @@ def _progress(name: str, trials: int) -> Iterator[Callable[[Study], None]]:
 
 
 def _show(figures: dict[str, Any], json: bool) -> None:
-    from smolbot.cli.show import echo_json, table
+    from smolbot.ui.cli.show import echo_json, table
 
     rows = []
     for key in ("before", "tuned"):

@@ -63,7 +63,7 @@ def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown,
     """Cost of every trial with the best so far; what each gain matters; held-out worlds, before and after."""
     from matplotlib.ticker import MaxNLocator
 
-    from sim.studies.picture import LIMIT, PAPER, WHITENED, slide, titled
+    from sim.batch.slide import LIMIT, PAPER, WHITENED, slide, titled
 
     trials: list[Any] = [t for t in finished(study)]
     numbers = np.array([t.number for t in trials])

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.simulate import Plant, fly_one
+from sim.batch.command import Plant, fly_one
 from sim.tuning.cost import REFUSED, cost
-from smolbot.control import Gain
 from smolbot.errors import InputError
+from smolbot.motion.controller import Gain
 
 if TYPE_CHECKING:
     from optuna import Study, Trial

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.simulate import Plant, fly_one
+from sim.batch.command import Plant, fly_one
+from sim.batch.intervals import wilson_interval
 from sim.tuning.cost import cost
 from sim.tuning.search import Problem
-from smolbot.statistics import wilson_interval
 
 FIRST_HELD_OUT = 1_000_000
 """Held-out worlds begin here; those of the search lie below."""

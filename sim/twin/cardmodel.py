@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sim.twin.contacts import Contacts
 from sim.twin.faults import FaultBox
 from sim.twin.journal import Journal, Watch
-from smolbot.arrays import FloatArray
-from smolbot.hardware.wiring import BenchSection
+from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.core.arrays import FloatArray
 
 TICK = 2e-3
 """Seconds between two looks at the clock; a reader who waits for a sample is served when it is there."""

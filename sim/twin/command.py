@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from smolbot.cli.show import echo_json, table
+from smolbot.ui.cli.show import echo_json, table
 
 
 def twin(
@@ -38,10 +38,10 @@ def twin(
             echo_json(FAULTS)
         return
     from sim.twin.twin import Twin
-    from smolbot.anymission import load_mission
-    from smolbot.hardware.priority import ask_for_priority
-    from smolbot.observationfile import Observation
-    from smolbot.turns import TURN
+    from smolbot.bench.hardware.priority import ask_for_priority
+    from smolbot.config.load import load_mission
+    from smolbot.config.observation import Observation
+    from smolbot.core.thread_switching import TURN
 
     faults = [parse_fault(text) for text in fault or []]
     loaded = load_mission(mission, rig) if rig is not None else load_mission(mission, _twin_for(mission))
@@ -85,6 +85,6 @@ def twin(
 
 
 def _twin_for(mission: str) -> str:
-    from smolbot.anymission import load_mission
+    from smolbot.config.load import load_mission
 
     return "twin_gel" if load_mission(mission, None).robot.kind == "helical" else "twin"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from smolbot.arrays import BoolArray, FloatArray
-from smolbot.hardware.waveform import line_bit
-from smolbot.hardware.wiring import BenchSection
+from smolbot.bench.hardware.waveform import line_bit
+from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.core.arrays import BoolArray, FloatArray
 
 
 class Contacts:

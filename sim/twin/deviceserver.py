@@ -10,8 +10,8 @@ from nidaqmx._stubs.nidaqmx_pb2_grpc import add_NiDAQmxServicer_to_server
 
 from sim.twin.cardmodel import CardModel
 from sim.twin.service import TwinServicer
+from smolbot.bench.hardware.deadline import MESSAGE_LIMIT
 from smolbot.errors import RigError
-from smolbot.hardware.deadline import MESSAGE_LIMIT
 
 THREADS = 32
 """Every read that waits holds one."""

@@ -32,7 +32,7 @@ class Built:
 
 def sketch() -> Path:
     """The firmware's source, as it is opened in the Arduino IDE."""
-    return Path(str(files("smolbot.hardware"))) / "firmware" / "magnet_stage" / "magnet_stage.ino"
+    return Path(str(files("smolbot.bench.hardware"))) / "firmware" / "magnet_stage" / "magnet_stage.ino"
 
 
 def missing_tools() -> str | None:

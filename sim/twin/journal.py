@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.arrays import BoolArray, FloatArray
+from smolbot.core.arrays import BoolArray, FloatArray
 
 KEPT = 50_000
 """Entries; a mission of some minutes writes ten a shot."""

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 
 
 class Overhead:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.gel.embedded import Embedded
-from sim.settings import TankSettings
-from sim.tank import SUBSTEP, Tank
+from sim.tank.carriers.gel.embedded import Embedded
+from sim.tank.settings import TankSettings
+from sim.tank.tank import SUBSTEP, Tank
 from sim.twin.overhead import Overhead
-from smolbot.arrays import FloatArray, as_floats
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.errors import InputError
-from smolbot.rigfile import RigConfig
-from smolbot.robotfile import RobotConfig
 
 REMEMBERED = 4.0
 """Seconds of currents, deflection and poses that are kept: the longest recording, and what a slow reader needs."""
@@ -33,7 +33,7 @@ class Plant(Tank):
     Parameters
     ----------
     rig, robot, settings, start, seed, ideal
-        As `sim.tank.Tank` takes them.
+        As `sim.tank.tank.Tank` takes them.
 
     Raises
     ------

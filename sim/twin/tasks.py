@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from sim.twin.cardmodel import CardError, CardModel
-from smolbot.arrays import FloatArray
-from smolbot.hardware.products import PRODUCTS, Product
-from smolbot.hardware.waveform import line_bit
+from smolbot.bench.hardware.products import PRODUCTS, Product
+from smolbot.bench.hardware.waveform import line_bit
+from smolbot.core.arrays import FloatArray
 
 
 @dataclass

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import RigError
 
 BACKLOG = 4096

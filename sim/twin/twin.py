@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.settings import TankSettings
+from sim.tank.settings import TankSettings
 from sim.twin.cardmodel import CardModel
 from sim.twin.control import ControlServer
 from sim.twin.deviceserver import DeviceServer
@@ -22,15 +22,15 @@ from sim.twin.hand import Hand
 from sim.twin.plant import Plant
 from sim.twin.supply import SupplyServer
 from sim.twin.truth import TruthServer
-from smolbot.config import validate
+from smolbot.bench.hardware.wiring import BenchSection, StageSection
+from smolbot.config.document import validate
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
 from smolbot.errors import InputError
-from smolbot.hardware.wiring import BenchSection, StageSection
-from smolbot.rigfile import RigConfig
-from smolbot.robotfile import RobotConfig
 
 if TYPE_CHECKING:
     from sim.twin.uno import SimulatedUno
-    from smolbot.arrays import FloatArray
+    from smolbot.core.arrays import FloatArray
 
 CONTROL = "127.0.0.1:31765"
 

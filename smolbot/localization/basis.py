@@ -18,10 +18,10 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Device
 from smolbot.localization.chain import Taps
 from smolbot.localization.forward import envelope
-from smolbot.sensing import Device
 
 DEGREE = 6
 """Highest power of the deflection that is kept; the rest is below 1e-6 of the signal at 30 degrees."""

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import basis as time_functions
 from smolbot.localization import kernels
-from smolbot.localization.noise import NoiseModel
-from smolbot.localization.whitening import BLOCK, blocks
-from smolbot.sensing import Device, SensorArray
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.noise.whitening import BLOCK, blocks
 
 N_PHASES = 4
 """Phases of the oscillation, half a turn in all, over which a bound is averaged."""

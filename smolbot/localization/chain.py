@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
 WINDOW = 50

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 from smolbot.localization import kernels
 from smolbot.localization.basis import labels
 from smolbot.localization.problem import Fit, Problem

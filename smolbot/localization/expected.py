@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.localization import basis as time_functions
 from smolbot.localization.chain import Taps
-from smolbot.localization.levels import NoiseLevels
+from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.problem import paper_model
-from smolbot.poses import Pose
-from smolbot.sensing import Device, SensorArray
 
 
 def expected_covariance(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
-from smolbot.rotations import matrix_from_quaternion
-from smolbot.sensing import Device, SensorArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion
+from smolbot.core.sensing import Device, SensorArray
 
 MU0_OVER_4PI = 1e-7
 """In T·m/A."""

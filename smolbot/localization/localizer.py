@@ -8,21 +8,21 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import nearer_twin, quaternion_from_matrix
+from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
-from smolbot.localization.array_terms import ArrayTerms, array_terms
+from smolbot.localization.array.terms import ArrayTerms, array_terms
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.cold_start import SearchVolume, best_fits
-from smolbot.localization.leftover import energies
-from smolbot.localization.noise import NoiseModel
+from smolbot.localization.noise.excitation_transients import AUDIBLE
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.noise.residuals import energies
+from smolbot.localization.noise.whitening import prepare_whitened
 from smolbot.localization.problem import Fit, Problem, prepare_paper
 from smolbot.localization.segments import SharedAmplitude, anchor, cut
-from smolbot.localization.transients import AUDIBLE
-from smolbot.localization.whitening import prepare_whitened
-from smolbot.poses import Pose
-from smolbot.rotations import nearer_twin, quaternion_from_matrix
-from smolbot.sensing import Device, Recording, SensorArray
 
 Estimator = Literal["whitened", "paper"]
 

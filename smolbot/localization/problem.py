@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from smolbot.arrays import BoolArray, FloatArray
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import basis as time_functions
 from smolbot.localization import kernels as compiled
 from smolbot.localization.chain import Taps, difference_matrix, taps
 from smolbot.localization.forward import envelope
-from smolbot.sensing import Device, Recording, SensorArray
 
 _kernels: Any = compiled  # the type of a compiled function says nothing of its arguments
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from smolbot.core.sensing import Device, Recording
 from smolbot.errors import InputError
 from smolbot.localization.chain import whole_half_periods
-from smolbot.sensing import Device, Recording
 
 STEP = 0.95
 """Share of the amplitude by which the models of a linear damping are spaced."""

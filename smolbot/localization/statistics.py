@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
 from smolbot.motion.kernels import moved, strayed
 from smolbot.motion.robot import Robot
 

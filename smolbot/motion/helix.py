@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from smolbot.arrays import FloatArray
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.shots import MoveMagnet, Rotate, Window
 from smolbot.motion import helixkernels as kernels
 from smolbot.motion.robot import magnet_inertia
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
-from smolbot.shots import MoveMagnet, Rotate, Window
 
 MEAN_OF_ELLIPSE = 1.5420
 """Mean over a turn of ``sqrt(4 cos² + sin²)``: the field of a dipole beside its axis, in units of its weakest."""

@@ -12,22 +12,22 @@ from scipy.optimize import least_squares, minimize
 
 from controllers import ForceAllocator
 from controllers.predictive import Predictive
-from sim.executors import open_executor
+from sim.batch.command import Plant, fly_seeds, warm_rates
+from sim.batch.executors import open_executor
+from sim.measure.plant_speed import plant_loads
 from sim.reduced.plant import ReducedPlant
 from sim.reduced.rig import open_reduced
-from sim.settings import TankSettings
-from sim.simulate import Plant, fly_seeds, warm_rates
-from sim.twin.plant_speed import plant_loads
-from sim.world import TankWorld
-from smolbot.config import validate
-from smolbot.flying import fly
+from sim.tank.settings import TankSettings
+from sim.tank.world import TankWorld
+from smolbot.config.document import validate
+from smolbot.config.mission import load_mission
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.shots import Rest
+from smolbot.flight.preview.gradient import _Rollout
+from smolbot.flight.session import fly
 from smolbot.localization.chain import filtered
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.missionfile import load_mission
-from smolbot.preview import _Rollout
-from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
-from smolbot.shots import Rest
 
 RATE = 50_000.0
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from controllers.course import Course
-from smolbot.glyphs import glyph
-from smolbot.paths import Curve
+from smolbot.paths.curve import Curve
+from smolbot.paths.glyphs import glyph
 
 HOOK = Curve(np.array([[0, 0, 60], [4, 0, 60], [4, 3, 60]]) * 1e-3)
 

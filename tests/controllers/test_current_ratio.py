@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controllers.current_ratio import CurrentRatio, aligned_force, best_pair, pair_shares
+from smolbot.config.mission import load_mission
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.shots import Shot
 from smolbot.errors import InputError
-from smolbot.missionfile import load_mission
-from smolbot.paths import Curve
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes
-from smolbot.shots import Shot
+from smolbot.paths.curve import Curve
 
 UP = np.array([0.0, 0.0, 1.0])
 SETUP = load_mission("line").setup()

@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 
 from controllers import ForceAllocator, UnreachableForceError
 from lookup_tables import OutsideTableError
+from smolbot.config.mission import load_mission
 from smolbot.errors import InputError
-from smolbot.missionfile import load_mission
 
 MISSION = load_mission("line")
 TABLE = MISSION.setup().table

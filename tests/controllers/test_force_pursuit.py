@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from controllers.current_ratio import aligned_force
 from controllers.force_pursuit import ForcePursuit
+from smolbot.config.mission import load_mission
+from smolbot.config.plugins import load
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.shots import Shot
 from smolbot.errors import InputError
-from smolbot.missionfile import load_mission
-from smolbot.paths import Curve
-from smolbot.plugins import load
-from smolbot.poses import Pose
-from smolbot.preview import preview
-from smolbot.rotations import quaternion_from_axes
-from smolbot.shots import Shot
+from smolbot.flight.preview.gradient import preview
+from smolbot.paths.curve import Curve
 
 UP, Z = np.array([0.0, 0.0, 1.0]), 0.06
 SETUP = load_mission("line").setup()

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from controllers.helical import Helical
-from smolbot.control import Command
+from smolbot.config.mission import load_mission
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
+from smolbot.core.shots import Listen, MoveMagnet, Rotate, Shot
 from smolbot.errors import InputError
-from smolbot.missionfile import load_mission
+from smolbot.flight.pilots import Follower
 from smolbot.motion import helixkernels as kernels
-from smolbot.paths import Curve
-from smolbot.pilots import Follower
-from smolbot.poses import Pose
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
-from smolbot.shots import Listen, MoveMagnet, Rotate, Shot
+from smolbot.motion.controller import Command
+from smolbot.paths.curve import Curve
 
 MISSION = load_mission("s_path", settings={"cycle.half_periods": "4"})  # quicker to check
 SETUP = MISSION.helix_setup()

@@ -7,10 +7,10 @@ import pytest
 
 from controllers.pace import CATCH_UP, LEAST, PATIENCE, Pace
 from sim.reduced.rig import open_reduced
-from smolbot.flying import fly
-from smolbot.missionfile import load_mission
-from smolbot.preview import preview
-from smolbot.speeds import SpeedProfile
+from smolbot.config.mission import load_mission
+from smolbot.flight.preview.gradient import preview
+from smolbot.flight.session import fly
+from smolbot.paths.speed_profile import SpeedProfile
 
 PERIOD, SPEED, LENGTH = 0.15, 1e-3, 50e-3
 

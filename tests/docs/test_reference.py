@@ -13,7 +13,7 @@ from pydantic import Field
 import controllers
 import lookup_tables
 import smolbot
-from smolbot.config import FileModel
+from smolbot.config.document import FileModel
 
 DOCS = Path(__file__).parents[2] / "docs"
 sys.path.insert(0, str(DOCS / "_ext"))

@@ -135,7 +135,7 @@ def machine() -> dict[str, str]:
     import llvmlite.binding as llvm
     from numba.core import config
 
-    from smolbot.blas import kernel
+    from smolbot.core.blas_threads import kernel
 
     cpu = config.CPU_NAME or llvm.get_host_cpu_name()
     packages = ("numpy", "scipy", "numba", "llvmlite", "pybullet")

@@ -6,18 +6,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from smolbot.anymission import AnyMission, load_mission
-from smolbot.control import Command
-from smolbot.flown import Run
-from smolbot.flying import fly
-from smolbot.loop import Loop
-from smolbot.pilots import Pilot
-from smolbot.plugins import load_world
-from smolbot.recording.reader import RecordedRun, read_run
-from smolbot.replaying import make_replay_loop
-from smolbot.scheduler import Scheduler
-from smolbot.shots import Actuate, Shot
-from smolbot.tracking import Tracker
+from smolbot.config.load import AnyMission, load_mission
+from smolbot.config.plugins import load_world
+from smolbot.core.shots import Actuate, Shot
+from smolbot.flight.loop import Loop
+from smolbot.flight.pilots import Pilot
+from smolbot.flight.replay import make_replay_loop
+from smolbot.flight.scheduler import Scheduler
+from smolbot.flight.session import fly
+from smolbot.flight.tracking.tracker import Tracker
+from smolbot.motion.controller import Command
+from smolbot.runs.recording.reader import RecordedRun, read_run
+from smolbot.runs.run import Run
 from tests.golden.answers import as_answers, compare
 from tests.golden.corpus import RECORDS, unpacked
 from tests.golden.foreign import locate_all
@@ -121,8 +121,8 @@ def replayed_record(record: RecordedRun, settings: dict[str, str]) -> Any:
 
 def _parts(mission: AnyMission, record: RecordedRun) -> _Parts:
     """Scheduler and pilot as the flight had them, made from the mission's files."""
-    from smolbot.assembly import make_loop
-    from smolbot.recording.playback import PlayedRig
+    from smolbot.flight.assembly import make_loop
+    from smolbot.flight.playback import PlayedRig
 
     loop: Loop = make_loop(PlayedRig(record, mission.rig.sensors, mission.rig.limits), mission)
     return _Parts(loop.scheduler, loop.pilot)
@@ -134,8 +134,8 @@ def _believed_field(mission: AnyMission) -> Callable[..., Any]:
 
 
 def _open(mission: AnyMission, seed: int) -> Any:
-    from smolbot.observationfile import Observation
-    from smolbot.operator import SilentOperator
+    from smolbot.config.observation import Observation
+    from smolbot.core.operator import SilentOperator
 
     place = mission.start if isinstance(mission, Observation) else mission.put_down
     world = load_world(mission.rig.world, mission.rig.document)

@@ -137,11 +137,11 @@ def keys(signals: dict[str, Any]) -> list[str]:
 
 def locate_all(estimator: str) -> dict[str, Any]:
     """Every window located from nothing, and from a pose 2 mm and 5 degrees away."""
+    from smolbot.core.pose import Pose
+    from smolbot.core.rotations import quaternion_from_matrix, quaternion_from_rotation_vector, quaternion_product
+    from smolbot.core.sensing import Recording, SensorArray
     from smolbot.localization.localizer import Localizer
-    from smolbot.localization.noise import NoiseModel
-    from smolbot.poses import Pose
-    from smolbot.rotations import quaternion_from_matrix, quaternion_from_rotation_vector, quaternion_product
-    from smolbot.sensing import Recording, SensorArray
+    from smolbot.localization.noise.model import NoiseModel
 
     signals = read()
     sensors = SensorArray(signals["places"], signals["axes"], bandwidth=1000.0)
@@ -161,7 +161,7 @@ def locate_all(estimator: str) -> dict[str, Any]:
 
 def device_of(key: str) -> Any:
     """The device of a window, as its key tells."""
-    from smolbot.sensing import Device
+    from smolbot.core.sensing import Device
 
     _, damping, along, _ = key.split("_")
     body = np.array([0.0, 0.0, 1.0] if along == "z" else [1.0, 0.0, 0.0])

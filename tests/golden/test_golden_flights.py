@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smolbot.recording.reader import read_run
-from smolbot.replaying import replay
+from smolbot.flight.replay import replay
+from smolbot.runs.recording.reader import read_run
 from tests.golden import answers, corpus, foreign
 from tests.golden.answers import GoldenFileError, as_answers, compare, load, machine
 from tests.golden.corpus import EXPECTED, HERE, LIMIT, RECORDS, SIGNALS, digest, told, unpacked, windows

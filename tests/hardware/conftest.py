@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from sim.measure.firmware_figures import Wire
 from sim.twin.firmware import missing_tools
-from sim.twin.firmware_figures import Wire
 from sim.twin.uno import SimulatedUno
-from smolbot.hardware.stage import MagnetStage
-from smolbot.hardware.wiring import StageSection
+from smolbot.bench.hardware.stage import MagnetStage
+from smolbot.bench.hardware.wiring import StageSection
 
 
 @pytest.fixture(scope="session")

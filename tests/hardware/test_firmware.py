@@ -8,10 +8,10 @@ import time
 import numpy as np
 import pytest
 
-from sim.twin import firmware_figures as figures
+from sim.measure import firmware_figures as figures
 from sim.twin.firmware import build, missing_tools, sketch
+from smolbot.bench.hardware.stage.protocol import line
 from smolbot.errors import RigError
-from smolbot.hardware.stage.protocol import line
 
 pytestmark = pytest.mark.realtime
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.config import validate
+from smolbot.bench.hardware.relayprobe import relay_probe
+from smolbot.bench.hardware.waveform import line_bit
+from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.config.document import validate
+from smolbot.config.rig import load_rig
+from smolbot.core.coil_probe import AFTER, BEFORE, HELD
 from smolbot.errors import InputError
-from smolbot.hardware.relayprobe import relay_probe
-from smolbot.hardware.waveform import line_bit
-from smolbot.hardware.wiring import BenchSection
-from smolbot.probing import AFTER, BEFORE, HELD
-from smolbot.rigfile import load_rig
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import time
 
 import pytest
 
+from smolbot.bench.hardware.stage import MagnetStage
+from smolbot.bench.hardware.stage import link as links
+from smolbot.bench.hardware.wiring import StageSection
 from smolbot.errors import RigError
-from smolbot.hardware.stage import MagnetStage
-from smolbot.hardware.stage import link as links
-from smolbot.hardware.wiring import StageSection
 
 pytestmark = pytest.mark.realtime
 

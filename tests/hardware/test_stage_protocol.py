@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smolbot.bench.hardware.stage import MagnetStage, ports
+from smolbot.bench.hardware.stage.protocol import GarbledError, checksum, line, parse, parse_state, version_fault
+from smolbot.bench.hardware.wiring import StageSection
 from smolbot.errors import RigError
-from smolbot.hardware.stage import MagnetStage, ports
-from smolbot.hardware.stage.protocol import GarbledError, checksum, line, parse, parse_state, version_fault
-from smolbot.hardware.wiring import StageSection
 
 
 @given(st.binary(max_size=80))
@@ -81,5 +81,5 @@ def test_a_stage_that_is_not_open_says_so_and_can_be_stopped_and_closed():
 
 
 def test_importing_the_driver_loads_no_serial_library():
-    code = "import sys, smolbot.hardware.stage; sys.exit('serial' in sys.modules)"
+    code = "import sys, smolbot.bench.hardware.stage; sys.exit('serial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

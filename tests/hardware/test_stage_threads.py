@@ -8,10 +8,10 @@ import time
 
 import pytest
 
+from smolbot.bench.hardware.stage import MagnetStage
+from smolbot.bench.hardware.stage import stage as driver
+from smolbot.bench.hardware.wiring import StageSection
 from smolbot.errors import RigError
-from smolbot.hardware.stage import MagnetStage
-from smolbot.hardware.stage import stage as driver
-from smolbot.hardware.wiring import StageSection
 
 HEART = "magnet stage heartbeat"
 

@@ -8,10 +8,10 @@ import threading
 import pytest
 
 from sim.twin.supply import SupplyModel, SupplyServer
-from smolbot.config import Document, validate
+from smolbot.bench.hardware.supply import Supply
+from smolbot.bench.hardware.supplysection import SupplySection
+from smolbot.config.document import Document, validate
 from smolbot.errors import RigError
-from smolbot.hardware.supply import Supply
-from smolbot.hardware.supplysection import SupplySection
 
 CHANNELS = [
     {"channel": 1, "feeds": "amplifiers +x, -x", "voltage_v": 24.0, "current_a": 9.0, "ovp_v": 26.0},

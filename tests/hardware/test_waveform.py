@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smolbot.config import validate
+from smolbot.bench.hardware.waveform import WaveformCompiler, line_bit
+from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.config.document import validate
+from smolbot.config.rig import load_rig
+from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Shot
 from smolbot.errors import InputError, InterlockError
-from smolbot.hardware.waveform import WaveformCompiler, line_bit
-from smolbot.hardware.wiring import BenchSection
-from smolbot.rigfile import load_rig
-from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Shot
 
 RATE = 50_000.0
 CLOSE = OPEN = 1e-3

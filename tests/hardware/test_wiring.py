@@ -7,11 +7,11 @@ import tomllib
 
 import pytest
 
+from smolbot.bench.hardware.wiring import ADDRESSES
+from smolbot.config.library import find_file
+from smolbot.config.rig import load_rig
 from smolbot.errors import ConfigError, RigError
-from smolbot.flying import run
-from smolbot.hardware.wiring import ADDRESSES
-from smolbot.library import find_file
-from smolbot.rigfile import load_rig
+from smolbot.flight.session import run
 
 
 def edited(tmp_path, *changes, rig="bench"):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from lookup_tables import FieldTable
 from lookup_tables.plot import plot_table
-from smolbot.cli.table import app
+from smolbot.ui.cli.table import app
 
 
 def run(*words):
@@ -60,7 +60,7 @@ def test_import_brings_an_export_to_the_world_frame_and_one_ampere(table, tmp_pa
 
 def test_build_writes_the_table_of_a_rig(table, tmp_path, monkeypatch):
     rig = SimpleNamespace(load_rig=lambda name: SimpleNamespace(table=lambda: table))
-    monkeypatch.setitem(sys.modules, "smolbot.rigfile", rig)
+    monkeypatch.setitem(sys.modules, "smolbot.config.rig", rig)
     out = tmp_path / "built.txt"
     result = run("build", "tank", "--out", out, "--layout", "grid", "--json")
     assert json.loads(result.stdout)["source"] == "tank"

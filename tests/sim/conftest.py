@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from sim.rig import TankRig
-from sim.world import TankWorld
-from smolbot.rigfile import RigConfig, load_rig
-from smolbot.robotfile import RobotConfig, load_robot
+from sim.tank.rig import TankRig
+from sim.tank.world import TankWorld
+from smolbot.config.rig import RigConfig, load_rig
+from smolbot.config.robot import RobotConfig, load_robot
 
 
 @pytest.fixture(scope="session")

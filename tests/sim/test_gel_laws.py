@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from sim.gel import kernels as k
-from sim.gel.truth import draw_gel, gel_generators, pack_cube, pack_gel
-from sim.magnet import pack_device
-from sim.settings import TankSettings
-from sim.world import TankWorld
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_axes
-from smolbot.shots import Excite, Listen, MoveMagnet, RingDown, Rotate, Shot
+from sim.tank.carriers.gel import kernels as k
+from sim.tank.carriers.gel.truth import draw_gel, gel_generators, pack_cube, pack_gel
+from sim.tank.magnetics.magnet import pack_device
+from sim.tank.settings import TankSettings
+from sim.tank.world import TankWorld
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
+from smolbot.core.shots import Excite, Listen, MoveMagnet, RingDown, Rotate, Shot
 
 RIG, ROBOT = load_rig("gel"), load_robot("helical")
 SIDE, REMANENCE = 0.0508, 1.27

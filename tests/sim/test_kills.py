@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.kills import PHASES, Victim, check, kill_all
+from sim.measure.kills import PHASES, Victim, check, kill_all
 
 SHORT = {"path.points_mm": "[[-2.5, 0.0], [2.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "1.0"}
 

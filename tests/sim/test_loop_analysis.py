@@ -13,9 +13,9 @@ from sim.analysis.flight import Model, State, fly, require_loop
 from sim.analysis.linear import averaged, linearised, probed
 from sim.analysis.loop import MOST_LATE, SampledLoop, margins
 from sim.analysis.lqr import Weights, regulator
+from smolbot.config.mission import load_mission
+from smolbot.core.pose import Pose
 from smolbot.errors import InputError
-from smolbot.missionfile import load_mission
-from smolbot.poses import Pose
 
 
 def integrator(gain: float, kalman: float = 1.0) -> SampledLoop:
@@ -146,8 +146,8 @@ def loops(first: int, last: int, step: int = 5) -> list[SampledLoop]:
 def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equation():
     from scipy.linalg import solve_discrete_are
 
-    from smolbot.shots import Shot
-    from smolbot.tracking import DRIFT_WANDER, MODEL_FLOOR, WANDER, Tracker
+    from smolbot.core.shots import Shot
+    from smolbot.flight.tracking.tracker import DRIFT_WANDER, MODEL_FLOOR, WANDER, Tracker
 
     model = straight()
     tracker = Tracker(model.setup.robot, model.setup.device, model.setup.table)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from sim.reduced.errors import FitErrors, Heard
-from smolbot.fitness import noise_levels
+from smolbot.config.feasibility import noise_levels
+from smolbot.core.rotations import rotation_error
+from smolbot.core.sensing import Recording
 from smolbot.localization.expected import expected_covariance
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.rotations import rotation_error
-from smolbot.sensing import Recording
 
 PLACE = ((3.0, -5.0, 59.6), 25.0)
 AMPLITUDE = np.radians(14.0)
@@ -122,8 +122,8 @@ def test_a_smaller_swing_is_seen_less_well_and_none_not_at_all(array, along_devi
 
 def test_doubled_mismatches_double_the_systematic_error(line):
     from sim.reduced.rig import ReducedRig
-    from sim.settings import TankSettings
-    from smolbot.config import validate
+    from sim.tank.settings import TankSettings
+    from smolbot.config.document import validate
 
     settings, _ = validate(TankSettings, line.rig.sections.tank, ("tank",))
 

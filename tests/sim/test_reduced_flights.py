@@ -12,18 +12,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim import simulate
+from sim.batch import command as simulate
+from sim.batch.flights_picture import headline
 from sim.reduced.rig import open_reduced, require_flyable
-from sim.study_picture import headline
-from smolbot.cli import app as command_line
+from smolbot.config.mission import load_mission
+from smolbot.core.rig import Rig
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot
 from smolbot.errors import InputError, InterlockError, RigError
-from smolbot.flying import fly
+from smolbot.flight.session import fly
 from smolbot.localization.localizer import Localizer
-from smolbot.missionfile import load_mission
-from smolbot.records.folder import RunFolder
-from smolbot.records.picture import headline as headline_of_run
-from smolbot.shots import Actuate, Excite, Listen, RingDown, Shot
-from smolbot.worlds import Rig
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.pictures.gradient_run import headline as headline_of_run
+from smolbot.ui.cli import app as command_line
 
 UNITS = (("place", "mm"), ("gain", "percent"), ("axis", "deg"))
 CYCLE = Shot((Actuate((8.0, 0.0, 3.0, 0.0), 0.03), Excite((6.0, 6.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5)))
@@ -145,7 +145,7 @@ def test_what_is_hardly_driven_is_not_believed_and_what_is_not_driven_not_seen(l
 
 def test_results_are_labelled_wherever_they_are_shown(flown, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sim.executors.open_executor", lambda jobs, scheduler: ThreadPoolExecutor(1))
+    monkeypatch.setattr("sim.batch.executors.open_executor", lambda jobs, scheduler: ThreadPoolExecutor(1))
     arguments = ["simulate", "line", "--plant", "reduced", "--seeds", "1..2", "--out", "study", "--json"]
     monkeypatch.setattr(sys, "argv", ["smolbot", *arguments])
     with pytest.raises(SystemExit) as ended:
@@ -170,7 +170,7 @@ def test_a_run_folder_of_the_reduced_plant_says_so(line, tmp_path):
 
 
 def test_ring_down_is_taken_from_the_rig_file_where_there_is_none_to_learn_from(line):
-    from smolbot.missionfile import load_mission
+    from smolbot.config.mission import load_mission
 
     short = load_mission("line", settings={"localization.learn_ring_down": "true", "stop.max_duration_s": "2.0"})
     run = fly(short, 1, opener=open_reduced)

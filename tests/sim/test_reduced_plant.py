@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.cantilever import fields_at
-from sim.coils import TankCoils
 from sim.reduced.kernel import plane_field
 from sim.reduced.plant import ReducedPlant, _plane
 from sim.reduced.rig import open_reduced
-from sim.settings import TankSettings
-from sim.tank import Tank
-from smolbot.config import validate
-from smolbot.flying import fly
-from smolbot.missionfile import load_mission
-from smolbot.shots import Actuate, Listen, Rest
+from sim.tank.magnetics.cantilever import fields_at
+from sim.tank.magnetics.coils import TankCoils
+from sim.tank.settings import TankSettings
+from sim.tank.tank import Tank
+from smolbot.config.document import validate
+from smolbot.config.mission import load_mission
+from smolbot.core.shots import Actuate, Listen, Rest
+from smolbot.flight.session import fly
 
 
 def settings_of(mission):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.bodies import Bodies
-from sim.hydrodynamics import GRAVITY, Hull, float_step
-from sim.mismatch import Streams, draw
-from sim.settings import TankSettings
-from smolbot.rotations import (
+from sim.tank.carriers.bullet import Bodies
+from sim.tank.carriers.hydrodynamics import GRAVITY, Hull, float_step
+from sim.tank.mismatch import Streams, draw
+from sim.tank.settings import TankSettings
+from smolbot.core.rotations import (
     matrix_from_quaternion,
     quaternion_from_axes,
     quaternion_from_rotation_vector,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.cantilever import STATE_LENGTH, swing
-from sim.coilfields import pack
-from sim.coils import volume
-from sim.magnet import MAGNET_MASS, pack_device
-from sim.tank import NO_SAMPLES
+from sim.tank.magnetics.cantilever import STATE_LENGTH, swing
+from sim.tank.magnetics.coil_fields import pack
+from sim.tank.magnetics.coils import volume
+from sim.tank.magnetics.magnet import MAGNET_MASS, pack_device
+from sim.tank.tank import NO_SAMPLES
 
 MOMENT, L0, THETA_MAX, FREQUENCY = 0.89e-3, 1.5e-3, np.radians(17.8), 103.5
 LEVEL = ((0.0, 0.0, 0.0595), (1.0, 0.0, 0.0, 0.0))

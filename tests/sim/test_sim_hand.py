@@ -6,16 +6,16 @@ import magpylib
 import numpy as np
 import pytest
 
-from sim.hand import Hand, Led, routes_of
-from sim.routes import Route
-from sim.settings import HandSection, TankSettings
-from sim.shaft import Shaft
-from sim.world import TankWorld
-from smolbot.config import validate
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
-from smolbot.rotations import matrix_from_quaternion
-from smolbot.shots import Excite, Listen, Rest, RingDown, Shot
+from sim.tank.carriers.endoscope_hand import Hand, Led, routes_of
+from sim.tank.carriers.endoscope_shaft import Shaft
+from sim.tank.carriers.routes import Route
+from sim.tank.settings import HandSection, TankSettings
+from sim.tank.world import TankWorld
+from smolbot.config.document import validate
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+from smolbot.core.rotations import matrix_from_quaternion
+from smolbot.core.shots import Excite, Listen, Rest, RingDown, Shot
 
 STILL = {"tremor_mm": 0.0, "tremor_deg": 0.0, "torsion_deg": 0.0, "scatter_mm": 0.0}
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.cantilever import STATE_LENGTH, coil_field, fields_at, swing
-from sim.coilfields import pack
-from sim.coils import NominalExcitation, TankCoils, volume
-from sim.coupling import coil_to_sensor
-from sim.magnet import pack_device
-from sim.mismatch import Streams, draw
-from sim.sensors import TrueSensors
-from sim.settings import TankSettings
-from sim.tank import NO_SAMPLES
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+from sim.tank.magnetics.cantilever import STATE_LENGTH, coil_field, fields_at, swing
+from sim.tank.magnetics.coil_fields import pack
+from sim.tank.magnetics.coils import NominalExcitation, TankCoils, volume
+from sim.tank.magnetics.coupling import coil_to_sensor
+from sim.tank.magnetics.magnet import pack_device
+from sim.tank.magnetics.sensors import TrueSensors
+from sim.tank.mismatch import Streams, draw
+from sim.tank.settings import TankSettings
+from sim.tank.tank import NO_SAMPLES
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
 magpylib = pytest.importorskip("magpylib")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.noise import FieldNoise, SensorNoise
+from sim.tank.magnetics.noise import FieldNoise, SensorNoise
 
 RATE = 50_000.0
 

@@ -8,13 +8,13 @@ import threading
 import numpy as np
 import pytest
 
-from sim.mismatch import Streams, draw
-from sim.settings import MismatchSection, TankSettings
-from sim.world import TankWorld
-from smolbot.config import Document
+from sim.tank.mismatch import Streams, draw
+from sim.tank.settings import MismatchSection, TankSettings
+from sim.tank.world import TankWorld
+from smolbot.config.document import Document
+from smolbot.core.rig import Rig, Witness
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
 from smolbot.errors import InputError, InterlockError, RigError
-from smolbot.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
-from smolbot.worlds import Rig, Witness
 
 CYCLE = Shot((Actuate((8.0, 0.0, 3.0, 0.0), 0.03), Excite((6.0, 6.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5)))
 QUIET = Shot((Listen(20, 103.5),), mode="quiet")

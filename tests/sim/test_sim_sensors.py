@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.magnet import MAGNET_MASS, pack_device
-from sim.mismatch import Streams, draw
-from sim.sensors import TrueSensors
-from sim.settings import TankSettings
-from smolbot.rigfile import load_rig
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-from smolbot.shots import Actuate, Excite, Listen, RingDown, Shot
+from sim.tank.magnetics.magnet import MAGNET_MASS, pack_device
+from sim.tank.magnetics.sensors import TrueSensors
+from sim.tank.mismatch import Streams, draw
+from sim.tank.settings import TankSettings
+from smolbot.config.rig import load_rig
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot
 
 magpylib = pytest.importorskip("magpylib")
 MOMENT, L0, THETA_MAX, FREQUENCY = 0.89e-3, 1.5e-3, np.radians(17.8), 103.5

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from sim.executors import open_executor
-from sim.simulate import Plant
+from sim.batch.command import Plant
+from sim.batch.executors import open_executor
 from sim.tuning import search as searching
 from sim.tuning.cost import MISSED, REFUSED, cost
 from sim.tuning.report import gains_file, importances, write_trials
 from sim.tuning.search import Problem, finished, open_study, search
 from sim.tuning.verdict import FIRST_HELD_OUT, Flown, better, held_out
-from smolbot.control import Gain
 from smolbot.errors import InputError
+from smolbot.motion.controller import Gain
 
 GAINS = {"push_n": Gain(5.0, 0.5, 20.0, log=True), "aim_mm": Gain(1.0, 0.1, 10.0), "idle": Gain(1.0, 0.0, 2.0)}
 
@@ -157,7 +157,7 @@ def test_every_trial_is_written_down(tmp_path, flown):
 
 def test_a_cluster_that_does_not_answer_is_one_error(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("sim.executors.CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("sim.batch.executors.CONNECT_SECONDS", 0.5)
     says = r"--scheduler tcp://127\.0\.0\.1:1: no dask scheduler answers there"
     with pytest.raises(InputError, match=says), open_executor(scheduler="tcp://127.0.0.1:1"):
         pass

@@ -9,18 +9,18 @@ import tomllib
 import numpy as np
 import pytest
 
-from sim.stage import TankStage
-from smolbot.cli.app import main
+from sim.tank.positioning_stage import TankStage
+from smolbot.config.known_track import planned_track, read_track, write_track
+from smolbot.config.mission import load_mission
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
 from smolbot.errors import ConfigError, InputError, MissingFileError
 from smolbot.localization.localizer import Localizer
-from smolbot.missionfile import load_mission
-from smolbot.poses import Pose
-from smolbot.recording.files import RunFiles
-from smolbot.records.folder import RunFolder
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
-from smolbot.rotations import quaternion_from_axes
-from smolbot.trackfile import planned_track, read_track, write_track
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.recording.files import RunFiles
+from smolbot.ui.cli.app import main
 
 SEED, POSES = 3, 48
 ACROSS = "x_mm,y_mm,z_mm,along_x,along_y,along_z,swing_x,swing_y,swing_z"
@@ -250,7 +250,7 @@ def test_options_that_exclude_each_other_are_refused(monkeypatch, capsys, option
 
 
 def test_a_world_without_a_stage_asks_for_recordings(monkeypatch, capsys):
-    monkeypatch.delattr("sim.world.TankWorld.stage")
+    monkeypatch.delattr("sim.tank.world.TankWorld.stage")
     code, _, error = run(monkeypatch, capsys)
     assert code == 2
     assert "World 'tank' of rig 'tank' has no stage of its own; give a TRACK" in error

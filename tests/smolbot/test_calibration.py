@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.world import TankWorld
-from smolbot.calibration import (
+from sim.tank.world import TankWorld
+from smolbot.bench.calibration.device import (
     Calibration,
     DrivePoint,
     Plan,
@@ -19,12 +19,12 @@ from smolbot.calibration import (
     calibrate,
     weighted_mean,
 )
-from smolbot.cli.app import main
-from smolbot.cli.calibrate import expected_hum, find_target
-from smolbot.devicefile import load_device
+from smolbot.config.device import load_device
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
 from smolbot.errors import InputError, SignalLostError
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
+from smolbot.ui.cli.app import main
+from smolbot.ui.cli.calibrate import expected_hum, find_target
 
 QUICK = Plan(sweep_points=3, repeats=2)
 
@@ -110,7 +110,7 @@ def test_the_command_writes_a_device_file_that_names_its_robot(tmp_path, monkeyp
         drives = (DrivePoint(1.0, 0.1, 0.001), DrivePoint(3.0, 0.32, 0.001))
         return Calibration(better, Uncertainty(0.003, 0.01, 0.2), device, height, sweep, drives, 500.0, reached, 9)
 
-    monkeypatch.setattr("smolbot.calibration.calibrate", told_beforehand)
+    monkeypatch.setattr("smolbot.bench.calibration.device.calibrate", told_beforehand)
     out = tmp_path / "device.toml"
     monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate", "tank", "--z-mm", "59.7", "--out", str(out), "--json"])
     with pytest.raises(SystemExit) as left:

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.rig import TankRig
-from sim.world import TankWorld
-from smolbot.cli import app as command_line
+from sim.tank.rig import TankRig
+from sim.tank.world import TankWorld
+from smolbot.core.coil_probe import Probe
+from smolbot.core.rig import CheckItem
+from smolbot.core.sensing import Recording
 from smolbot.errors import RigError
-from smolbot.probing import Probe
-from smolbot.sensing import Recording
-from smolbot.worlds import CheckItem
+from smolbot.ui.cli import app as command_line
 
 SHORT = ["--quiet-s", "3"]
 
@@ -246,9 +246,9 @@ def test_what_only_a_person_can_verify_follows_the_rig(smolbot):
 
 def test_a_probe_leaves_the_tank_as_an_equal_shot_does():
     """It is refused where a shot would be, and hears the coil at the field that the table of couplings says."""
+    from smolbot.config.rig import load_rig
+    from smolbot.config.robot import load_robot
     from smolbot.errors import InputError, InterlockError
-    from smolbot.rigfile import load_rig
-    from smolbot.robotfile import load_robot
 
     with TankWorld.open(load_rig("tank"), load_robot("gradient"), (0.0, 0.0), seed=5) as tank:
         with pytest.raises(InterlockError, match="'-x' current must lie within 0 to 8 A; got 9.00 A"):

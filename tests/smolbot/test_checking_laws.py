@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from smolbot.checking.edges import find_edges
-from smolbot.checking.hum import measure_hum
-from smolbot.checking.prediction import predict
-from smolbot.checking.wiring import match
+from smolbot.bench.check.edges import find_edges
+from smolbot.bench.check.hum import measure_hum
+from smolbot.bench.check.prediction import predict
+from smolbot.bench.check.wiring import match
+from smolbot.config.rig import load_rig
+from smolbot.core.coil_probe import AFTER, BEFORE, HELD, Probe
+from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
-from smolbot.probing import AFTER, BEFORE, HELD, Probe
-from smolbot.rigfile import load_rig
-from smolbot.sensing import Recording
 
 RATE = 50_000.0
 

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import smolbot
-from smolbot import flying
-from smolbot.assembly import make_loop
+from smolbot.config.mission import load_mission
+from smolbot.config.plugins import load_world
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
 from smolbot.errors import ConfigError, InputError, InterlockError, RigError, SmolbotError
-from smolbot.flying import LEARNED, fly
-from smolbot.loop import Loop
-from smolbot.missionfile import load_mission
-from smolbot.plugins import load_world
-from smolbot.records.folder import RunFolder
-from smolbot.sensing import Recording
-from smolbot.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
+from smolbot.flight import session as flying
+from smolbot.flight.assembly import make_loop
+from smolbot.flight.loop import Loop
+from smolbot.flight.session import LEARNED, fly
+from smolbot.runs.folder import RunFolder
 
 FILES = {
     *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json"),
@@ -388,7 +388,7 @@ class RigContract:
         raise NotImplementedError
 
     def test_it_says_what_it_is(self, rig):
-        from smolbot.worlds import Rig
+        from smolbot.core.rig import Rig
 
         assert isinstance(rig, Rig)
         assert len(rig.sensors) > 0

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from smolbot.duty import Duty
-from smolbot.heat import ALPHA, Coil, CoilHeat, mean_squares, stepped, wound_capacity
-from smolbot.heatmemory import EVERY, HeatMemory
-from smolbot.rigfile import load_rig
-from smolbot.shots import Actuate, Excite, Listen, RingDown
+from smolbot.config.rig import load_rig
+from smolbot.core.coil_heat import ALPHA, Coil, CoilHeat, mean_squares, stepped, wound_capacity
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown
+from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.safety.heat_store import EVERY, HeatMemory
 
 COIL = Coil("+x", resistance=1.0, capacity=58.0, thermal_resistance=8.0, limit=90.0)
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from smolbot import flying
-from smolbot.cli import app as command_line
+from smolbot.config.library import shipped
 from smolbot.errors import RigError
-from smolbot.library import shipped
+from smolbot.flight import session as flying
+from smolbot.ui.cli import app as command_line
 
 SHORT = ["--set", "path.points_mm=[[-1.0, 0.0], [1.0, 0.0]]", "--set", "start.offset_mm=[-0.3, 0.2]",
          "--set", "localization.estimator=paper"]  # fmt: skip
@@ -65,7 +65,7 @@ def test_a_verdict_that_failed_ends_with_1(smolbot, setting):
 
 
 def test_ctrl_c_ends_with_3_and_leaves_the_folder(smolbot, monkeypatch, tmp_path):
-    from smolbot.cli import progress
+    from smolbot.ui.cli import progress
 
     calls = []
 
@@ -82,7 +82,7 @@ def test_ctrl_c_ends_with_3_and_leaves_the_folder(smolbot, monkeypatch, tmp_path
 
 
 def test_a_rig_that_fails_ends_with_3(smolbot, monkeypatch):
-    from sim.rig import TankRig
+    from sim.tank.rig import TankRig
 
     def fail(self, shot):
         raise RigError("the amplifier tripped")
@@ -97,7 +97,7 @@ def test_a_rig_that_does_not_open_ends_with_3_and_leaves_nothing(smolbot, monkey
     def refuse(*_, **__):
         raise RigError("no amplifier answers")
 
-    monkeypatch.setattr("sim.world.TankWorld.open", refuse)
+    monkeypatch.setattr("sim.tank.world.TankWorld.open", refuse)
     code, _, err = smolbot("run", "line", *SHORT)
     assert code == 3
     assert err.strip() == "no amplifier answers"
@@ -230,7 +230,7 @@ def test_studies_fly_every_seed_and_leave_their_results(smolbot, tmp_path):
 
 def test_the_installed_command_ends_with_its_code(tmp_path):
     """Once as a process of its own, through the console script's entry point."""
-    script = "import sys; from smolbot.cli.app import main; sys.argv = ['smolbot', 'preview', 'r_smal']; main()"
+    script = "import sys; from smolbot.ui.cli.app import main; sys.argv = ['smolbot', 'preview', 'r_smal']; main()"
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stdout == ""

@@ -7,8 +7,7 @@ import datetime
 import numpy as np
 import pytest
 
-from smolbot.calibration import Uncertainty
-from smolbot.devicefile import DeviceConfig, load_device, write_device
+from smolbot.config.device import DeviceConfig, Uncertainty, load_device, write_device
 from smolbot.errors import ConfigError, MissingFileError
 
 

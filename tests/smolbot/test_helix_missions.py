@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smolbot.cli import app as command_line
+from smolbot.config.mission import load_mission
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.shots import Listen, MoveMagnet, Rotate, Shot
 from smolbot.errors import ConfigError
-from smolbot.flying import fly, run
-from smolbot.helixpreview import preview_helix, tightest_bend
-from smolbot.missionfile import load_mission
+from smolbot.flight.preview.helix import preview_helix, tightest_bend
+from smolbot.flight.session import fly, run
+from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion import helixkernels as kernels
-from smolbot.paths import Curve
-from smolbot.poses import Pose
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
-from smolbot.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
-from smolbot.shots import Listen, MoveMagnet, Rotate, Shot
-from smolbot.tracking import Tracker
+from smolbot.paths.curve import Curve
+from smolbot.ui.cli import app as command_line
 
 LINE = str(Path(__file__).parent.parent / "missions" / "flown" / "screw_line.toml")
 SHORT = {"cycle.half_periods": "4"}  # how long it listens changes nothing of the way, and is quicker to check

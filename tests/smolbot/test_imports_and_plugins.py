@@ -12,12 +12,12 @@ from typing import ClassVar
 import pytest
 
 import smolbot
-from smolbot import plugins
-from smolbot.control import Command, Gain
+from smolbot.config import plugins
 from smolbot.errors import PluginError
+from smolbot.motion.controller import Command, Gain
 
 HEAVY = ("pybullet", "nidaqmx", "serial", "control", "matplotlib", "scipy.signal", "optuna", "viser", "magpylib")
-HELP = "import sys; sys.argv = ['smolbot', *sys.argv[1:]]; from smolbot.cli.app import main; main()"
+HELP = "import sys; sys.argv = ['smolbot', *sys.argv[1:]]; from smolbot.ui.cli.app import main; main()"
 AS_INSTALLED = (
     "import sys; sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in getattr(f, '__module__', '')]; "
 )
@@ -150,7 +150,7 @@ def lab(monkeypatch):
 def test_a_labs_own_controller_is_found_by_its_entry_point(lab):
     assert plugins.load("controllers", "lazy") is Lazy
     assert plugins.names("controllers") == ["broken", "current_ratio", "force_pursuit", "helical", "lazy", "predictive"]
-    from smolbot.missionfile import load_mission
+    from smolbot.config.mission import load_mission
 
     mission = load_mission("line", settings={"controller.law": "lazy", "controller.gains.patience": "0.5"})
     assert mission.law == "lazy"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.kalman import carried_on, corrected
+from smolbot.flight.tracking.kalman import carried_on, corrected
 
 
 def positive(rng, n, scale=1.0):

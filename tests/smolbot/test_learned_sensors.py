@@ -7,10 +7,10 @@ import datetime
 import numpy as np
 import pytest
 
-from smolbot.config import ConfigError
-from smolbot.flying import LEARNED, run
-from smolbot.rigfile import load_rig
-from smolbot.sensorsfile import SensorsFile, UncertaintySection, write_sensors
+from smolbot.config.document import ConfigError
+from smolbot.config.rig import load_rig
+from smolbot.config.sensors import SensorsFile, UncertaintySection, write_sensors
+from smolbot.flight.session import LEARNED, run
 
 OFF = {f"sensors.{key}": "0" for key in ("place_tolerance_mm", "gain_tolerance_percent", "axis_tolerance_deg")}
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.excitation import amplitude_after, drive
-from smolbot.motion.robot import magnet_inertia
-from smolbot.poses import Pose
-from smolbot.rotations import (
+from smolbot.core.drive import amplitude_after, drive
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import (
     mean_rotation,
     quaternion_from_rotation_vector,
     quaternion_product,
     rotation_error,
 )
-from smolbot.sensing import Device
-from smolbot.shots import Excite, Listen, RingDown, Shot
-from smolbot.tracking import Tracker
-from smolbot.watching import LedTracker, Motion
+from smolbot.core.sensing import Device
+from smolbot.core.shots import Excite, Listen, RingDown, Shot
+from smolbot.flight.tracking.passive_trackers import LedTracker
+from smolbot.flight.tracking.tracker import Tracker
+from smolbot.motion.led import Motion
+from smolbot.motion.robot import magnet_inertia
 
 DEVICE = Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, np.radians(17.8), 103.5, 1.1, "linear")
 MOTION = Motion(8e-3, np.radians(30.0), 0.3)

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from smolbot.cli.app import main
-from smolbot.devicefile import DeviceConfig, write_device
+from smolbot.config.device import DeviceConfig, write_device
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+from smolbot.config.samples import read_samples, recordings_from
 from smolbot.errors import InputError, MissingFileError
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
-from smolbot.samplefile import read_samples, recordings_from
+from smolbot.ui.cli.app import main
 
 RATE = 50_000.0
 

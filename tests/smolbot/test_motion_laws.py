@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
-from smolbot.missionfile import load_mission
+from smolbot.config.mission import load_mission
 from smolbot.motion import kernels
 from smolbot.motion.gradient import advance, body_of
 from smolbot.motion.kernels import CENTER, DRAG, MAGNET, MOMENT, ROTATIONAL_DRAG, STIFFNESS, STOP

@@ -8,20 +8,20 @@ import sys
 import numpy as np
 import pytest
 
-from sim.world import TankWorld
-from smolbot.anymission import load_mission
-from smolbot.assembly import make_loop
-from smolbot.cli import app as command_line
-from smolbot.control import Command
+from sim.tank.world import TankWorld
+from smolbot.config.load import load_mission
+from smolbot.config.observation import Observation
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_rotation_vector
+from smolbot.core.shots import Excite, Listen, RingDown, Shot
 from smolbot.errors import ConfigError
-from smolbot.flown import CycleRecord
-from smolbot.flying import fly, run
+from smolbot.flight.assembly import make_loop
+from smolbot.flight.session import fly, run
 from smolbot.localization.localizer import Localizer
-from smolbot.observationfile import Observation
-from smolbot.poses import Pose
-from smolbot.records.observation_summary import observation_verdict, scatter, watching
-from smolbot.rotations import quaternion_from_rotation_vector
-from smolbot.shots import Excite, Listen, RingDown, Shot
+from smolbot.motion.controller import Command
+from smolbot.runs.observation_summary import observation_verdict, scatter, watching
+from smolbot.runs.run import CycleRecord
+from smolbot.ui.cli import app as command_line
 
 
 @pytest.fixture
@@ -168,7 +168,7 @@ def test_gaps_are_runs_of_shots_that_gave_no_pose():
         shot = Shot((Excite((1.0, 0.0), 100.0, 1), RingDown(0.05), Listen(8, 100.0)), "track", 0.1 * number)
         seen = pose((0, 0, 0), time=shot.end - 0.02) if good == "x" else None
         cycles.append(CycleRecord(shot, seen, seen, Command(None), 0.0))
-    from smolbot.flown import Run
+    from smolbot.runs.run import Run
 
     found = watching(Run(cycles=cycles))
     assert found["gaps"] == {"count": 2, "shots": 2, "longest_s": pytest.approx(0.2)}

@@ -11,9 +11,9 @@ import textwrap
 
 import pytest
 
+from smolbot.core.operator import SilentOperator, TerminalOperator
 from smolbot.errors import RigError
-from smolbot.keyboard import Keyboard
-from smolbot.operator import SilentOperator, TerminalOperator
+from smolbot.ui.cli.stop_key import Keyboard
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and terminals of POSIX")
 
@@ -22,10 +22,10 @@ SHORT = ["--set", "path.points_mm=[[-1, 0], [1.5, 0]]", "--set", "localization.e
 # `smolbot run` that is hit by signals: in the n-th cycle, while outputs go to zero, while the folder is written.
 HIT = """
 import os, signal, sys
-from smolbot.cli import progress
-from smolbot.cli.app import main
-from smolbot.records.folder import RunFolder
-from sim.rig import TankRig
+from smolbot.ui.cli import progress
+from smolbot.ui.cli.app import main
+from smolbot.runs.folder import RunFolder
+from sim.tank.rig import TankRig
 
 first, later = signal.Signals[sys.argv[1]], signal.Signals[sys.argv[2]]
 told = {"cycles": 0, "zeroed": 0, "written": 0}
@@ -78,8 +78,8 @@ def test_a_signal_stops_a_run_with_3_and_no_second_one_keeps_it_from_its_end(tmp
 def test_a_signal_before_the_rig_is_open_moves_nothing_and_ends_with_3(tmp_path):
     script = """
     import os, signal, sys
-    from sim.world import TankWorld
-    from smolbot.cli.app import main
+    from sim.tank.world import TankWorld
+    from smolbot.ui.cli.app import main
     TankWorld.open = staticmethod(lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
     sys.argv[1:] = ["run", "line", "--out", sys.argv[1]]
     main()
@@ -93,8 +93,8 @@ def test_handlers_are_as_before_once_a_run_is_over():
     import signal
     import threading
 
-    from smolbot.latch import Latch
-    from smolbot.signals import stop_signals
+    from smolbot.flight.safety.stop_latch import Latch
+    from smolbot.flight.safety.stop_signals import stop_signals
 
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
     with stop_signals(Latch()):
@@ -171,7 +171,7 @@ def on_a_terminal(script: str) -> Terminal:
 
 KEYS = """
     import sys, termios, threading
-    from smolbot.keyboard import Keyboard
+    from smolbot.ui.cli.stop_key import Keyboard
 
     pressed = threading.Event()
     kept = termios.tcgetattr(0)
@@ -230,10 +230,10 @@ def test_a_key_stops_a_run_on_a_terminal_with_3(tmp_path):
 
 ASK = """
     import os, sys
-    from smolbot.anymission import load_mission
-    from smolbot.cli.progress import shown_progress
-    from smolbot.keyboard import Keyboard
-    from smolbot.operator import TerminalOperator
+    from smolbot.config.load import load_mission
+    from smolbot.ui.cli.progress import shown_progress
+    from smolbot.ui.cli.stop_key import Keyboard
+    from smolbot.core.operator import TerminalOperator
 
     operator = TerminalOperator()
     with shown_progress(load_mission("line")) as progress, Keyboard(lambda: print("key", flush=True)) as keyboard:
@@ -265,7 +265,7 @@ def test_a_question_steps_out_of_the_progress_and_is_answered_on_the_terminal():
 def test_what_was_typed_before_the_question_is_no_answer():
     script = """
     from smolbot.errors import RigError
-    from smolbot.operator import TerminalOperator
+    from smolbot.core.operator import TerminalOperator
     print("typed", input() == "first", flush=True)
     try:
         TerminalOperator().ask("Bring the magnet near", 0.2)
@@ -322,9 +322,9 @@ def test_a_question_is_over_at_once_when_its_switch_says_that_the_rig_was_stoppe
 
 
 def test_the_operator_reaches_the_world(monkeypatch):
-    from sim.world import TankWorld
-    from smolbot.anymission import load_mission
-    from smolbot.flying import fly
+    from sim.tank.world import TankWorld
+    from smolbot.config.load import load_mission
+    from smolbot.flight.session import fly
 
     class SeenError(Exception):
         pass

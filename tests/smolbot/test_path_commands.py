@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smolbot.cli import app as command_line
+from smolbot.config.mission import load_mission
 from smolbot.errors import ConfigError
-from smolbot.missionfile import load_mission
+from smolbot.ui.cli import app as command_line
 
 LINE = (Path(str(resources.files("smolbot"))) / "missions/line.toml").read_text()
 PLAIN = "points_mm = [[-4.0, 0.0], [4.0, 0.0]]"

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sim.batch.intervals import wilson_interval
 from smolbot.errors import InputError
-from smolbot.glyphs import BOWL, GLYPHS, glyph
-from smolbot.paths import Curve, read_csv
-from smolbot.statistics import wilson_interval
+from smolbot.paths.curve import Curve, read_csv
+from smolbot.paths.glyphs import BOWL, GLYPHS, glyph
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import re
 import numpy as np
 import pytest
 
+from smolbot.config.mission import load_mission
 from smolbot.errors import ConfigError
-from smolbot.flying import run
-from smolbot.missionfile import load_mission
-from smolbot.preview import preview
+from smolbot.flight.preview.gradient import preview
+from smolbot.flight.session import run
 
 UNFIT = {
     "path_outside_tank": r"path_outside_tank\.toml:6: path: \(21\.0, 0\.0\) mm lies outside the tank; .* to \(",

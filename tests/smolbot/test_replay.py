@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import pytest
 
-from smolbot.anymission import load_mission
-from smolbot.devicefile import DeviceConfig, write_device
+from smolbot.config.device import DeviceConfig, write_device
+from smolbot.config.load import load_mission
+from smolbot.config.plugins import load_world
 from smolbot.errors import ConfigError, InputError
-from smolbot.flying import fly
-from smolbot.plugins import load_world
-from smolbot.recording.reader import read_run
-from smolbot.records.folder import RunFolder
-from smolbot.replaying import apart, figures, replay
+from smolbot.flight.replay import apart, figures, replay
+from smolbot.flight.session import fly
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.recording.reader import read_run
 
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "2.0"}
 DECAY = {"localization.learn_ring_down": "true"}
@@ -90,7 +90,7 @@ def test_a_mission_that_only_looks_is_replayed_bit_for_bit(tmp_path, name):
 
 
 def test_a_replay_does_not_depend_on_how_many_threads_a_machine_lends(flown):
-    look = f"from smolbot.replaying import replay; print(replay({str(flown[1])!r}).first_difference())"
+    look = f"from smolbot.flight.replay import replay; print(replay({str(flown[1])!r}).first_difference())"
     for threads in ("1", "2"):
         done = subprocess.run(
             [sys.executable, "-c", look], env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
@@ -171,7 +171,7 @@ def test_ten_missions_are_replayed_bit_for_bit(tmp_path, name, seed, settings):
 
 
 def test_a_figure_that_is_no_picture_is_refused_before_anything_is_played(flown, tmp_path):
-    from smolbot.cli.replay import replay as command
+    from smolbot.ui.cli.replay import replay as command
 
     for out in (tmp_path / "figure", tmp_path / "figure.xls"):
         with pytest.raises(InputError, match=r"one of \.png"):

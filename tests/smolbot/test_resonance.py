@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from smolbot.resonance import Resonance
-from smolbot.sensing import Device
+from smolbot.core.sensing import Device
+from smolbot.flight.tracking.resonance_filter import Resonance
 
 DEVICE = Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, 0.31, 103.5, 31.7, "exponential")
 COVARIANCE = np.diag([0.12**2, 0.5**2])

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from smolbot.errors import InputError
-from smolbot.poses import Pose
-from smolbot.rotations import (
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import (
     matrix_from_quaternion,
     quaternion_from_axes,
     quaternion_from_matrix,
@@ -19,6 +18,7 @@ from smolbot.rotations import (
     rotation_error,
     rotation_vector,
 )
+from smolbot.errors import InputError
 
 number = st.floats(-1, 1, allow_subnormal=False)
 vectors = st.tuples(number, number, number).map(np.array)

@@ -10,22 +10,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from smolbot.anymission import load_mission
-from smolbot.assembly import make_loop, make_safety
-from smolbot.duty import Duty
+from smolbot.config.load import load_mission
+from smolbot.config.plugins import load_world
+from smolbot.config.rig import load_rig
+from smolbot.core.coil_heat import Coil, CoilHeat, stepped
+from smolbot.core.limits import Limits
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, RingDown, Rotate, Shot
 from smolbot.errors import OperatorStopError, RigError, SafetyError
-from smolbot.flying import fly
-from smolbot.heat import Coil, CoilHeat, stepped
-from smolbot.latch import Latch
-from smolbot.limits import Limits
-from smolbot.plugins import load_world
-from smolbot.poses import Pose
-from smolbot.records.folder import RunFolder
-from smolbot.rigfile import load_rig
-from smolbot.safety import Rules, Safety, unbounded
-from smolbot.sensing import Recording
-from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, RingDown, Rotate, Shot
-from smolbot.soundwatch import SoundWatch
+from smolbot.flight.assembly import make_loop, make_safety
+from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.safety.sensor_monitor import SoundWatch
+from smolbot.flight.safety.stop_latch import Latch
+from smolbot.flight.safety.supervisor import Rules, Safety, unbounded
+from smolbot.flight.session import fly
+from smolbot.runs.folder import RunFolder
 
 LIMITS = Limits(("+x", "-x"), max_current=8.0, max_rotation_frequency=1.0)
 HEAR = Listen(2, 100.0)
@@ -364,7 +364,7 @@ def test_an_error_that_nobody_foresaw_comes_out_after_zero_outputs_and_a_whole_f
     assert len((folder / "cycles.csv").read_text().splitlines()) == 1 + summary["cycles"]
 
 
-@pytest.mark.parametrize("where", ["smolbot.records.trace.Trace.__call__", "smolbot.records.folder.RunFolder.record"])
+@pytest.mark.parametrize("where", ["smolbot.runs.trace.Trace.__call__", "smolbot.runs.folder.RunFolder.record"])
 def test_a_stop_between_a_cycle_and_its_record_loses_no_cycle(brief, tmp_path, monkeypatch, where):
     from pydoc import locate
 
@@ -506,7 +506,7 @@ def test_every_shipped_rig_says_what_its_coils_bear(name):
 def test_a_rig_file_without_the_section_is_watched_all_the_same(brief):
     mission = load_mission("line", settings=SHORT)
     del mission.rig.document.data["safety"]
-    from smolbot.rigfile import RigConfig, RigFile
+    from smolbot.config.rig import RigConfig, RigFile
 
     sections, faults = mission.rig.document.validate(RigFile)
     assert faults == []

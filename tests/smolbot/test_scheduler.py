@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smolbot.control import Command, Cycle
-from smolbot.excitation import amplitude_after
-from smolbot.limits import Limits
+from smolbot.core.drive import amplitude_after
+from smolbot.core.limits import Limits
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.sensing import Device
+from smolbot.core.shots import Actuate, Listen
+from smolbot.flight.scheduler import SEARCH_DIRECTIONS, Scheduler, stretched_actuation
+from smolbot.motion.controller import Command, Cycle
 from smolbot.motion.robot import magnet_inertia
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes
-from smolbot.scheduler import SEARCH_DIRECTIONS, Scheduler, stretched_actuation
-from smolbot.sensing import Device
-from smolbot.shots import Actuate, Listen
 
 LIMITS = Limits(("+x", "-x", "+y", "-y"), 8.0, True, 0.1, 10.0, 0.2, 0.005, 3.0)
 CYCLE = Cycle(5, 0.020, 2, 10.0)

@@ -8,9 +8,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from smolbot.control import Cycle
+from smolbot.core.shots import Actuate, Excite, Listen, Mode, MoveMagnet, Rest, RingDown, Rotate, Shot
 from smolbot.errors import InputError
-from smolbot.shots import Actuate, Excite, Listen, Mode, MoveMagnet, Rest, RingDown, Rotate, Shot
+from smolbot.motion.controller import Cycle
 
 F = 103.5
 CYCLE = (Actuate((6.2, 0.0, 8.0, 0.0), 0.03), Excite((2.0, -1.0), F, 5), RingDown(0.02), Listen(2, F))

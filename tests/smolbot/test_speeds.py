@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
 from smolbot.errors import InputError
-from smolbot.paths import Curve
-from smolbot.speeds import CORNER_RADIUS, SpeedProfile, speed_profile
+from smolbot.paths.curve import Curve
+from smolbot.paths.speed_profile import CORNER_RADIUS, SpeedProfile, speed_profile
 
 SPEED, LATERAL = 2e-3, 0.2e-3
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smolbot.missionfile import load_mission
+from smolbot.config.mission import load_mission
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import half_turned, quaternion_from_axes
+from smolbot.core.shots import Actuate, Listen, RingDown, Shot
+from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion.gradient import advance
-from smolbot.poses import Pose
-from smolbot.rotations import half_turned, quaternion_from_axes
-from smolbot.shots import Actuate, Listen, RingDown, Shot
-from smolbot.tracking import Tracker
 
 UP = np.array([0.0, 0.0, 1.0])
 SETUP = load_mission("line").setup()

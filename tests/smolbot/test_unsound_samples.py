@@ -9,17 +9,17 @@ import sys
 import numpy as np
 import pytest
 
-from sim.static_bench import StaticBench
-from smolbot.calibration import Plan
-from smolbot.cli.app import main
+from sim.tank.static_bench import StaticBench
+from smolbot.bench.calibration.device import Plan
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+from smolbot.config.sample_checks import unsound_channels
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
-from smolbot.rotations import quaternion_from_axes
-from smolbot.sensing import Recording
-from smolbot.soundness import unsound_channels
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.ui.cli.app import main
 
 RATE = 50_000.0
 PLACES = ((1.0, 0.0, 60.0), (2.0, 0.0, 60.0), (3.0, 0.0, 60.0))

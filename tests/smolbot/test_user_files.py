@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from lookup_tables import FieldTable
-from smolbot.anymission import load_mission
-from smolbot.config import Document
+from smolbot.config.document import Document
+from smolbot.config.library import find_file, shipped
+from smolbot.config.load import load_mission
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
 from smolbot.errors import ConfigError, MissingFileError, SmolbotError
-from smolbot.library import find_file, shipped
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
 
 SHIPPED = Path(str(resources.files("smolbot")))
 LINE = (SHIPPED / "missions/line.toml").read_text()

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.static_bench import StaticBench, with_sensors
 from sim.studies.benches import characterised, in_glycerol, optimised, reference_orientation, true_noise_model
 from sim.studies.cramer_rao import bound, own_covariance, position_bound
+from sim.tank.static_bench import StaticBench, with_sensors
+from smolbot.config.rig import load_rig
 from smolbot.errors import InputError
 from smolbot.localization.forward import deflection, sensor_field
-from smolbot.rigfile import load_rig
 
 PLACE, TURN = np.array([0.004, -0.006, 0.08]), reference_orientation()
 SILENT = {
@@ -85,7 +85,7 @@ def test_quiet_recordings_are_as_long_as_asked_and_follow_no_drive():
 
 
 def test_learned_noise_comes_near_the_true_one():
-    from smolbot.localization.noise import NoiseModel
+    from smolbot.localization.noise.model import NoiseModel
 
     ours = bench(2)
     learned, true = NoiseModel.learn(ours.quiet(6.0)), true_noise_model(ours)

@@ -16,8 +16,8 @@ from sim.studies.columns import chosen, joined
 from sim.studies.command import STUDIES, carry_out, load_study
 from sim.studies.running import StudyFolder, run_chunks
 from sim.studies.study import Chunk, Options, cut
+from smolbot.core.pose import Pose
 from smolbot.errors import InputError
-from smolbot.poses import Pose
 
 
 def draws(chunk: Chunk):
@@ -104,7 +104,7 @@ def test_nees_of_errors_drawn_from_the_covariance_averages_six():
     rng = np.random.default_rng(0)
     root = np.diag([1e-4, 2e-4, 5e-4, 1e-2, 2e-2, 1e-2]) @ (np.eye(6) + 0.3 * np.tri(6, k=-1))
     truth, turn = np.array([0, 0, 0.08]), np.array([1.0, 0, 0, 0])
-    from smolbot.rotations import quaternion_from_rotation_vector
+    from smolbot.core.rotations import quaternion_from_rotation_vector
 
     nees = []
     for _ in range(600):

@@ -13,12 +13,12 @@ from sim.studies.benches import rig_named
 from sim.studies.layout_search import BLOCK, Judge, Layout, Search
 from sim.studies.layout_value import Mismatch, Poses, Volume, judge
 from sim.studies.study import Options
-from smolbot.fitness import noise_levels
+from smolbot.config.feasibility import noise_levels
+from smolbot.config.rig import load_rig
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 from smolbot.localization.bounds import pose_bound
+from smolbot.localization.noise.whitening import whitened_model
 from smolbot.localization.problem import Problem
-from smolbot.localization.whitening import whitened_model
-from smolbot.rigfile import load_rig
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
 RIG = load_rig("tank")
 LEVELS = noise_levels(RIG)

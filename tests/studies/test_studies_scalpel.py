@@ -8,8 +8,8 @@ import pytest
 from sim.studies import scalpel as study
 from sim.studies.benches import reference_orientation
 from sim.studies.study import Options, cut
+from smolbot.config.rig import load_rig
 from smolbot.localization.forward import dipole_field
-from smolbot.rigfile import load_rig
 
 SENSORS = load_rig("tank").sensors
 POSITION = np.array([2e-3, -3e-3, 0.083])

@@ -15,10 +15,10 @@ from sim.studies.command import _mission_options, carry_out, load_study
 from sim.studies.margins import STUDY, conclude, cycles_of, work_path
 from sim.studies.margins_report import files
 from sim.studies.study import Chunk, Options
-from smolbot.cli.app import main
-from smolbot.cli.options import settings_from
+from smolbot.config.mission import load_mission
 from smolbot.errors import InputError
-from smolbot.missionfile import load_mission
+from smolbot.ui.cli.app import main
+from smolbot.ui.cli.options import settings_from
 
 SHORT = (
     ("controller.law", "force_pursuit"),

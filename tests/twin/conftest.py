@@ -11,12 +11,12 @@ import pytest
 
 from sim.twin.cardmodel import CardModel
 from sim.twin.deviceserver import DeviceServer
-from smolbot.arrays import FloatArray
-from smolbot.config import validate
-from smolbot.hardware.card import Card
-from smolbot.hardware.driver import Driver
-from smolbot.hardware.wiring import BenchSection
-from smolbot.rigfile import load_rig
+from smolbot.bench.hardware.card import Card
+from smolbot.bench.hardware.driver import Driver
+from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.config.document import validate
+from smolbot.config.rig import load_rig
+from smolbot.core.arrays import FloatArray
 
 
 @dataclass

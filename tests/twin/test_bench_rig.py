@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.twin.faultcases import with_ports
+from sim.measure.fault_cases import with_ports
 from sim.twin.faults import parse_fault
 from sim.twin.twin import Twin
-from smolbot.checking.checkup import check_rig
+from smolbot.bench.check.checkup import check_rig
+from smolbot.bench.hardware.rig import BenchRig
+from smolbot.bench.hardware.world import BenchWorld
+from smolbot.config.rig import RigConfig, load_rig
+from smolbot.config.robot import load_robot
+from smolbot.core.operator import SilentOperator
+from smolbot.core.rig import Checkable, Rig, Witness
+from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, RingDown, Shot
 from smolbot.errors import InterlockError, OperatorStopError, RigError
-from smolbot.hardware.rig import BenchRig
-from smolbot.hardware.world import BenchWorld
-from smolbot.operator import SilentOperator
-from smolbot.rigfile import RigConfig, load_rig
-from smolbot.robotfile import load_robot
-from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, RingDown, Shot
-from smolbot.worlds import Checkable, Rig, Witness
 
 pytestmark = pytest.mark.realtime
 

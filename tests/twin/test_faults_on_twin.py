@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from sim.twin.faults import FAULTS, FaultBox, parse_fault
+from smolbot.bench.hardware.card import LostWindow
+from smolbot.bench.hardware.guard import Guard
+from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
+from smolbot.core.shots import Actuate, Excite, Listen, Rest, Shot
 from smolbot.errors import InputError, RigError
-from smolbot.hardware.card import LostWindow
-from smolbot.hardware.guard import Guard
-from smolbot.hardware.waveform import Waveform, WaveformCompiler
-from smolbot.shots import Actuate, Excite, Listen, Rest, Shot
 from tests.twin.conftest import Bench, NoGuard
 
 pytestmark = pytest.mark.realtime

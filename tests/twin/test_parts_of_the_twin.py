@@ -20,9 +20,9 @@ from sim.twin.deviceserver import DeviceServer
 from sim.twin.faults import FAULTS, parse_fault
 from sim.twin.hand import Hand
 from sim.twin.journal import Journal, Line
+from smolbot.bench.hardware.waveform import line_bit
+from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.errors import RigError
-from smolbot.hardware.waveform import line_bit
-from smolbot.hardware.wiring import BenchSection
 from tests.twin.conftest import Echo
 
 RATE = 50_000.0
@@ -159,7 +159,7 @@ def test_a_port_that_is_taken_is_one_clear_error(wiring: Wiring) -> None:
 
 
 def test_the_command_lists_every_fault_with_its_sentence() -> None:
-    from smolbot.cli.app import app
+    from smolbot.ui.cli.app import app
 
     result = CliRunner().invoke(app, ["twin", "--list-faults", "--json"])
     assert result.exit_code == 0

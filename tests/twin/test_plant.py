@@ -9,16 +9,16 @@ import time
 import numpy as np
 import pytest
 
-from sim.settings import TankSettings
-from sim.tank import Tank
+from sim.tank.settings import TankSettings
+from sim.tank.tank import Tank
 from sim.twin.plant import Plant
 from sim.twin.truth import TruthServer
-from smolbot.config import validate
+from smolbot.bench.hardware.remotewitness import RemoteWitness
+from smolbot.config.document import validate
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot
 from smolbot.errors import InputError, RigError
-from smolbot.hardware.remotewitness import RemoteWitness
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
-from smolbot.shots import Actuate, Excite, Listen, RingDown, Shot
 
 SHOT = Shot((Actuate((8.0, 0.0, 3.0, 0.0), 0.03), Excite((6.0, -4.0), 100.0, 5), RingDown(0.02), Listen(4, 100.0)))
 

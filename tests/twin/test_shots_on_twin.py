@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.arrays import FloatArray
-from smolbot.hardware.waveform import Waveform, WaveformCompiler
-from smolbot.shots import Actuate, Excite, Listen, Rest, Shot
+from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
+from smolbot.core.arrays import FloatArray
+from smolbot.core.shots import Actuate, Excite, Listen, Rest, Shot
 from tests.twin.conftest import Bench, NoGuard
 
 pytestmark = pytest.mark.realtime

@@ -9,8 +9,8 @@ import pytest
 
 from sim.twin import truth
 from sim.twin.truth import TruthServer
+from smolbot.bench.hardware.remotewitness import RemoteWitness
 from smolbot.errors import InputError, RigError
-from smolbot.hardware.remotewitness import RemoteWitness
 
 
 def block(count=2000):

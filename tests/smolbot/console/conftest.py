@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from sim.twin.browser import Browser, missing
-from smolbot.anymission import load_mission
-from smolbot.console.console import OpenConsole
-from smolbot.flying import fly
-from smolbot.records.folder import RunFolder
+from sim.measure.browser import Browser, missing
+from smolbot.config.load import load_mission
+from smolbot.flight.session import fly
+from smolbot.runs.folder import RunFolder
+from smolbot.ui.console.console import OpenConsole
 
 
 @pytest.fixture(scope="session")

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smolbot.console.console import OpenConsole
-from smolbot.console.door import Door, must_be_free
-from smolbot.console.drawing import mission_text
 from smolbot.errors import InputError
+from smolbot.ui.console.console import OpenConsole
+from smolbot.ui.console.door import Door, must_be_free
+from smolbot.ui.console.drawing import mission_text
 
 HERE = {"Host": "127.0.0.1:8420"}
 TOKEN = "a-token"
@@ -163,8 +163,8 @@ def test_a_console_on_a_busy_port_ends_with_one_message(tmp_path: Path) -> None:
 
 
 def test_a_drawing_becomes_a_mission_that_loads(tmp_path: Path) -> None:
-    from smolbot.anymission import load_mission
-    from smolbot.missionfile import Mission
+    from smolbot.config.load import load_mission
+    from smolbot.config.mission import Mission
 
     points = [(-8.0, -8.0), (0.0, 6.5), (8.0, -8.0)]
     path = tmp_path / "drawn.toml"

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smolbot.console.bar import state_of, told
-from smolbot.console.figures import SHOWN, series, table, thinned
-from smolbot.console.flight import Flight
-from smolbot.console.runs import read_flight, runs_in
 from smolbot.errors import InputError
-from smolbot.recording.reader import read_run
-from smolbot.recording.recorder import McapFile
-from smolbot.recording.scan import Scan
+from smolbot.runs.recording.reader import read_run
+from smolbot.runs.recording.recorder import McapFile
+from smolbot.runs.recording.scan import Scan
+from smolbot.ui.console.bar import state_of, told
+from smolbot.ui.console.figures import SHOWN, series, table, thinned
+from smolbot.ui.console.flight import Flight
+from smolbot.ui.console.runs import read_flight, runs_in
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from sim.twin.browser import Browser
-from smolbot.console.console import OpenConsole
-from smolbot.latch import Latch
-from smolbot.live.feed import CONSOLE, Feed
-from smolbot.live.joining import join
-from smolbot.recording.reader import stream
+from sim.measure.browser import Browser
+from smolbot.flight.safety.stop_latch import Latch
+from smolbot.runs.recording.reader import stream
+from smolbot.ui.console.console import OpenConsole
+from smolbot.ui.link.feed import CONSOLE, Feed
+from smolbot.ui.link.joining import join
 
 
 @dataclass
@@ -98,8 +98,8 @@ def test_a_page_that_is_closed_stops_nothing(
 
 
 def test_pause_and_resume(flying: Feed, page: Browser, mission: Mission) -> None:
-    from smolbot.flown import Event
-    from smolbot.recording.messages import event_message
+    from smolbot.runs.recording.messages import event_message
+    from smolbot.runs.run import Event
 
     page.driver.find_element("id", "pause").click()
     assert mission.held.wait(20.0)

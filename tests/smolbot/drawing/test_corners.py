@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from smolbot.drawing.corners import CORNER, corner_indices, curvature, rounded, turns
-from smolbot.drawing.polylines import arc_of, nearest_place
-from smolbot.rotations import matrix_from_quaternion
+from smolbot.core.rotations import matrix_from_quaternion
+from smolbot.paths.corners import CORNER, corner_indices, curvature, rounded, turns
+from smolbot.paths.polylines import arc_of, nearest_place
 
 SQUARE = np.array([[0, 0], [10, 0], [10, 10], [0, 10.0]])
 

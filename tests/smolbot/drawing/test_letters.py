@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.drawing.corners import corner_indices, curvature, turns
-from smolbot.drawing.font import FIRST, LAST, strokes
-from smolbot.drawing.joining import joined
-from smolbot.drawing.polylines import arc_of, place_at
 from smolbot.errors import InputError
-from smolbot.glyphs import GLYPHS, drawn_glyph, glyph
+from smolbot.paths.corners import corner_indices, curvature, turns
+from smolbot.paths.drawing.font import FIRST, LAST, strokes
+from smolbot.paths.drawing.joining import joined
+from smolbot.paths.glyphs import GLYPHS, drawn_glyph, glyph
+from smolbot.paths.polylines import arc_of, place_at
 
 CHARACTERS = [chr(i) for i in range(ord(FIRST), ord(LAST) + 1)]
 

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from smolbot.drawing.corners import corner_indices, turns
-from smolbot.drawing.polylines import arc_of, nearest_place
-from smolbot.drawing.svg import read_svg
 from smolbot.errors import InputError
+from smolbot.paths.corners import corner_indices, turns
+from smolbot.paths.drawing.svg import read_svg
+from smolbot.paths.polylines import arc_of, nearest_place
 
 IN_MM = 'width="100mm" height="80mm" viewBox="0 0 100 80"'
 

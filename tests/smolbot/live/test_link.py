@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
-from smolbot.latch import Latch
-from smolbot.live import feed as feeding
-from smolbot.live.consoles import Console, new_secret, read, running, write_down
-from smolbot.live.feed import CONSOLE, Feed
-from smolbot.live.frames import LONGEST, Kind, LinkError, frame, message, parse_message
-from smolbot.live.gate import STRANGERS, Gate, Line, stop_through
-from smolbot.live.handshake import GREETING
-from smolbot.pausing import Pause
+from smolbot.flight.pause import Pause
+from smolbot.flight.safety.stop_latch import Latch
+from smolbot.ui.link import feed as feeding
+from smolbot.ui.link.consoles import Console, new_secret, read, running, write_down
+from smolbot.ui.link.feed import CONSOLE, Feed
+from smolbot.ui.link.frames import LONGEST, Kind, LinkError, frame, message, parse_message
+from smolbot.ui.link.gate import STRANGERS, Gate, Line, stop_through
+from smolbot.ui.link.handshake import GREETING
 
 
 @dataclass
@@ -311,7 +311,7 @@ def test_the_secret_is_never_sent(console: tuple[Gate, Console]) -> None:
             said.append(bytes(data))
             super().sendall(data)
 
-    from smolbot.live.handshake import call
+    from smolbot.ui.link.handshake import call
 
     sock = Overheard()
     sock.connect(("127.0.0.1", console[0].port))
@@ -322,5 +322,5 @@ def test_the_secret_is_never_sent(console: tuple[Gate, Console]) -> None:
 
 
 def test_a_mission_that_is_watched_loads_no_page() -> None:
-    script = "import sys, smolbot.cli.live, smolbot.live.gate; sys.exit('viser' in sys.modules)"
+    script = "import sys, smolbot.ui.cli.live, smolbot.ui.link.gate; sys.exit('viser' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], timeout=120, check=False).returncode == 0

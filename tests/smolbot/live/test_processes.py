@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from smolbot.live.consoles import ENVIRONMENT, read
+from smolbot.ui.link.consoles import ENVIRONMENT, read
 
 pytestmark = pytest.mark.slow
 

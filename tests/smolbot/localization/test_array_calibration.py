@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.bench.calibration.array import calibrate_sensors
+from smolbot.config.rig import load_rig
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.sensing import Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.array_calibration import calibrate_sensors
 from smolbot.localization.forward import deflection, sensor_field
-from smolbot.poses import Pose
-from smolbot.rigfile import load_rig
-from smolbot.rotations import quaternion_from_rotation_vector, quaternion_product
-from smolbot.sensing import Recording, SensorArray
 
 RATE = 50_000.0
 

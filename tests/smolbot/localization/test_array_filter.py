@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.core.sensing import Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.array_filter import ArrayBelief, ArrayFilter, surprising, tilt_frames
-from smolbot.localization.array_terms import OF_DEVICE, PER_SENSOR
+from smolbot.localization.array.filter import ArrayBelief, ArrayFilter, surprising, tilt_frames
+from smolbot.localization.array.terms import OF_DEVICE, PER_SENSOR
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.localization.whitening import prepare_whitened
-from smolbot.sensing import Recording, SensorArray
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.noise.whitening import prepare_whitened
 
 RATE = 50_000.0
 NOISE = 2e-9  # T, white: about the tank's floor in a window of ten milliseconds

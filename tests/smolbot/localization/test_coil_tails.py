@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from smolbot.config.mission import load_mission
+from smolbot.config.plugins import load_world
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot
 from smolbot.errors import InputError
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.localization.tails import CoilTails, Tail, learn_tail
-from smolbot.missionfile import load_mission
-from smolbot.plugins import load_world
-from smolbot.poses import Pose
-from smolbot.sensing import Recording
-from smolbot.shots import Actuate, Excite, Listen, RingDown, Shot
+from smolbot.localization.noise.actuation_tails import CoilTails, Tail, learn_tail
+from smolbot.localization.noise.model import NoiseModel
 
 RATE, F = 50_000.0, 103.5
 TAUS = np.array([3.1e-3, 2.8e-3])  # s

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.core.sensing import Recording
+from smolbot.flight.tracking.noise_monitor import RANGE, NoiseWatch
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.noisewatch import RANGE, NoiseWatch
-from smolbot.sensing import Recording
+from smolbot.localization.noise.model import NoiseModel
 
 RATE = 50_000.0
 FLOOR = 6e-12

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.core.rotations import quaternion_from_matrix, rotation_error
+from smolbot.core.sensing import Recording
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.expected import expected_covariance
-from smolbot.localization.levels import NoiseLevels
+from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.problem import prepare_paper
-from smolbot.rotations import quaternion_from_matrix, rotation_error
-from smolbot.sensing import Recording
 
 RATE = 50_000.0
 NOISE = NoiseLevels(6e-12, 20e-12, 50.0, 8e-9, 11.5e-9, {2: 0.1, 3: 0.3, 5: 0.1})

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from smolbot.errors import InputError
-from smolbot.localization import kernels
-from smolbot.localization.basis import REFERENCE_ANGLE
-from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.localization.problem import prepare_paper
-from smolbot.poses import Pose
-from smolbot.rotations import (
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,
     quaternion_product,
     rotation_error,
 )
-from smolbot.sensing import Recording
+from smolbot.core.sensing import Recording
+from smolbot.errors import InputError
+from smolbot.localization import kernels
+from smolbot.localization.basis import REFERENCE_ANGLE
+from smolbot.localization.localizer import Localizer
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.problem import prepare_paper
 
 RATE = 50_000.0
 HALF_TURN_ABOUT_Z = np.array([0.0, 0.0, 0.0, 1.0])

@@ -10,14 +10,14 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+from smolbot.core.sensing import SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.chain import difference_matrix, filtered, moving_mean, sample_points, taps, whole_half_periods
 from smolbot.localization.forward import deflection, envelope, sensor_field
 from smolbot.localization.problem import paper_model, prepare_paper
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-from smolbot.sensing import SensorArray
 
 RATE = 50_000.0
 MU0 = 4e-7 * np.pi

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes, rotation_error
+from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel, field_covariance
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes, rotation_error
-from smolbot.sensing import Device, Recording, SensorArray
+from smolbot.localization.noise.model import NoiseModel, field_covariance
 
 RATE = 20_000.0
 PLACES = np.array(

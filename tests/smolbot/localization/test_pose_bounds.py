@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.sensing import Device, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.bounds import Window, pose_bound
 from smolbot.localization.forward import deflection, sensor_field
-from smolbot.localization.levels import NoiseLevels
-from smolbot.localization.whitening import whitened_model
-from smolbot.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
-from smolbot.sensing import Device, SensorArray
+from smolbot.localization.noise.room import NoiseLevels
+from smolbot.localization.noise.whitening import whitened_model
 
 LEVELS = NoiseLevels(6e-12, 20e-12, 50.0, 9.8e-9, 21e-9, {2: 0.06, 3: 0.3, 5: 0.1})
 DEVICE = Device(0.89e-3, np.array([1.0, 0, 0]), 1.5e-3, np.radians(17.8), 103.5, 1.6)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.core.sensing import SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.devicefit import fit_device
-from smolbot.localization.ringdown import measure
-from smolbot.localization.thinning import Hum, thin
-from smolbot.sensing import SensorArray
+from smolbot.localization.device.fit import fit_device
+from smolbot.localization.device.ringdown import measure
+from smolbot.localization.device.thinning import Hum, thin
 
 RATE = 50_000.0
 

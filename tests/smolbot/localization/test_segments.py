@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes, rotation_error
+from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.forward import deflection, envelope, sensor_field
-from smolbot.localization.levels import NoiseLevels
 from smolbot.localization.localizer import Localizer
+from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.segments import GATE, SharedAmplitude, anchor, cut
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes, rotation_error
-from smolbot.sensing import Device, Recording, SensorArray
 
 RATE = 20_000.0
 LEVELS = NoiseLevels(6e-12, 20e-12, 50.0, 9.8e-9, 21e-9, {2: 0.06, 3: 0.3, 5: 0.1})

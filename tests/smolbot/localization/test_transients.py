@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise import NoiseModel
-from smolbot.localization.transients import learn_time_constant
-from smolbot.poses import Pose
-from smolbot.rotations import quaternion_from_axes
-from smolbot.sensing import Device, Recording, SensorArray
+from smolbot.localization.noise.excitation_transients import learn_time_constant
+from smolbot.localization.noise.model import NoiseModel
 
 RATE = 20_000.0
 RNG = np.random.default_rng(4)

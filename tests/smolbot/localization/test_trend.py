@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.core.sensing import Recording
 from smolbot.localization.forward import deflection, dipole_field, sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.sensing import Recording
 
 RATE = 50_000.0
 

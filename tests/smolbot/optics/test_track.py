@@ -11,18 +11,18 @@ import pytest
 
 pytest.importorskip("cv2", reason="needs the extra track")
 
-from sim.film.accuracy import accuracy, rms
 from sim.film.command import film
 from sim.film.swing import film_swing
-from smolbot.anymission import load_mission
-from smolbot.cli.track import track
+from sim.measure.video_accuracy import accuracy, rms
+from smolbot.config.load import load_mission
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
 from smolbot.errors import InputError, SmolbotError
-from smolbot.flying import fly
-from smolbot.optics.opticaltrack import OpticalTrack, read_optical_track, write_optical_track
-from smolbot.optics.outline import telling, unlike
-from smolbot.records.folder import RunFolder
-from smolbot.rigfile import load_rig
-from smolbot.robotfile import load_robot
+from smolbot.flight.session import fly
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.optics.opticaltrack import OpticalTrack, read_optical_track, write_optical_track
+from smolbot.runs.optics.outline import telling, unlike
+from smolbot.ui.cli.track import track
 
 SHORT = {"path.points_mm": "[[-6.0, 0.0], [6.0, 2.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "1.0"}
 
@@ -104,8 +104,8 @@ def test_a_runs_errors_against_the_camera_are_those_against_the_truth(flown, tra
 
 
 def test_four_points_in_place_of_markers_do_too(flown, filmed, tracked, tmp_path):
-    from smolbot.optics.fiducials import read_fiducials, view_by_markers
-    from smolbot.optics.video import Video
+    from smolbot.runs.optics.fiducials import read_fiducials, view_by_markers
+    from smolbot.runs.optics.video import Video
 
     view = view_by_markers(Video(filmed[0]).background, read_fiducials(filmed[1])).view
     points = np.array([[-18.0, -18.0, 60.0], [18.0, -18.0, 60.0], [18.0, 18.0, 60.0], [-18.0, 18.0, 60.0]])

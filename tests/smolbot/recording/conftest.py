@@ -9,13 +9,13 @@ from pathlib import Path
 import mcap.writer
 import pytest
 
-from smolbot.cli.app import main
-from smolbot.flown import Run
-from smolbot.flying import fly
-from smolbot.missionfile import load_mission
-from smolbot.recording.recorder import McapFile
-from smolbot.recording.scan import Scan
-from smolbot.records.folder import RunFolder
+from smolbot.config.mission import load_mission
+from smolbot.flight.session import fly
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.recording.recorder import McapFile
+from smolbot.runs.recording.scan import Scan
+from smolbot.runs.run import Run
+from smolbot.ui.cli.app import main
 
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [0.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "1.0"}
 
@@ -68,7 +68,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
     """A flight as it was flown, and its folder."""
     folder = tmp_path_factory.mktemp("recorded") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smolbot.heatmemory.kept_at", lambda rig: folder.parent / f"{rig}.json")
+        patch.setattr("smolbot.flight.safety.heat_store.kept_at", lambda rig: folder.parent / f"{rig}.json")
         return fly(load_mission("line", settings=SHORT), 3, folder=RunFolder(folder), settings=SHORT), folder
 
 

@@ -13,14 +13,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smolbot.control import Command
-from smolbot.flown import Event
-from smolbot.poses import Pose
-from smolbot.recording import messages
-from smolbot.recording import run_pb2 as pb
-from smolbot.recording.converter import BOTH, FIELD, TESLA, VOLTS, Converter
-from smolbot.sensing import Recording
-from smolbot.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot, Window
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot, Window
+from smolbot.motion.controller import Command
+from smolbot.runs.recording import messages
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.converter import BOTH, FIELD, TESLA, VOLTS, Converter
+from smolbot.runs.run import Event
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -193,7 +193,7 @@ def test_the_generated_messages_are_those_that_the_description_makes(tmp_path):
     pytest.importorskip("grpc_tools")
     root = Path(messages.__file__).parents[2]
     where = f"--python_out={tmp_path}", f"--pyi_out={tmp_path}"
-    order = [sys.executable, "-m", "grpc_tools.protoc", "-I.", *where, "smolbot/recording/run.proto"]
+    order = [sys.executable, "-m", "grpc_tools.protoc", "-I.", *where, "smolbot/runs/recording/run.proto"]
     subprocess.run(order, cwd=root, check=True)
     for name in ("run_pb2.py", "run_pb2.pyi"):
         made = (tmp_path / "smolbot" / "recording" / name).read_text()

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from smolbot.config.samples import read_samples, recordings_from
 from smolbot.errors import InputError
 from smolbot.localization.localizer import Localizer
-from smolbot.recording import exporting
-from smolbot.recording.exporting import export
-from smolbot.recording.reader import read_run
-from smolbot.recording.sampleexport import export_samples
-from smolbot.recording.tables import samples, tables
-from smolbot.samplefile import read_samples, recordings_from
+from smolbot.runs.recording import exporting
+from smolbot.runs.recording.exporting import export
+from smolbot.runs.recording.reader import read_run
+from smolbot.runs.recording.sampleexport import export_samples
+from smolbot.runs.recording.tables import samples, tables
 
 POSES = {
     "poses_raw": lambda m: m.cycle.pose,

@@ -12,20 +12,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from smolbot.control import Command
+from smolbot.config.mission import load_mission
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Listen, Shot
 from smolbot.errors import InputError
-from smolbot.flown import CycleRecord, Event
-from smolbot.flying import fly
-from smolbot.missionfile import load_mission
-from smolbot.recording import run_pb2 as pb
-from smolbot.recording.converter import Converter
-from smolbot.recording.pump import Pump
-from smolbot.recording.reader import read_run
-from smolbot.recording.recorder import McapFile, Recorder
-from smolbot.records.folder import RunFolder
-from smolbot.records.trace import Moment
-from smolbot.sensing import Recording
-from smolbot.shots import Listen, Shot
+from smolbot.flight.session import fly
+from smolbot.motion.controller import Command
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.converter import Converter
+from smolbot.runs.recording.pump import Pump
+from smolbot.runs.recording.reader import read_run
+from smolbot.runs.recording.recorder import McapFile, Recorder
+from smolbot.runs.run import CycleRecord, Event
+from smolbot.runs.trace import Moment
 
 SHOT = Shot((Listen(2, 100.0),), "track", 1.0)
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [0.0, 0.0]]", "localization.estimator": "paper"}
@@ -255,9 +255,9 @@ def test_a_process_ends_while_its_sink_blocks():
     script = """
 import threading
 import numpy as np
-from smolbot.flown import Event
-from smolbot.recording.converter import Converter
-from smolbot.recording.pump import Pump
+from smolbot.runs.run import Event
+from smolbot.runs.recording.converter import Converter
+from smolbot.runs.recording.pump import Pump
 
 class Blocked:
     def write(self, message): threading.Event().wait()
@@ -300,8 +300,8 @@ def test_a_full_disk_tears_the_record_and_what_was_flushed_before_can_be_read(re
     script = f"""
 import resource, sys
 from pathlib import Path
-from smolbot.recording.recorder import McapFile
-from smolbot.recording.scan import Scan
+from smolbot.runs.recording.recorder import McapFile
+from smolbot.runs.recording.scan import Scan
 resource.setrlimit(resource.RLIMIT_FSIZE, (150000, {resource.RLIM_INFINITY}))
 file = McapFile(Path({str(path)!r}), lambda n: print(n, flush=True))
 try:

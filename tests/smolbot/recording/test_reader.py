@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from smolbot.errors import InputError
-from smolbot.recording import run_pb2 as pb
-from smolbot.recording.reader import CUT_SHORT, read_run
-from smolbot.recording.scan import CHUNK, MAGIC, Scan
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.reader import CUT_SHORT, read_run
+from smolbot.runs.recording.scan import CHUNK, MAGIC, Scan
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ import mcap.reader
 import pytest
 
 from smolbot.errors import InputError, SmolbotError
-from smolbot.recording.reader import CUT_SHORT, read_run
-from smolbot.recording.recorder import McapFile
-from smolbot.recording.recovering import recover
+from smolbot.runs.recording.reader import CUT_SHORT, read_run
+from smolbot.runs.recording.recorder import McapFile
+from smolbot.runs.recover import recover
 
 LEFT = ("summary.json", "path.png", "cycles.csv", "provenance.json", "mission.toml", "rig.toml", "robot.toml")
 
@@ -198,7 +198,7 @@ def test_a_mission_that_cannot_be_loaded_here_still_gets_its_record(copied, monk
     def refuse(*_):
         raise SmolbotError("controller 'own' is not installed")
 
-    monkeypatch.setattr("smolbot.recording.reader.RecordedRun.mission", refuse)
+    monkeypatch.setattr("smolbot.runs.recording.reader.RecordedRun.mission", refuse)
     done = recover(copied)
     assert "own" in done.unwritten
     assert read_run(copied).whole

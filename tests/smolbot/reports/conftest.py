@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from smolbot.flying import fly
-from smolbot.missionfile import load_mission
-from smolbot.recording import pump
-from smolbot.records.folder import RunFolder
-from smolbot.reports.flight import Flight
+from smolbot.config.mission import load_mission
+from smolbot.flight.session import fly
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.recording import pump
+from smolbot.runs.report.flight import Flight
 
 SHORT = {"path.points_mm": "[[-1.5, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "2.0",
          "localization.learn_ring_down": "true"}  # fmt: skip

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smolbot.core.shots import Actuate
 from smolbot.motion.gradient import advance
-from smolbot.reports.budget import PARTS, Step, split, steps_of
-from smolbot.reports.budgetsection import pose_budget
-from smolbot.shots import Actuate
+from smolbot.runs.report.error_budget import PARTS, Step, split, steps_of
+from smolbot.runs.report.error_budget_section import pose_budget
 
 
 @pytest.fixture(scope="module")

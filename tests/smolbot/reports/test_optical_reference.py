@@ -7,9 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
-from smolbot.optics.opticaltrack import OpticalTrack, write_optical_track
-from smolbot.reports.flight import Flight
-from smolbot.reports.optical import FOLDER, TRACK, optical_rows, optical_sections, seen_of
+from smolbot.runs.optics.opticaltrack import OpticalTrack, write_optical_track
+from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.optical_section import FOLDER, TRACK, optical_rows, optical_sections, seen_of
 
 OFF = np.array([1e-4, 0.0, 0.0])
 

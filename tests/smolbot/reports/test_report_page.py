@@ -13,18 +13,19 @@ from html.parser import HTMLParser
 
 import pytest
 
-from smolbot.cli.app import main
+from smolbot.config.mission import load_mission
 from smolbot.errors import InputError
-from smolbot.flying import fly
-from smolbot.missionfile import load_mission
-from smolbot.records.folder import RunFolder
-from smolbot.reports import comparisonpage, report
-from smolbot.reports.animation import make_animation
-from smolbot.reports.comparison import _same_kind, compare
-from smolbot.reports.comparisonpage import comparison_page
-from smolbot.reports.flight import NO_TRUTH, Flight
-from smolbot.reports.report import REPORT, report_of, save_report
-from smolbot.reports.settings import flattened
+from smolbot.flight.session import fly
+from smolbot.runs.folder import RunFolder
+from smolbot.runs.report import comparison_page as comparisonpage
+from smolbot.runs.report import page as report
+from smolbot.runs.report.animation import make_animation
+from smolbot.runs.report.comparison import _same_kind, compare
+from smolbot.runs.report.comparison_page import comparison_page
+from smolbot.runs.report.flight import NO_TRUTH, Flight
+from smolbot.runs.report.page import REPORT, report_of, save_report
+from smolbot.runs.report.setting_differences import flattened
+from smolbot.ui.cli.app import main
 
 ANCHORS = {"verdict", "path", "errors", "budget", "coils", "cycle", "fit", "noise", "events", "provenance"}
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -174,9 +175,7 @@ def test_a_report_that_fails_costs_the_report_alone(tmp_path, monkeypatch):
 
 
 def test_flying_loads_no_matplotlib():
-    code = (
-        "import sys, smolbot.flying, smolbot.reports.report, smolbot.cli.report; sys.exit('matplotlib' in sys.modules)"
-    )
+    code = "import sys, smolbot.flight.session, smolbot.runs.report.page, smolbot.ui.cli.report; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
@@ -231,7 +230,7 @@ def test_a_run_compared_with_itself_differs_in_nothing(folder, tmp_path):
 
 
 def test_runs_of_different_robots_are_not_compared(folder, tmp_path):
-    from smolbot.observationfile import load_observation
+    from smolbot.config.observation import load_observation
 
     seen = load_observation("brain_marker", settings={"observe.measurements": "2", "localization.quiet_s": "1.0"})
     fly(seen, 1, folder=RunFolder(tmp_path / "marker"))
@@ -316,7 +315,7 @@ def test_what_cannot_be_reported_ends_with_2_and_one_line(words, message, folder
 
 
 def test_a_length_without_an_animation_is_refused(folder):
-    from smolbot.cli.report import report
+    from smolbot.ui.cli.report import report
 
     for options in ({"seconds": 3.0}, {"fps": 5}):
         with pytest.raises(InputError, match="--animate"):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from smolbot.records.ink import ellipse
-from smolbot.reports.intervals import alike_for, difference, estimated, mean
-from smolbot.reports.quiet import heard_noise, quiet_recordings
-from smolbot.reports.residuals import BLOCK, cut_quiet, density, low_passed, windows_of
-from smolbot.reports.strain import strain_of
-from smolbot.reports.trail import Track
+from smolbot.runs.pictures.style import ellipse
+from smolbot.runs.report.coil_load import strain_of
+from smolbot.runs.report.interpolated_track import Track
+from smolbot.runs.report.intervals import alike_for, difference, estimated, mean
+from smolbot.runs.report.quiet_noise import heard_noise, quiet_recordings
+from smolbot.runs.report.residuals import BLOCK, cut_quiet, density, low_passed, windows_of
 
 
 def test_an_ellipse_holds_as_much_as_it_says():

@@ -1,0 +1,1 @@
+"""Many flights: over seeds, over processes, and their pictures."""

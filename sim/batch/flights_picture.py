@@ -1,0 +1,99 @@
+"""The picture of many flights: every path, and the spread of their errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.config.load import AnyMission
+from smolbot.config.mission import Mission
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
+from smolbot.runs.summary import label_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from sim.batch.command import Flight
+
+
+def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
+    """Write the picture of all flights of one mission to `path` (PNG, 16:9)."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+        grid = figure.add_gridspec(
+            3, 2, width_ratios=[1.0, 1.1], wspace=0.22, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09
+        )
+        _draw_trails(figure.add_subplot(grid[:, 0]), mission, flights)
+        rows = [
+            ("Mean tracking error, in mm", ["tracking_mean_mm"], mission.sections.verdict.mean_tracking_mm),
+            ("Mean localization error, in mm", ["localization_mean_mm", "tracked_mean_mm"],
+             mission.sections.verdict.mean_localization_mm),
+            ("Robot time, in s", ["duration_s"], None),
+        ]  # fmt: skip
+        for index, (title, columns, limit) in enumerate(rows):
+            draw_bars(figure.add_subplot(grid[index, 1]), flights, title, columns, limit)
+        world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
+        figure.text(0.06, 0.945, headline(mission, flights), fontsize=17, fontweight="bold", color="#222222")
+        figure.text(0.06, 0.905, f"{world}, each flight a robot and a bench drawn anew", fontsize=11.5, color="#555555")
+        figure.savefig(path)
+        plt.close(figure)
+
+
+def headline(mission: AnyMission, flights: list[Flight]) -> str:
+    """How many passed, labelled."""
+    passed = sum(f.summary["verdict"] == "passed" for f in flights)
+    figures = {"ideal": any(f.summary["ideal"] for f in flights), "plant": flights[0].summary["plant"]}
+    return f"{mission.name}: {passed} of {len(flights)} flights passed{label_of(figures)}"
+
+
+def _draw_trails(axes: Axes, mission: Mission, flights: list[Flight]) -> None:
+    planned = mission.path.points * 1e3
+    axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned")
+    for number, flight in enumerate(f for f in flights if f.trail is not None):
+        trail: Any = flight.trail * 1e3
+        good = flight.summary["verdict"] == "passed"
+        label = {0: "true, each flight"}.get(number)
+        axes.plot(trail[:, 0], trail[:, 1], color=TRUE if good else LOCATED, lw=0.9, alpha=0.6, label=label)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x in mm")
+    axes.set_ylabel("y in mm")
+    axes.grid(color="#eeeeee")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=2, frameon=False)
+
+
+def draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str], limit: float | None) -> None:
+    """One bar a seed for each of some columns of the results, and the limit that they should keep to, if any."""
+    names = {"localization_mean_mm": "each pose", "tracked_mean_mm": "tracked"}
+    seeds = np.array([f.summary["seed"] for f in flights])
+    width = 0.8 / len(columns)
+    for index, column in enumerate(columns):
+        values = [f.value(column) for f in flights]
+        heights = np.array([np.nan if v is None else v for v in values], dtype=float)
+        color = (TRUE, "#5fa8d3")[index] if len(columns) == 1 else (LOCATED, TRUE)[index]
+        axes.bar(
+            seeds + (index - 0.5 * (len(columns) - 1)) * width, heights, width, color=color, label=names.get(column)
+        )
+    if limit is not None:
+        axes.axhline(limit, color="#999999", lw=1, ls="--")
+        axes.text(
+            1.0,
+            limit,
+            "limit ",
+            color="#777777",
+            fontsize=9,
+            ha="right",
+            va="bottom",
+            transform=axes.get_yaxis_transform(),
+        )
+    if len(columns) > 1:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
+    axes.set_title(title, loc="left", fontsize=11)
+    axes.set_xlabel("seed")
+    axes.locator_params(axis="x", integer=True)

@@ -1,0 +1,74 @@
+"""The look of the studies' figures: one slide, a headline that says what was found, few colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WHITENED, PAPER, BOUND, LIMIT = TRUE, LOCATED, PLANNED, "#999999"
+COLORS = {"whitened": WHITENED, "paper": PAPER}
+OTHERS = ("#5fa8d3", "#f2a541", "#7b2d8b", "#4c956c")
+
+
+@contextmanager
+def slide(
+    path: Path, headline: str, subline: str, rows: int = 1, columns: int = 1, **spacing: Any
+) -> Iterator[list[Axes]]:
+    """Axes of a 16:9 slide, row by row, under a headline; written to `path` as PNG when the block ends.
+
+    `spacing` goes to the grid of axes (``width_ratios``, ``wspace``, ``hspace``, …).
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context({"font.size": 12, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+        place = {"left": 0.07, "right": 0.97, "top": 0.82, "bottom": 0.1, "wspace": 0.22, "hspace": 0.42, **spacing}
+        grid = figure.add_gridspec(rows, columns, **place)
+        axes = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(rows * columns)]
+        figure.text(0.06, 0.94, headline, fontsize=19, fontweight="bold", color="#222222")
+        figure.text(0.06, 0.895, subline, fontsize=12, color="#555555")
+        yield axes
+        figure.savefig(path)
+        plt.close(figure)
+
+
+def name_line(axes: Axes, x: float, y: float, text: str, color: str, **kwargs: Any) -> None:
+    """Write a curve's name beside it, in its colour."""
+    axes.annotate(text, (x, y), color=color, fontweight="bold", **{"xytext": (6, 0), "textcoords": "offset points",
+                                                                   "va": "center", **kwargs})  # fmt: skip
+
+
+def limit_line(axes: Axes, value: float, text: str, *, vertical: bool = False) -> None:
+    """A dashed grey line at a value that is asked for, and what it is."""
+    if vertical:
+        axes.axvline(value, color=LIMIT, lw=1, ls="--", zorder=0)
+        axes.text(value, 0.98, f" {text}", color="#777777", fontsize=10, va="top", transform=axes.get_xaxis_transform())
+    else:
+        axes.axhline(value, color=LIMIT, lw=1, ls="--", zorder=0)
+        axes.text(1.0, value, text, color="#777777", fontsize=10, ha="right", va="bottom",
+                  transform=axes.get_yaxis_transform())  # fmt: skip
+
+
+def titled(axes: Axes, title: str, x: str = "", y: str = "") -> None:
+    """Title at the left, labels, a faint grid."""
+    axes.set_title(title, loc="left", fontsize=12.5)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.grid(color="#eeeeee", zorder=0)
+    axes.set_axisbelow(True)
+
+
+def even_ticks(axes: Axes, values: Sequence[float]) -> None:
+    """Only these values on the x axis."""
+    axes.set_xticks(list(values), [f"{v:g}" for v in values])
+    axes.minorticks_off()

@@ -1,0 +1,297 @@
+"""Kills missions with -9 at random moments and asks whether what is left can be recovered, and is true.
+
+``python -m sim.measure.kills --kills 50 --seed 1`` flies a mission again and again in a process of its own, which prints every
+cycle as it is played and every count that the recorder says is flushed. Each is killed at a drawn moment: just after
+the folder is made, while it learns, while it flies, while it ends. Then the run is recovered, and what it holds is
+compared with what the process had printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.pose import Pose
+from smolbot.runs.run import CycleRecord
+
+ALLOWED = 0.5
+"""Seconds of wall time before a kill that may be missing."""
+
+PHASES = {"begin": 0.15, "learn": 0.2, "fly": 0.5, "end": 0.15}
+"""Parts of a run, and the share of kills that fall into each."""
+
+_POLL = 0.002
+_PATIENCE = 300.0  # s for a mission to come to its moment
+
+
+@dataclass
+class Outcome:
+    """What one kill left.
+
+    Attributes
+    ----------
+    phase : str
+    cycles, recovered : int
+        Printed as played; in the recovered record.
+    flushed, messages : int
+        Reported as flushed; read from the torn record.
+    missing : float, in s
+        Wall time from the first cycle that was played and is not in the record to the kill; 0 where none is missing.
+    torn : bool
+        Whether the kill left a torn record.
+    took : float, in s
+        For recovering.
+    faults : list of str
+        What is wrong, but for time; empty if nothing is.
+    """
+
+    phase: str
+    cycles: int = 0
+    recovered: int = 0
+    flushed: int = 0
+    messages: int = 0
+    missing: float = 0.0
+    torn: bool = False
+    took: float = 0.0
+    faults: list[str] = field(default_factory=list)
+
+    @property
+    def late(self) -> bool:
+        """Whether more is missing than may be."""
+        return self.missing > ALLOWED
+
+
+@dataclass
+class Told:
+    """What a process had printed: when it began, flew and ended (s, monotonic), cycles and counts."""
+
+    marks: dict[str, float] = field(default_factory=dict)
+    cycles: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
+    flushed: list[tuple[float, int]] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, log: Path) -> Told:
+        told = cls()
+        for text in log.read_bytes().split(b"\n")[:-1]:  # what follows the last end of line was cut short
+            line = json.loads(text)
+            if line["kind"] == "cycle":
+                told.marks.setdefault("fly", line["wall"])
+                told.cycles.append((line["wall"], line))
+                if line["last"]:
+                    told.marks.setdefault("end", line["wall"])
+            elif line["kind"] == "flushed":
+                told.flushed.append((line["wall"], line["messages"]))
+                told.marks.setdefault("learn", line["wall"])  # the beginning is on disk, and the first shot is played
+            else:
+                told.marks[line["kind"]] = line["wall"]
+        return told
+
+
+def kill_all(
+    kills: int, seed: int, mission: str, settings: Mapping[str, str], folder: Path, told: Callable[[str], None] = print
+) -> Iterator[Outcome]:
+    """Fly once to its end, to learn how long each part takes; then kill as often as asked."""
+    rng = np.random.default_rng(seed)
+    whole = Victim(folder / "whole", mission, seed, settings)
+    whole.process.wait(_PATIENCE)
+    marks = whole.told().marks
+    names = [*PHASES, "done"]
+    if not set(names) <= marks.keys():
+        raise RuntimeError(f"the mission did not fly to its end: {whole.said()}")
+    lengths = {a: marks[b] - marks[a] for a, b in itertools.pairwise(names)}
+    told("a run takes " + ", ".join(f"{name} {length:.2f} s" for name, length in lengths.items()))
+    for number in range(kills):
+        phase = str(rng.choice(list(PHASES), p=list(PHASES.values())))
+        delay = float(rng.uniform(0.0, lengths[phase]))
+        victim = Victim(folder / f"{number:03d}", mission, seed + number, settings)
+        killed = victim.kill(phase, delay)
+        yield check(victim, phase, killed)
+
+
+class Victim:
+    """A mission that is flown in a process of its own, and prints what it does."""
+
+    def __init__(self, folder: Path, mission: str, seed: int, settings: Mapping[str, str]) -> None:
+        folder.mkdir(parents=True)
+        self.run = folder / "run"
+        self._log = folder / "log"
+        self._errors = folder / "errors"
+        order = [
+            sys.executable,
+            "-m",
+            "sim.measure.kills",
+            "--victim",
+            str(self.run),
+            "--mission",
+            mission,
+            "--seed",
+            str(seed),
+        ]
+        order += [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
+        with self._log.open("wb") as log, self._errors.open("wb") as errors:
+            self.process = subprocess.Popen(order, stdout=log, stderr=errors)
+
+    def told(self) -> Told:
+        """What it printed so far."""
+        return Told.read(self._log)
+
+    def said(self) -> str:
+        """What it complained of."""
+        return self._errors.read_text(errors="replace").strip()[-500:]
+
+    def kill(self, phase: str, delay: float) -> float:
+        """Kill it `delay` s into a part of its run; returns when that was (s, monotonic)."""
+        until = time.monotonic() + _PATIENCE
+        while phase not in self.told().marks and self.process.poll() is None and time.monotonic() < until:
+            time.sleep(_POLL)
+        time.sleep(delay)
+        killed = time.monotonic()
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+        return killed
+
+
+def check(victim: Victim, phase: str, killed: float) -> Outcome:
+    """Recover a killed run and compare it with what its process had printed."""
+    from smolbot.errors import InputError
+    from smolbot.runs.recording.reader import read_run
+    from smolbot.runs.recover import recover
+
+    told, out = victim.told(), Outcome(phase)
+    out.cycles = len(told.cycles)
+    out.flushed = max((count for _, count in told.flushed), default=0)
+    begin = time.perf_counter()
+    try:
+        done = recover(victim.run)
+        out.took = time.perf_counter() - begin
+        again = recover(victim.run)
+        whole = read_run(victim.run)
+    except InputError as error:
+        if out.flushed or any(wall < killed - ALLOWED for wall, _ in told.cycles):
+            out.faults.append(f"not recovered: {error}")
+        return out
+    out.messages, out.torn, out.recovered = done.found.messages, done.torn is not None, len(whole.moments)
+    if not whole.whole or again.needed:
+        out.faults.append("is not whole after it was recovered")
+    if out.messages < out.flushed:
+        out.faults.append(f"{out.flushed} messages were said to be flushed, {out.messages} are there")
+    if whole.number_of_cycle != list(range(out.recovered)):
+        out.faults.append("cycles are missing in between")
+    for (_, line), moment in zip(told.cycles, whole.moments, strict=False):
+        if line["poses"] != _poses(moment.cycle):
+            out.faults.append(f"cycle {line['number']} is not what was played")
+    if out.recovered < out.cycles:
+        out.missing = killed - told.cycles[out.recovered][0]
+    summary = json.loads((victim.run / "summary.json").read_bytes())
+    if summary["cycles"] != out.recovered or not (victim.run / "path.png").is_file():
+        out.faults.append("summary or picture are not those of the record")
+    return out
+
+
+def fly_as_victim(folder: Path, mission: str, seed: int, settings: Mapping[str, str]) -> None:
+    """Fly as ``smolbot run`` does, and print every cycle as it is played."""
+    from smolbot.config.load import AnyMission, load_mission
+    from smolbot.flight.session import fly
+    from smolbot.runs.folder import RunFolder
+    from smolbot.runs.run import Listener
+
+    def say(kind: str, **values: Any) -> None:
+        line = json.dumps({"kind": kind, "wall": time.monotonic(), **values}) + "\n"
+        os.write(1, line.encode())  # at once, and in one piece, from whichever thread
+
+    class Teller:
+        number = 0
+
+        def __call__(self, record: CycleRecord) -> None:
+            command = record.command
+            say("cycle", number=self.number, poses=_poses(record), last=command.done or command.stuck)
+            self.number += 1
+
+    def listeners(_: AnyMission) -> tuple[Listener, ...]:
+        return (Teller(),)
+
+    loaded = load_mission(mission, settings=dict(settings))
+    say("begin")
+    fly(
+        loaded, seed, folder=RunFolder(folder), settings=settings, listeners=listeners,
+        flushed=lambda count: say("flushed", messages=count),
+    )  # fmt: skip
+    say("done")
+
+
+def _poses(record: CycleRecord) -> list[list[str] | None]:
+    """Poses as located and as believed, to the last bit, and the next currents."""
+
+    def exact(pose: Pose | None) -> list[str] | None:
+        if pose is None:
+            return None
+        return [float(v).hex() for v in (pose.time, *pose.position, *pose.orientation, *pose.covariance.ravel())]
+
+    return [exact(record.pose), exact(record.tracked), [repr(record.command)]]
+
+
+HEADER = "kill moment  played  there  flushed   read  torn  missing   took"
+
+
+def line(number: int, outcome: Outcome) -> str:
+    """One kill as a line of the table."""
+    torn, failed = "yes" if outcome.torn else "no", [*outcome.faults, *["late"] * outcome.late]
+    verdict = f"  FAILED: {'; '.join(failed[:3])}" if failed else ""
+    return (
+        f"{number:4d} {outcome.phase:7} {outcome.cycles:6d} {outcome.recovered:6d} {outcome.flushed:8d} "
+        f"{outcome.messages:6d} {torn:>5} {outcome.missing:6.3f} s {outcome.took:4.1f} s{verdict}"
+    )
+
+
+def main() -> None:
+    """Print the table; 1 if a run could not be recovered, or lies."""
+    parser = argparse.ArgumentParser(prog="python -m sim.measure.kills", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--mission", default="line")
+    parser.add_argument("--set", action="append", default=[], help="key=value laid over the mission file")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on standard output")
+    parser.add_argument("--victim", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    settings = dict(pair.split("=", 1) for pair in given.set)
+    if given.victim is not None:
+        fly_as_victim(given.victim, given.mission, given.seed, settings)
+        return
+
+    def tell(text: str) -> None:
+        print(text, file=sys.stderr if given.json else sys.stdout, flush=True)
+
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory() as folder:
+        tell(HEADER)
+        for outcome in kill_all(given.kills, given.seed, given.mission, settings, Path(folder), tell):
+            tell(line(len(outcomes), outcome))
+            outcomes.append(outcome)
+    failed = sum(bool(o.faults) or o.late for o in outcomes)
+    longest = max((o.missing for o in outcomes), default=0.0)
+    before = sum(not o.messages for o in outcomes)
+    tell(
+        f"{len(outcomes)} kills, {failed} failed; {before} came before anything was recorded or played; "
+        f"{sum(o.torn for o in outcomes)} left a torn record; "
+        f"at most {longest:.3f} s missing (allowed: {ALLOWED:g} s)"
+    )
+    if given.json:
+        print(json.dumps({"failed": failed, "longest_missing_s": longest, "kills": [asdict(o) for o in outcomes]}))
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""How much of a processor the twin's plant takes: ``python -m sim.measure.plant_speed``."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+
+import numpy as np
+
+from sim.tank.settings import TankSettings
+from sim.twin.plant import Plant
+from smolbot.config.document import validate
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
+
+PIECE = 250
+"""Samples that the card lets the plant play at once."""
+
+
+def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[str, float]:
+    """Processor time per second of the plant's own time, while nothing is driven, while everything is, and so on.
+
+    Parameters
+    ----------
+    rig_name, robot_name : str
+        As `load_rig` and `load_robot` find them.
+    seconds : float
+        Of the plant's time, for each state.
+    """
+    rig = load_rig(rig_name)
+    settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
+    if settings is None:
+        raise rig.document.error(faults)
+    plant = Plant(rig, load_robot(robot_name), settings, np.zeros(2), seed=1)
+    still = np.zeros((len(plant.loads), PIECE))
+    wave = 3.0 * np.sin(2 * np.pi * 100.0 * np.arange(PIECE) / plant.rate)
+    driven = np.tile(wave, (len(plant.loads), 1))
+    pieces = round(seconds * plant.rate / PIECE)
+
+    def load(currents: np.ndarray, *, heard: bool = False, turning: bool = False) -> float:
+        begin = time.process_time()
+        for k in range(pieces):
+            if turning:
+                plant.magnet(2 * np.pi * 0.25 * k * PIECE / plant.rate, 0.0, near=True)
+            plant.advance(currents)
+            if heard:
+                plant.volts(plant.played - PIECE, PIECE)
+        return (time.process_time() - begin) * plant.rate / (pieces * PIECE)
+
+    with closing(plant.carrier):
+        load(still, heard=True), load(driven)  # compiled
+        found = {"idle": load(still), "driven": load(driven), "idle and heard": load(still, heard=True)}
+        if rig.sections.magnet is not None:
+            found["magnet turning"] = load(still, turning=True)
+    return found
+
+
+def main() -> None:
+    """Print the loads of both shipped robots."""
+    for rig, robot in (("tank", "gradient"), ("gel", "helical")):
+        for state, share in plant_loads(rig, robot).items():
+            print(f"{rig}, {state}: {100 * share:.1f} % of a processor, {1 / share:.0f} times real time")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What holds a device and moves it: a liquid, a gel, a hand."""

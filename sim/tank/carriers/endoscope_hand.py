@@ -1,0 +1,196 @@
+"""A hand that leads a flexible endoscope's tip: in along a route, out again, in along the next."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.tank.carriers.routes import Route
+from sim.tank.settings import HandSection
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import quaternion_from_matrix
+
+PICK_UP = 40e-3  # m/s²: how fast a careful hand gathers speed and loses it
+SPACING = 5e-5  # m: between two points of the plan of times
+TICK = 1e-3  # s: between two known poses; straight between them
+TREMOR = np.array([0.9, 1.0, 1.1])  # a hand's tremor is a narrow band, not a line
+TORSION_PERIOD = 16.0  # s: a wrist that follows the view
+GRIP = 0.5  # s: in which tremor and torsion set in and fade
+
+
+@dataclass(frozen=True, eq=False)
+class Led:
+    """What was drawn of one hand and the organ that it works in.
+
+    Attributes
+    ----------
+    shifts : tuple of ndarray, shape (n_points, 3), in m
+        Of each route's points; none for the first, where the tip lies at the start.
+    pace : float
+        Factor on speed and turn rate.
+    roll : float, in rad
+        Of the device about the tip's axis, as it was taped on.
+    phases : ndarray, shape (6, 3), in rad
+        Of the tremor: along and about the world's axes.
+    torsion : float, in rad
+        Phase of the slow torsion.
+    """
+
+    shifts: tuple[FloatArray, ...]
+    pace: float
+    roll: float
+    phases: FloatArray
+    torsion: float
+
+    @classmethod
+    def draw(cls, section: HandSection, seed: int) -> Led:
+        """Draw a hand; it is one more of the world's own, at every scale of the mismatches."""
+        rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
+        shifts = []
+        for route in section.routes:
+            shift = 1e-3 * section.scatter_mm * np.clip(rng.standard_normal((len(route.points_mm), 3)), -2.0, 2.0)
+            shift[0] = 0.0
+            shifts.append(shift)
+        return cls(
+            shifts=tuple(shifts),
+            pace=float(np.exp(0.01 * section.pace_percent * np.clip(rng.standard_normal(), -2.0, 2.0))),
+            roll=float(np.radians(section.roll_scatter_deg) * np.clip(rng.standard_normal(), -2.0, 2.0)),
+            phases=rng.uniform(-np.pi, np.pi, (6, 3)),
+            torsion=float(rng.uniform(-np.pi, np.pi)),
+        )
+
+
+class Hand:
+    """Where a led device is at any time.
+
+    Parameters
+    ----------
+    section : HandSection
+    led : Led
+
+    Attributes
+    ----------
+    begins, ends : float, in s
+        Before and after, the tip lies still.
+    """
+
+    def __init__(self, section: HandSection, led: Led) -> None:
+        self._section, self._led = section, led
+        self.routes = routes_of(section, led)
+        self.begins = section.rest_s
+        self._plan = [self._times(route, section.routes[i].dwell_s) for i, route in enumerate(self.routes)]
+        self.ends = self.begins + sum(float(times[-1]) for times, _ in self._plan)
+        ticks = np.arange(self.begins, self.ends + 2 * TICK, TICK)
+        self._poses = self._planned(ticks)
+
+    def poses(self, times: FloatArray) -> FloatArray:
+        """Rotation centre (m) and orientation (scalar first), shape (n, 7), at times (n,) in s on the tank's clock."""
+        return np.array([self.pose(float(t)) for t in times])
+
+    def pose(self, time: float) -> FloatArray:
+        """The same (7,) at one time; asked a thousand times a second."""
+        ticks = min(max((time - self.begins) / TICK, 0.0), len(self._poses) - 1.001)
+        first = int(ticks)
+        share = ticks - first
+        found = (1.0 - share) * self._poses[first] + share * self._poses[first + 1]
+        found[3:] /= math.sqrt(found[3:] @ found[3:])
+        return found
+
+    def behind(self, times: FloatArray, distances: FloatArray) -> FloatArray:
+        """Places (n, k, 3) in m of the shaft's axis at `distances` (k,) m behind the tip: it lies along the route."""
+        leg, arc = self._where(times)
+        out = np.empty((len(times), len(distances), 3))
+        for index, route in enumerate(self.routes):
+            chosen = leg == index
+            if chosen.any():
+                along = (arc[chosen, None] - distances).ravel()
+                out[chosen] = route.at(along).reshape(-1, len(distances), 3)
+        return out + self._tremor(times)[0][:, None]
+
+    def _planned(self, times: FloatArray) -> FloatArray:
+        leg, arc = self._where(times)
+        places, frames = np.empty((len(times), 3)), np.empty((len(times), 3, 3))
+        for index, route in enumerate(self.routes):
+            chosen = leg == index
+            places[chosen], frames[chosen] = route.at(arc[chosen]), route.frames(arc[chosen])
+        slow = np.sin(2 * np.pi * (times - self.begins) / TORSION_PERIOD + self._led.torsion)
+        roll = self._led.roll + np.radians(self._section.torsion_deg) * self._grip(times) * slow
+        shaken, turned = self._tremor(times)
+        rotations = _turns(turned) @ frames @ _rolls(roll)
+        quaternions = np.array([quaternion_from_matrix(r) for r in rotations])
+        flips = np.sign(np.sum(quaternions[1:] * quaternions[:-1], axis=1))
+        quaternions[1:] *= np.cumprod(flips)[:, None]  # one sign throughout: they are interpolated
+        return np.concatenate([places + shaken, quaternions], axis=1)
+
+    def _where(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Index (n,) of the route and arc length (n,) in m on it."""
+        left = np.clip(times - self.begins, 0.0, self.ends - self.begins)
+        leg, arc = np.zeros(len(times)), np.zeros(len(times))
+        begun = 0.0
+        for index, (known, along) in enumerate(self._plan):
+            chosen = left >= begun
+            leg[chosen] = index
+            arc[chosen] = np.interp(left[chosen] - begun, known, along)
+            begun += float(known[-1])
+        return leg, arc
+
+    def _times(self, route: Route, dwell: float) -> tuple[FloatArray, FloatArray]:
+        """Times (n,) in s and arc lengths (n,) in m of one way in, the stay at its end, and the way out."""
+        n = max(int(np.ceil(route.length / SPACING)), 2)
+        step = route.length / n
+        middle = (np.arange(n) + 0.5) * step
+        speed = 1e-3 * self._section.speed_mm_s * self._led.pace
+        turning = np.radians(self._section.turn_deg_s) * self._led.pace
+        pace = 1.0 / (1.0 / speed + np.interp(middle, *route.bends) / turning)
+        from_end = np.minimum(middle, route.length - middle)
+        pace = np.minimum(pace, np.sqrt(2.0 * PICK_UP * from_end))
+        way = np.concatenate([[0.0], np.cumsum(step / pace)])
+        arc = np.linspace(0.0, route.length, n + 1)
+        back = way[-1] + dwell + (way[-1] - way[::-1])
+        return np.concatenate([way, back]), np.concatenate([arc, arc[::-1]])
+
+    def _grip(self, times: FloatArray) -> FloatArray:
+        """From 0 where the tip lies still to 1 where the hand holds it."""
+        near = np.minimum(times - self.begins, self.ends - times) / GRIP
+        return np.asarray(np.sin(0.5 * np.pi * np.clip(near, 0.0, 1.0)) ** 2)
+
+    def _tremor(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Displacement (n, 3) in m and rotation vector (n, 3) in rad, world frame."""
+        waves = 2 * np.pi * self._section.tremor_hz * np.multiply.outer(times, TREMOR)
+        each = np.sin(waves[:, None, :] + self._led.phases).sum(axis=2) * self._grip(times)[:, None]
+        share = np.sqrt(2.0 / 3.0) / np.sqrt(len(TREMOR))  # so that the root mean square of the whole is one
+        return 1e-3 * self._section.tremor_mm * share * each[:, :3], np.radians(
+            self._section.tremor_deg
+        ) * share * each[:, 3:]
+
+
+def routes_of(section: HandSection, led: Led | None = None) -> tuple[Route, ...]:
+    """The routes of a hand, as they stand in the file, or as they were drawn. All begin in one direction."""
+    points = [1e-3 * np.array(route.points_mm) for route in section.routes]
+    first = np.mean([p[1] - p[0] for p in points], axis=0)
+    if led is not None:
+        points = [p + shift for p, shift in zip(points, led.shifts, strict=True)]
+    return tuple(Route(p, first) for p in points)
+
+
+def _rolls(angles: FloatArray) -> FloatArray:
+    """Rotation matrices (n, 3, 3) about z."""
+    out = np.zeros((len(angles), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = np.cos(angles)
+    out[:, 1, 0] = np.sin(angles)
+    out[:, 0, 1] = -out[:, 1, 0]
+    out[:, 2, 2] = 1.0
+    return out
+
+
+def _turns(vectors: FloatArray) -> FloatArray:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) in rad (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
+    cross = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
+    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
+    half = np.sinc(angle / (2 * np.pi))
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * (cross @ cross)

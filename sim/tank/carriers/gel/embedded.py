@@ -1,0 +1,167 @@
+"""A helix embedded in gel: it turns with the rotating magnet, and rests while that is away."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sim.tank.carriers.carrier import Magnetic, State
+from sim.tank.carriers.gel import kernels
+from sim.tank.carriers.gel.truth import draw_gel, gel_generators, pack_cube, pack_gel, pack_inclusions
+from sim.tank.magnetics.magnet import true_device
+from sim.tank.mismatch import Truth
+from sim.tank.settings import TankSettings
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_axes,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+)
+from smolbot.core.shots import MoveMagnet, Rotate, Window
+from smolbot.errors import InputError
+
+
+class Embedded:
+    """The carrier of a helical robot; keeps the promise of `sim.tank.carriers.carrier.Turned`."""
+
+    def __init__(
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
+        *, ideal: bool = False,
+    ) -> None:  # fmt: skip
+        draws, self._hand = gel_generators(seed)
+        own = draw_gel(settings, draws, ideal=ideal)
+        self._truth = own
+        self._device = true_device(robot, settings, truth)
+        self._gel = pack_gel(rig, robot, settings, own)
+        self._cube = pack_cube(rig, own)
+        self._inclusions = pack_inclusions(settings)
+        self._lateness = 0.0 if ideal else 0.01 * settings.mismatch.scale * settings.gel.mismatch.lateness_percent
+        self.longest_step = 1e-3 * settings.gel.step_ms
+        self._steering_rate = math.radians(rig.magnet.max_steering_deg_per_s)
+        self._near, self._steered = False, False
+        self._turn_rate, self._steer_to = 0.0, 0.0
+        self._state = np.zeros(kernels.GEL_STATE_LENGTH)
+        self._load, self._moved = np.zeros(6), np.zeros(6)
+        self._put_down(rig, robot, truth, np.asarray(start, dtype=np.float64), own.start_heading, own.start_roll)
+        middle = 0.5 * (self._gel[kernels.LOW] + self._gel[kernels.HIGH])
+        self._state[2] = middle + own.start_height * (self._gel[kernels.HIGH] - self._gel[kernels.LOW])
+
+    def state(self) -> State:
+        """Where the housing is now; in a gel nothing coasts."""
+        s = self._state
+        return (
+            (float(s[0]), float(s[1]), float(s[2])),
+            (float(s[3]), float(s[4]), float(s[5]), float(s[6])),
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0, 0.0),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """What was drawn of gel, helix and magnet."""
+        return self._truth.as_dict()
+
+    def lasting(self, window: Window) -> float:
+        """How long a window truly lasts, in s: a hand that moves a magnet is late, never early."""
+        if isinstance(window, MoveMagnet):
+            late = abs(float(np.clip(self._hand.standard_normal(), -3.0, 3.0)))
+            return window.duration * (1.0 + self._lateness * late)
+        return window.duration
+
+    def begin(self, window: Window, time: float) -> None:
+        """Set the stage for a window; its axis is free to move while the magnet is away."""
+        self._turn_rate = 0.0
+        if isinstance(window, MoveMagnet):
+            self._near, self._steered = window.to == "near" and self._near, False
+        elif isinstance(window, Rotate):
+            self._aim(math.atan2(window.axis[1], window.axis[0]), window.frequency)
+
+    def end(self, window: Window) -> None:
+        """A window is over: a magnet that was on its way has arrived."""
+        if isinstance(window, MoveMagnet):
+            self._near = window.to == "near"
+        self._turn_rate = 0.0
+
+    def _aim(self, heading: float, frequency: float) -> None:
+        """Steer to `heading` (rad) and turn; where it is nearer, to the opposite one, turning the other way."""
+        off = _wrapped(heading - float(self._state[kernels.STEER]))
+        backward = abs(off) > 0.5 * math.pi
+        self._turn_rate = (-1.0 if backward else 1.0) * 2.0 * math.pi * frequency
+        self._steer_to = heading + (math.pi if backward else 0.0)
+        if not self._steered:
+            self._state[kernels.STEER] = self._steer_to
+            self._steered = True
+
+    def follow(self, turn: float, steering: float, near: bool, span: float) -> None:
+        """The stage stands at `turn` and `steering` (rad) once the next `span` s are over: a magnet that is measured
+        instead of commanded."""
+        if near and not self._near:
+            self._state[kernels.STEER], self._state[kernels.TURN] = steering, turn
+        self._near, self._steered = near, True
+        off = _wrapped(steering - float(self._state[kernels.STEER]))
+        self._steer_to, self._steering_rate = steering, abs(off) / span
+        self._turn_rate = (turn - float(self._state[kernels.TURN])) / span
+
+    def magnet_at(self, points: FloatArray) -> FloatArray:
+        """Field (n, 3) in T of the magnet, where it stands now, at world points (n, 3) in m; zero while it is away."""
+        field = np.zeros((len(points), 3))
+        if self._near:
+            gradient, work = np.empty((3, 3)), np.empty((4, 3, 3))
+            steer, turn = float(self._state[kernels.STEER]), float(self._state[kernels.TURN])
+            for point, b in zip(points, field, strict=True):
+                kernels.magnet_field(point, self._cube, steer, turn, b, gradient, work)
+        return field
+
+    def turn(self, step: float, poses: FloatArray) -> None:
+        """As many steps of `step` s as `poses` (n, 7) has rows, which receive rotation centre and orientation."""
+        if self._near:
+            kernels.screw(
+                self._state, self._device, self._gel, self._inclusions, self._cube,
+                self._steer_to, self._steering_rate, self._turn_rate, step, poses,
+            )  # fmt: skip
+        else:
+            turn = matrix_from_quaternion(self._state[3:7].copy())
+            poses[:, :3] = self._state[:3] - turn @ self._device[10:13]
+            poses[:, 3:] = self._state[3:7]
+
+    def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
+        """One step: a magnet that is near holds still and pulls; otherwise the coils would have to exceed the yield."""
+        if self._near:
+            self.turn(step, np.empty((1, 7)))
+            return
+        rotation = matrix_from_quaternion(self._state[3:7].copy())
+        self._load[:3] = rotation @ magnetic[:3]
+        self._load[3:] = rotation @ magnetic[3:]
+        kernels.flow(np.ascontiguousarray(rotation[:, 2]), self._load, self._gel, 1.0, 1.0, self._moved)
+        if self._moved.any():
+            kernels.move(self._state, self._moved, step)
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+    def _put_down(
+        self, rig: RigConfig, robot: RobotConfig, truth: Truth, start: FloatArray, off: float, roll: float
+    ) -> None:
+        section = rig.sections.container
+        away = np.abs(start[:2] - 1e-3 * np.array(section.center_mm))
+        room = 0.5e-3 * np.array(section.size_mm) - 0.5 * robot.size[2]
+        if np.any(away > room):
+            raise InputError(
+                f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "
+                f"got ({1e3 * start[0]:.1f}, {1e3 * start[1]:.1f}) mm."
+            )
+        heading = (float(start[2]) if len(start) > 2 else 0.0) + off
+        ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
+        level = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zx")
+        orientation = quaternion_product(level, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))
+        center = np.array([*(start[:2] + truth.start_offset), 0.0])
+        self._state[:3] = center + matrix_from_quaternion(orientation) @ robot.center
+        self._state[3:7] = orientation
+
+
+def _wrapped(angle: float) -> float:
+    return math.remainder(angle, 2.0 * math.pi)

@@ -1,0 +1,128 @@
+"""A device that does not move by itself: led by a hand, or left where it was implanted. Keeps the carriers' promise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from sim.tank.carriers.carrier import Carrier, Magnetic, State
+from sim.tank.carriers.endoscope_hand import Hand, Led
+from sim.tank.carriers.endoscope_shaft import Shaft
+from sim.tank.magnetics.coils import MARGIN, volume
+from sim.tank.settings import HandSection, PlaceSection, TankSettings
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.shots import Window
+from smolbot.errors import InputError
+
+STILL = (0.0, 0.0, 0.0)
+
+
+def held(rig: RigConfig, robot: RobotConfig, settings: TankSettings, seed: int) -> Carrier:
+    """What holds a bare device in this tank.
+
+    Raises
+    ------
+    InputError
+        If the rig file says of no hand and no place.
+    """
+    if settings.hand is not None:
+        return Leading(settings.hand, seed, robot.device.l0)
+    if settings.place is not None:
+        return Implanted(rig, settings.place, seed)
+    raise InputError(
+        f"{rig.name}: '{robot.name}' is a bare device, and this tank says nothing of what holds it; "
+        "its rig file needs [tank.hand] or [tank.place]."
+    )
+
+
+class Leading:
+    """Brings the device wherever the hand leads it; with an endoscope's shaft, its magnetism too."""
+
+    def __init__(self, section: HandSection, seed: int, l0: float) -> None:
+        self.led = Led.draw(section, seed)
+        self.hand = Hand(section, self.led)
+        self.shaft = Shaft.draw(section.shaft, seed, l0) if section.shaft is not None else None
+        self.field_at_magnet: FloatArray = np.zeros(3) if self.shaft is None else self.shaft.at_magnet(l0)
+        self._time = 0.0
+
+    def state(self) -> State:
+        """Where the track says that the device is now."""
+        x, y, z, w, i, j, k = self.hand.pose(self._time).tolist()
+        return (x, y, z), (w, i, j, k), STILL, STILL
+
+    def begin(self, window: Window, time: float) -> None:
+        """The hand minds no window."""
+
+    def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
+        """The hand is stronger than any field."""
+        self._time = time + step
+
+    def heard(
+        self, clock: float, n: int, rate: float, delay: float, positions: FloatArray, axes: FloatArray
+    ) -> FloatArray:
+        """What the shaft puts into the sensors."""
+        if self.shaft is None:
+            return np.zeros((len(positions), n))
+        return self.shaft.heard(self.hand, clock, n, rate, delay, positions, axes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The drawn hand and shaft."""
+        drawn = {"hand": asdict(self.led)}
+        if self.shaft is not None:
+            drawn["shaft"] = asdict(self.shaft)
+        return _plain(drawn)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class Implanted:
+    """Stays where it was put: near a place, heading anywhere, not quite level."""
+
+    def __init__(self, rig: RigConfig, section: PlaceSection, seed: int) -> None:
+        rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
+        draws = np.clip(rng.standard_normal(5), -2.0, 2.0)
+        heading = float(rng.uniform(-math.pi, math.pi))
+        if section.heading_deg is not None:
+            heading = math.radians(section.heading_deg)
+        low, high = volume(rig)
+        wanted = 1e-3 * (np.array(section.position_mm) + section.scatter_mm * np.array([*draws[:2], 0.0]))
+        self.position = np.clip(wanted, low + MARGIN, high - MARGIN)
+        pitch, roll = np.radians([section.pitch_scatter_deg * draws[2], section.roll_scatter_deg * draws[3]])
+        ahead = np.array([math.cos(heading), math.sin(heading), math.tan(pitch)])
+        level = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zx")
+        self.orientation = quaternion_product(level, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))
+        x, y, z = self.position.tolist()
+        w, i, j, k = self.orientation.tolist()
+        self._state: State = (x, y, z), (w, i, j, k), STILL, STILL
+
+    def state(self) -> State:
+        """Where it was put."""
+        return self._state
+
+    def begin(self, window: Window, time: float) -> None:
+        """Tissue minds no window."""
+
+    def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
+        """Tissue is stiffer than any field is strong."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The drawn place."""
+        return _plain({"place": {"position": self.position, "orientation": self.orientation}})
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value

@@ -1,0 +1,127 @@
+"""What the liquid does to the floating robot: weight, buoyancy, the surface's hold, and implicit Stokes drag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from sim.tank.carriers.bullet import box_inertia
+from sim.tank.mismatch import Truth
+from sim.tank.settings import TankSettings
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray
+
+GRAVITY = 9.81
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """The floating housing, in SI.
+
+    Attributes
+    ----------
+    values : ndarray, shape (17,)
+        Mass, inertia (3), drag along (3) and about (3) the body axes, weight, buoyancy of the whole box, height of the
+        box, height of the surface, stiffness of the meniscus (N/m), righting stiffness about body x and z (N·m/rad).
+    float_height : float, in m
+        Height of the housing's middle, world frame, where it floats (or rests on the floor, if too heavy).
+    """
+
+    values: FloatArray
+    float_height: float
+
+    @classmethod
+    def build(cls, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth) -> Hull:
+        """The hull of a robot in a rig's liquid, as it truly is.
+
+        Drag is that of a sphere, ``6 pi mu r`` and ``8 pi mu r³``, times what was drawn for each axis. A floating body
+        rights itself by ``rho g (I_waterplane + V (z_B - z_G))``; around its waterline the pinned meniscus adds a
+        spring of ``sqrt(sigma rho g)`` for each metre of line.
+        """
+        x, y, z = robot.size
+        density = rig.sections.medium.density_kg_m3 * truth.density
+        viscosity, radius = rig.sections.medium.viscosity_pa_s, robot.drag_radius
+        pull = density * GRAVITY
+        draft = min(robot.mass / (density * x * z), y)
+        lever = 0.5 * draft - 0.5 * y  # of the centre of buoyancy over the middle of the housing
+        line = settings.surface.meniscus_n_per_m2
+        about_x = pull * (x * z**3 / 12 + x * z * draft * lever) + line * (x * z**2 / 2 + z**3 / 6)
+        about_z = pull * (z * x**3 / 12 + x * z * draft * lever) + line * (z * x**2 / 2 + x**3 / 6)
+        values = [
+            robot.mass,
+            *box_inertia(robot),
+            *(6 * np.pi * viscosity * radius * truth.drag),
+            *(8 * np.pi * viscosity * radius**3 * truth.rotation_drag),
+            robot.mass * GRAVITY,
+            pull * x * y * z,
+            y,
+            rig.surface_z,
+            line * 2 * (x + z),
+            about_x,
+            about_z,
+        ]
+        if draft < y:
+            return cls(np.array(values), rig.surface_z - draft + 0.5 * y)
+        return cls(np.array(values), rig.sections.container.floor_z_mm * 1e-3 + 0.5 * y)
+
+
+@njit(cache=True, error_model="numpy")
+def float_step(
+    position: Triple,
+    quaternion: tuple[float, float, float, float],
+    velocity: Triple,
+    spin: Triple,
+    magnetic: tuple[float, float, float, float, float, float],
+    hull: FloatArray,
+    float_height: float,
+    step: float,
+) -> tuple[Triple, Triple]:
+    """Velocity and spin after one step, with drag taken at its end (implicit Euler).
+
+        v' = (v + F dt / m) / (1 + gamma dt / m)   along each body axis, and likewise for the spin
+
+    The terminal velocity ``F / gamma`` is exact at any step, however short the time in which momentum dies.
+
+    Parameters
+    ----------
+    position, quaternion, velocity, spin : tuple of 3, 4, 3, 3
+        Middle of the housing in m, orientation (scalar first), m/s and rad/s, world frame.
+    magnetic : tuple of 6
+        Force (N) and torque (N·m), body frame, as `sim.tank.magnetics.cantilever.swing` returns them.
+    hull, float_height
+        As `Hull` holds them.
+    step : float, in s
+
+    Returns
+    -------
+    tuple of 3, tuple of 3
+        Velocity in m/s and spin in rad/s, world frame.
+    """
+    w, x, y, z = quaternion
+    xx, xy, xz = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    yx, yy, yz = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    zx, zy, zz = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    height = hull[12]
+    wet = min(max((hull[13] - position[2]) / height + 0.5, 0.0), 1.0)
+    lift = hull[11] * wet - hull[10]
+    tip_x = tip_z = 0.0
+    if 0.0 < wet < 1.0:
+        lift -= hull[14] * (position[2] - float_height)
+        tip_x, tip_z = hull[15] * zz, -hull[16] * zx  # turns body y toward the world's up
+    force_x, force_y, force_z = magnetic[0] + lift * zx, magnetic[1] + lift * zy, magnetic[2] + lift * zz
+    mass = step / hull[0]
+    u = (velocity[0] * xx + velocity[1] * yx + velocity[2] * zx + mass * force_x) / (1 + mass * hull[4])
+    v = (velocity[0] * xy + velocity[1] * yy + velocity[2] * zy + mass * force_y) / (1 + mass * hull[5])
+    t = (velocity[0] * xz + velocity[1] * yz + velocity[2] * zz + mass * force_z) / (1 + mass * hull[6])
+    ix, iy, iz = step / hull[1], step / hull[2], step / hull[3]
+    p = (spin[0] * xx + spin[1] * yx + spin[2] * zx + ix * (magnetic[3] + tip_x)) / (1 + ix * hull[7])
+    q = (spin[0] * xy + spin[1] * yy + spin[2] * zy + iy * magnetic[4]) / (1 + iy * hull[8])
+    r = (spin[0] * xz + spin[1] * yz + spin[2] * zz + iz * (magnetic[5] + tip_z)) / (1 + iz * hull[9])
+    return (
+        (xx * u + xy * v + xz * t, yx * u + yy * v + yz * t, zx * u + zy * v + zz * t),
+        (xx * p + xy * q + xz * r, yx * p + yy * q + yz * r, zx * p + zy * q + zz * r),
+    )

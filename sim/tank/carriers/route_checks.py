@@ -1,0 +1,61 @@
+"""Whether a hand's routes, or a place, lie in the container: checked as the rig file is read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim.tank.carriers.endoscope_hand import routes_of
+from sim.tank.settings import TankSettings
+from smolbot.config.document import Fault, KeyPath
+from smolbot.core.arrays import FloatArray
+
+SCATTERS = 2.0  # standard deviations by which a drawn point may lie off
+STEPS = 200  # points of a route that are looked at
+
+
+def holding_faults(settings: TankSettings, container: Any) -> list[Fault]:
+    """Every reason why what holds a bare device does not go with the `[container]` section."""
+    if settings.hand is not None and settings.place is not None:
+        return [Fault(("tank", "place"), "a device is led by [tank.hand] or rests at [tank.place], not both.")]
+    box = _box(container)
+    if box is None:  # its own faults are told elsewhere
+        return []
+    low, high = box
+    faults: list[Fault] = []
+    if settings.hand is not None:
+        room = SCATTERS * settings.hand.scatter_mm + 2.0 * settings.hand.tremor_mm
+        for index, route in enumerate(routes_of(settings.hand)):
+            places = 1e3 * route.at(np.linspace(0.0, route.length, STEPS))
+            faults += _outside(places, low, high, room, ("tank", "hand", "routes", index, "points_mm"))
+    if settings.place is not None:
+        place = np.array([settings.place.position_mm])
+        sideways = SCATTERS * settings.place.scatter_mm * np.array([1.0, 1.0, 0.0])
+        faults += _outside(place, low, high, sideways, ("tank", "place", "position_mm"))
+    return faults
+
+
+def _outside(places: FloatArray, low: FloatArray, high: FloatArray, room: Any, key: KeyPath) -> list[Fault]:
+    off = np.flatnonzero(np.any((places < low + room - 1e-9) | (places > high - room + 1e-9), axis=1))
+    if not off.size:
+        return []
+    x, y, z = places[off[0]]
+    a, b = low + room, high - room
+    return [
+        Fault(
+            key,
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm lies outside the container; with what is drawn there is room for "
+            f"x {a[0]:.1f} to {b[0]:.1f}, y {a[1]:.1f} to {b[1]:.1f}, z {a[2]:.1f} to {b[2]:.1f} mm.",
+        )
+    ]
+
+
+def _box(container: Any) -> tuple[FloatArray, FloatArray] | None:
+    """Corners (3,) and (3,) in mm."""
+    try:
+        center, size = np.array(container["center_mm"], dtype=float), np.array(container["size_mm"], dtype=float)
+        floor, surface = float(container["floor_z_mm"]), float(container["surface_z_mm"])
+        return np.array([*(center - 0.5 * size), floor]), np.array([*(center + 0.5 * size), surface])
+    except (KeyError, TypeError, ValueError):
+        return None

@@ -1,0 +1,52 @@
+"""The ``[tank.gel]`` section of a rig file: what gel, plates and magnet stage are like beyond what is believed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from smolbot.config.document import FileModel
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class Inclusion(FileModel):
+    """A round piece of stiffer gel, from floor to plate, that nobody is told of."""
+
+    center_mm: tuple[float, float]
+    radius_mm: Positive
+    factor: Annotated[float, Field(ge=1)]
+
+
+class GelMismatch(FileModel):
+    """Standard deviations, scaled by ``[tank.mismatch] scale`` and drawn as all others are."""
+
+    yield_percent: NotNegative = 5.0
+    viscosity_percent: NotNegative = 8.0
+    anisotropy_percent: NotNegative = 5.0
+    pitch_percent: NotNegative = 2.0
+    cutting_percent: NotNegative = 20.0
+    friction_percent: NotNegative = 20.0
+    remanence_percent: NotNegative = 1.5
+    magnet_place_mm: NotNegative = 1.0
+    magnet_axis_deg: NotNegative = 1.0
+    steering_deg: NotNegative = 1.5
+    home_deg: NotNegative = 3.0
+    lateness_percent: NotNegative = 20.0
+
+
+class GelSettings(FileModel):
+    """Everything the ``[tank.gel]`` section says; every key has a default."""
+
+    thread_hold: Positive = 4.0
+    bearing: Positive = 7.0
+    nose_bearing: Positive = 9.0
+    way_back: NotNegative = 0.3
+    plate_stiffness_n_per_m: Positive = 1000.0
+    plate_friction: NotNegative = 0.1
+    step_ms: Annotated[float, Field(gt=0, le=5)] = 2.0
+    start_heading_deg: NotNegative = 3.0
+    inclusions: list[Inclusion] = Field(default_factory=list)
+    mismatch: GelMismatch = GelMismatch()

@@ -1,0 +1,75 @@
+"""What has happened in the tank, and the witness who may be asked about it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.errors import InputError
+
+
+class History:
+    """Where the robot truly was at the start of every physics step; grows as the tank runs."""
+
+    def __init__(self) -> None:
+        self._times = np.empty(4096)
+        self._poses = np.empty((4096, 7))
+        self._count = 0
+
+    def reserve(self, more: int) -> tuple[FloatArray, FloatArray]:
+        """Room for `more` further rows: views of times (more,) and poses (more, 7) that the caller fills."""
+        need = self._count + more
+        if need > len(self._times):
+            size = max(need, 2 * len(self._times))
+            self._times = np.concatenate([self._times[: self._count], np.empty(size - self._count)])
+            self._poses = np.concatenate([self._poses[: self._count], np.empty((size - self._count, 7))])
+        start = self._count
+        self._count = need
+        return self._times[start:need], self._poses[start:need]
+
+    def drop_last(self, rows: int = 1) -> None:
+        """Forget the last rows."""
+        self._count -= rows
+
+    def forget_before(self, time: float) -> None:
+        """Forget the rows before `time` s, but for the last of them."""
+        first = max(int(np.searchsorted(self._times[: self._count], time)) - 1, 0)
+        left = self._count - first
+        self._times[:left] = self._times[first : self._count].copy()
+        self._poses[:left] = self._poses[first : self._count].copy()
+        self._count = left
+
+    def since(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Times (p,) in s and poses (p, 7) from the last row before `time` on."""
+        times = self._times[: self._count]
+        first = max(int(np.searchsorted(times, time)) - 1, 0)
+        return times[first:], self._poses[first : self._count]
+
+    def at(self, time: float) -> FloatArray:
+        """Pose (7,) at `time` s: rotation centre in m, quaternion scalar first, straight between steps."""
+        times = self._times[: self._count]
+        if not self._count or not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
+            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if self._count else "nothing yet"
+            raise InputError(f"The witness knows {span}; got {time:.3f} s. Only times already played can be asked.")
+        i = min(max(int(np.searchsorted(times, time)) - 1, 0), self._count - 2) if self._count > 1 else 0
+        if self._count == 1:
+            return self._poses[0].copy()
+        a = min(max((time - times[i]) / (times[i + 1] - times[i]), 0.0), 1.0)
+        pose = np.array((1 - a) * self._poses[i] + a * self._poses[i + 1])
+        if self._poses[i, 3:] @ self._poses[i + 1, 3:] < 0:  # q and -q are the same turn
+            pose[3:] = (1 - a) * self._poses[i, 3:] - a * self._poses[i + 1, 3:]
+        pose[3:] /= np.linalg.norm(pose[3:])
+        return pose
+
+
+class TankWitness:
+    """Knows the truth of one tank. Held by recorder and report, never by the loop's estimators."""
+
+    def __init__(self, history: History) -> None:
+        self._history = history
+
+    def truth(self, time: float) -> Pose:
+        """True pose at `time` s, without covariance; raises `InputError` for times not played."""
+        pose = self._history.at(time)
+        return Pose(time, pose[:3], pose[3:], np.zeros((6, 6)))

@@ -1,0 +1,1 @@
+"""True fields, the swinging magnet, and what sensors make of them."""

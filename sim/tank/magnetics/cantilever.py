@@ -1,0 +1,333 @@
+"""Kernels of one physics step: true coil fields at the magnet, coil currents, and the swinging cantilever.
+
+They call each other and so share this file (numba's cache does not see a change in another one). All work in the body
+frame: x sideways, y the axis of oscillation, z along the cantilever.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from smolbot.core.arrays import FloatArray
+
+Triple = tuple[float, float, float]
+Quad = tuple[float, float, float, float]
+
+# Entries of `device`: m (A·m²), direction at rest (x, z), l0, theta_max, omega0², friction (rad/s²), damping eta (1/s),
+# restitution of the stops, inertia (kg·m²), middle of the housing seen from the rotation centre (3)
+DEVICE_LENGTH = 13
+# Entries of `state`: deflection (rad), rate (rad/s), time in the window (s), angular frequency of the drive (rad/s)
+STATE_LENGTH = 4
+# Columns of `circuits`: current (A), constant command (A), amplitude of a sine command (A), time constant (s)
+LIVE = 1e-5  # A: below it a coil moves nothing (its field is below 1e-8 T)
+SILENT = 1e-12  # A: below it no sensor hears it
+
+
+@njit(cache=True, error_model="numpy")
+def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad, Quad]:
+    """First coefficient of the cell that holds x (beyond the table the outermost cell), the four cubic B-spline weights
+    and their derivatives."""
+    u = (x - origin) * scale
+    i = max(1, min(math.floor(u), count - 3))
+    t = min(max(u - i, 0.0), 1.0)
+    s = 1.0 - t
+    value = (s**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * s**2 + 3.0 * s**3) / 6.0, t**3 / 6.0)
+    slope = (-0.5 * s**2 * scale, (1.5 * t**2 - 2.0 * t) * scale, (2.0 * s - 1.5 * s**2) * scale, 0.5 * t**2 * scale)
+    return i - 1, value, slope
+
+
+@njit(cache=True, error_model="numpy")
+def _round_field(
+    x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray
+) -> None:
+    """Field (3,) and gradient (3, 3) of a round coil at a point in its own frame, T per A and T per (A m)."""
+    radius = math.sqrt(x * x + y * y)
+    n_heights = int(row[3])
+    i, wr, dr = _cell(radius, row[5], row[8], int(row[2]))
+    j, wh, dh = _cell(z, row[6], row[8], n_heights)
+    start = int(row[1])
+    br = bz = brr = brz = bzr = bzz = 0.0
+    for p in range(4):
+        at = start + 2 * ((i + p) * n_heights + j)
+        radial = axial = radial_slope = axial_slope = 0.0
+        for q in range(4):
+            radial += table[at + 2 * q] * wh[q]
+            axial += table[at + 2 * q + 1] * wh[q]
+            radial_slope += table[at + 2 * q] * dh[q]
+            axial_slope += table[at + 2 * q + 1] * dh[q]
+        br += wr[p] * radial
+        bz += wr[p] * axial
+        brr += dr[p] * radial
+        bzr += dr[p] * axial
+        brz += wr[p] * radial_slope
+        bzz += wr[p] * axial_slope
+    if radius > 1e-9:
+        c, s, across = x / radius, y / radius, br / radius
+    else:
+        c, s, across = 1.0, 0.0, brr
+    b[0], b[1], b[2] = br * c, br * s, bz
+    g[0, 0] = brr * c * c + across * s * s
+    g[0, 1] = g[1, 0] = (brr - across) * c * s
+    g[1, 1] = brr * s * s + across * c * c
+    g[0, 2], g[1, 2] = brz * c, brz * s
+    g[2, 0], g[2, 1], g[2, 2] = bzr * c, bzr * s, bzz
+
+
+@njit(cache=True, error_model="numpy")
+def _flat_field(x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray) -> None:
+    """Field (3,) and gradient (3, 3) of a flat coil at a point in its own frame, T per A and T per (A m)."""
+    ny, nz = int(row[3]), int(row[4])
+    i, wx, dx = _cell(x, row[5], row[8], int(row[2]))
+    j, wy, dy = _cell(y, row[6], row[8], ny)
+    k, wz, dz = _cell(z, row[7], row[8], nz)
+    start = int(row[1])
+    b[:] = 0.0
+    g[:, :] = 0.0
+    for p in range(4):
+        for q in range(4):
+            at = start + 3 * (((i + p) * ny + j + q) * nz + k)
+            level, along_x, along_y = wx[p] * wy[q], dx[p] * wy[q], wx[p] * dy[q]
+            for c in range(3):
+                value = slope = 0.0
+                for r in range(4):
+                    value += table[at + 3 * r + c] * wz[r]
+                    slope += table[at + 3 * r + c] * dz[r]
+                b[c] += level * value
+                g[c, 0] += along_x * value
+                g[c, 1] += along_y * value
+                g[c, 2] += level * slope
+
+
+@njit(cache=True, error_model="numpy")
+def coil_field(
+    point: FloatArray,
+    row: FloatArray,
+    table: FloatArray,
+    rotation: FloatArray,
+    b: FloatArray,
+    g: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Field and gradient of one coil at a world point, seen in the frame whose axes are the columns of `rotation`.
+
+    Parameters
+    ----------
+    point : ndarray, shape (3,), in m
+    row, table
+        As `sim.tank.magnetics.coil_fields.CoilSet` packs them.
+    rotation : ndarray, shape (3, 3)
+        Takes vectors of the wanted frame to world vectors; the identity for a result in the world frame.
+    b : ndarray, shape (3,), in T per A
+        Receives the field.
+    g : ndarray, shape (3, 3), in T per (A·m)
+        Receives the gradient, ``g[i, j] = dB_i / dx_j``.
+    work : ndarray, shape (4, 3, 3)
+        Scratch: an allocation costs as much as a field.
+    """
+    turn, half, own_g, own_b = work[0], work[1], work[2], work[3, 0]
+    dx, dy, dz = point[0] - row[9], point[1] - row[10], point[2] - row[11]
+    for r in range(3):
+        fx, fy, fz = row[12 + 3 * r], row[13 + 3 * r], row[14 + 3 * r]
+        work[3, 1, r] = fx * dx + fy * dy + fz * dz
+        for c in range(3):
+            turn[r, c] = fx * rotation[0, c] + fy * rotation[1, c] + fz * rotation[2, c]
+    x, y, z = work[3, 1, 0], work[3, 1, 1], work[3, 1, 2]
+    if row[0] == 0.0:
+        _round_field(x, y, z, row, table, own_b, own_g)
+    else:
+        _flat_field(x, y, z, row, table, own_b, own_g)
+    gain = row[21]
+    for r in range(3):
+        for c in range(3):
+            half[r, c] = gain * (own_g[r, 0] * turn[0, c] + own_g[r, 1] * turn[1, c] + own_g[r, 2] * turn[2, c])
+    for r in range(3):
+        b[r] = gain * (own_b[0] * turn[0, r] + own_b[1] * turn[1, r] + own_b[2] * turn[2, r])
+        for c in range(3):
+            g[r, c] = turn[0, r] * half[0, c] + turn[1, r] * half[1, c] + turn[2, r] * half[2, c]
+
+
+@njit(cache=True, error_model="numpy")
+def fields_at(points: FloatArray, rows: FloatArray, table: FloatArray) -> FloatArray:
+    """Field (n_coils, n, 3) in T per A of every coil at world points (n, 3) in m, world frame."""
+    out = np.empty((len(rows), len(points), 3))
+    g, world, work = np.empty((3, 3)), np.eye(3), np.empty((4, 3, 3))
+    for c in range(len(rows)):
+        for i in range(len(points)):
+            coil_field(points[i], rows[c], table, world, out[c, i], g, work)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def swing(
+    position: Triple,
+    quaternion: Quad,
+    device: FloatArray,
+    earth: FloatArray,
+    rows: FloatArray,
+    table: FloatArray,
+    circuits: FloatArray,
+    state: FloatArray,
+    poses: FloatArray,
+    index: int,
+    trace: FloatArray,
+    used: int,
+    step: float,
+    substeps: int,
+    commands: FloatArray,
+    at: int,
+) -> tuple[float, float, float, float, float, float]:
+    """Advance currents and cantilever by one physics step and return what the field does to the robot.
+
+        theta'' = -2 eta theta' - friction sign(theta') - omega0² theta + Q / I
+        Q = m B . (y x m_dir) + F . (y x r),   F = grad(m . B),   I = m_mag l0²
+
+    The field is expanded to first order around the magnet's place at the start of the step.
+
+    Parameters
+    ----------
+    position, quaternion : tuple of 3 (m) and 4
+        Middle of the housing and its orientation (scalar first), world frame.
+    device, state, circuits : ndarray
+        As laid out at the top of this file; `state` and the currents are advanced in place.
+    earth : ndarray, shape (3,), in T
+        Uniform field, world frame.
+    rows, table
+        As `sim.tank.magnetics.coil_fields.CoilSet` packs them; as many rows as `circuits`.
+    poses : ndarray, shape (k, 7)
+        Row `index` receives the rotation centre (m) and the orientation at the start of the step.
+    trace : ndarray, shape (l, 1 + n_coils)
+        Rows from `used` on receive deflection and currents at the end of each substep.
+    step : float, in s
+    substeps : int
+    commands : ndarray, shape (m, n), in A
+        Sampled commands of the first n coils, a row for each substep from row `at` on; no rows where the commands of
+        `circuits` count.
+    at : int
+
+    Returns
+    -------
+    tuple of 6
+        Mean force (N) and mean torque about the middle of the housing (N·m), body frame.
+    """
+    w, x, y, z = quaternion
+    scratch = np.empty((7, 3, 3))
+    rotation, work, point, e = scratch[0], scratch[1:5], scratch[5, 0], scratch[5, 1]
+    pose = poses[index]
+    rotation[0, 0], rotation[0, 1], rotation[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    rotation[1, 0], rotation[1, 1], rotation[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    rotation[2, 0], rotation[2, 1], rotation[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    moment, rest_x, rest_z, l0 = device[0], device[1], device[2], device[3]
+    theta_max, omega2, friction = device[4], device[5], device[6]
+    eta, restitution, agility = device[7], device[8], 1.0 / device[9]
+    theta, rate = state[0], state[1]
+    start_x, start_z = l0 * math.sin(theta), l0 * math.cos(theta)
+    for r in range(3):
+        center = position[r]
+        for c in range(3):
+            center -= rotation[r, c] * device[10 + c]
+        pose[r] = center
+        point[r] = center + rotation[r, 0] * start_x + rotation[r, 2] * start_z
+    pose[3], pose[4], pose[5], pose[6] = quaternion
+
+    n_coils = len(rows)
+    h = step / substeps
+    live, idle = np.empty(n_coils, np.int64), np.empty(n_coils, np.int64)
+    n_live = n_idle = 0
+    b, g = np.empty((n_coils + 1, 3)), np.empty((n_coils + 1, 3, 3))
+    keep, gain = np.empty(n_coils), np.empty(n_coils)
+    n_sampled = commands.shape[1] if len(commands) > 0 else 0
+    for c in range(n_coils):
+        sounding = False
+        if c < n_sampled:
+            for k in range(substeps):
+                if commands[at + k, c] != 0.0:
+                    sounding = True
+                    break
+        keep[c], gain[c] = 0.0, 1.0
+        if circuits[c, 3] > 0:
+            keep[c] = math.exp(-h / circuits[c, 3])
+            gain[c] = math.sqrt(1.0 + (state[3] * circuits[c, 3]) ** 2)  # the amplifier makes up for the coil's lag
+        if abs(circuits[c, 0]) > LIVE or circuits[c, 1] != 0.0 or circuits[c, 2] != 0.0 or sounding:
+            coil_field(point, rows[c], table, rotation, b[n_live], g[n_live], work)
+            live[n_live] = c
+            n_live += 1
+        elif abs(circuits[c, 0]) > SILENT:
+            idle[n_idle] = c
+            n_idle += 1
+        else:
+            circuits[c, 0] = 0.0
+    for r in range(3):
+        e[r] = rotation[0, r] * earth[0] + rotation[1, r] * earth[1] + rotation[2, r] * earth[2]
+
+    damp, push = math.exp(-2.0 * eta * h), h * math.exp(-eta * h)  # so that frequency and decay are right to 2nd order
+    slip = friction * h
+    drawn = np.zeros((n_live + 1, 2))  # sums of current times moment, for the mean force and torque
+    sum_x = sum_z = 0.0
+    sine, cosine = math.sin(theta), math.cos(theta)
+    for k in range(substeps):
+        wave = math.sin(state[3] * (state[2] + (k + 0.5) * h)) if state[3] > 0 else 0.0
+        bx, bz, gxx, gxz, gzx, gzz = e[0], e[2], 0.0, 0.0, 0.0, 0.0
+        for n in range(n_live):
+            q = live[n]
+            command = commands[at + k, q] if q < n_sampled else circuits[q, 1] + circuits[q, 2] * gain[q] * wave
+            current = command + (circuits[q, 0] - command) * keep[q]
+            circuits[q, 0] = current
+            bx += current * b[n, 0]
+            bz += current * b[n, 2]
+            gxx += current * g[n, 0, 0]
+            gxz += current * g[n, 0, 2]
+            gzx += current * g[n, 2, 0]
+            gzz += current * g[n, 2, 2]
+        dx, dz = l0 * sine - start_x, l0 * cosine - start_z
+        mx = moment * (rest_x * cosine + rest_z * sine)
+        mz = moment * (rest_z * cosine - rest_x * sine)
+        torque = (bx + gxx * dx + gxz * dz) * mz - (bz + gzx * dx + gzz * dz) * mx
+        torque += l0 * (cosine * (gxx * mx + gzx * mz) - sine * (gxz * mx + gzz * mz))
+        rate = rate * damp + push * (torque * agility - omega2 * theta)
+        rate = 0.0 if abs(rate) <= slip else rate - math.copysign(slip, rate)
+        turn = h * rate
+        theta += turn
+        if abs(theta) > theta_max:
+            theta = math.copysign(theta_max, theta)
+            if rate * theta > 0:
+                rate = -restitution * rate
+            sine, cosine = math.sin(theta), math.cos(theta)
+        else:  # a turn of some mrad: the series is exact to rounding, at a tenth of the cost
+            ds, dc = turn - turn**3 / 6.0, 1.0 - 0.5 * turn**2 + turn**4 / 24.0
+            sine, cosine = sine * dc + cosine * ds, cosine * dc - sine * ds
+        for n in range(n_live):
+            drawn[n, 0] += circuits[live[n], 0] * mx
+            drawn[n, 1] += circuits[live[n], 0] * mz
+        drawn[n_live, 0] += mx
+        drawn[n_live, 1] += mz
+        sum_x += dx
+        sum_z += dz
+        row = trace[used + k]
+        row[0] = theta
+        for n in range(n_idle):
+            circuits[idle[n], 0] *= keep[idle[n]]  # too weak to move anything, not to be heard
+        for c in range(n_coils):
+            row[1 + c] = circuits[c, 0]
+    state[0], state[1] = theta, rate
+    state[2] += step
+
+    dx, dz = sum_x / substeps, sum_z / substeps
+    b[n_live] = e
+    g[n_live] = 0.0
+    fx = fy = fz = tx = ty = tz = 0.0
+    for n in range(n_live + 1):
+        mx, mz = drawn[n, 0] / substeps, drawn[n, 1] / substeps
+        fx += g[n, 0, 0] * mx + g[n, 2, 0] * mz
+        fy += g[n, 0, 1] * mx + g[n, 2, 1] * mz
+        fz += g[n, 0, 2] * mx + g[n, 2, 2] * mz
+        bx = b[n, 0] + g[n, 0, 0] * dx + g[n, 0, 2] * dz
+        by = b[n, 1] + g[n, 1, 0] * dx + g[n, 1, 2] * dz
+        bz = b[n, 2] + g[n, 2, 0] * dx + g[n, 2, 2] * dz
+        tx += -mz * by
+        ty += mz * bx - mx * bz
+        tz += mx * by
+    ax, ay, az = start_x + dx - device[10], -device[11], start_z + dz - device[12]
+    return fx, fy, fz, tx + ay * fz - az * fy, ty + az * fx - ax * fz, tz + ax * fy - ay * fx

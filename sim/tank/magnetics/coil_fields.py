@@ -1,0 +1,215 @@
+"""The coils as they truly are: one fine table per coil shape in the coil's own frame, moved, tilted and scaled.
+
+The controller interpolates one table of all nominal coils on the rig's mesh. Here each shape is tabulated once in its
+own frame (radius and height for round coils, three axes for flat ones), and each coil is an erroneous copy of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lookup_tables.cache import default_cache_dir
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+
+if TYPE_CHECKING:
+    from lookup_tables import FlatCoil, RoundCoil
+
+FORMAT = 1
+ROUND, FLAT = 0.0, 1.0
+PAD = 4  # cells beyond the region asked for: the spline's end conditions have died out there
+# Columns of a coil's row: kind, offset of its coefficients, counts (3), origin (3), 1/spacing, place (3), frame (9),
+# gain
+ROW_LENGTH = 22
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeTable:
+    """Cubic B-spline coefficients of one coil shape in its own frame (z along the axis, x along the width).
+
+    Attributes
+    ----------
+    kind : float
+        ``ROUND``: axes (radius, height), values (radial, axial). ``FLAT``: axes and values (x, y, z).
+    origin : ndarray, shape (2,) or (3,), in m
+    spacing : float, in m
+    coefficients : ndarray, shape (*counts, 2) or (*counts, 3), in T per A
+    """
+
+    kind: float
+    origin: FloatArray
+    spacing: float
+    coefficients: FloatArray
+
+
+def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, spacing: float) -> ShapeTable:
+    """Tabulate a coil that stands at the origin along z, from corner `low` to `high` in its own frame; cached on disk.
+
+    Parameters
+    ----------
+    coil : RoundCoil or FlatCoil
+        Its centre, axis and width direction are not used.
+    low, high : ndarray, shape (3,), in m
+        Rounded outward to whole cells, so that neighbouring wishes share a table.
+    spacing : float, in m
+    """
+    from lookup_tables import FlatCoil
+
+    up, ahead = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    standing: RoundCoil | FlatCoil
+    if isinstance(coil, FlatCoil):
+        kind, standing = FLAT, replace(coil, center=np.zeros(3), axis=up, width_direction=ahead)
+    else:
+        kind, standing = ROUND, replace(coil, center=np.zeros(3), axis=up)
+        reach = float(np.hypot(max(-low[0], high[0]), max(-low[1], high[1])))
+        low, high = np.array([0.0, low[2]]), np.array([reach, high[2]])
+    first = np.floor(low / (4 * spacing)) * 4 - PAD
+    last = np.ceil(high / (4 * spacing)) * 4 + PAD
+    origin, counts = first * spacing, (last - first).astype(int) + 1
+    axes = [o + spacing * np.arange(n) for o, n in zip(origin, counts, strict=True)]
+    path = _cache_path(standing.parameters() | {"name": ""}, origin, counts, spacing)
+    with suppress(OSError, ValueError, KeyError, EOFError):
+        return ShapeTable(kind, origin, spacing, _kept(path))
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    coefficients = _coefficients(_round_values(standing, mesh) if kind == ROUND else _flat_values(standing, mesh))
+    _keep(path, coefficients)
+    return ShapeTable(kind, origin, spacing, coefficients)
+
+
+def coil_frame(coil: RoundCoil | FlatCoil) -> FloatArray:
+    """Rows (3, 3): the coil's own axes in the world, the last along its axis."""
+    axis = np.asarray(coil.axis) / np.linalg.norm(coil.axis)
+    width = getattr(coil, "width_direction", None)
+    if width is None:
+        width = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    width = width - (width @ axis) * axis
+    width /= np.linalg.norm(width)
+    return np.array([width, np.cross(axis, width), axis])
+
+
+@dataclass(frozen=True, eq=False)
+class CoilSet:
+    """Coils packed for the kernels of `sim.tank.magnetics.cantilever`.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n_coils, 22)
+    coefficients : ndarray, shape (total,)
+    """
+
+    rows: FloatArray
+    coefficients: FloatArray
+
+
+def pack(
+    coils: tuple[RoundCoil | FlatCoil, ...],
+    places: FloatArray,
+    tilts: FloatArray,
+    gains: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    spacing: float = 5e-4,
+) -> CoilSet:
+    """Pack nominal coils with their errors into arrays that the kernels evaluate.
+
+    Parameters
+    ----------
+    coils : tuple of RoundCoil or FlatCoil
+    places, tilts : ndarray, shape (n_coils, 3)
+        Displacement (m) and rotation vector (rad) of each.
+    gains : ndarray, shape (n_coils,)
+    low, high : ndarray, shape (3,), in m
+        Corners of the world volume in which the field is wanted.
+    spacing : float, in m
+        Of round coils' tables; flat ones, smooth above their bobbins, take twice as much.
+    """
+    corners = np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
+    frames = [
+        coil_frame(coil) @ matrix_from_quaternion(quaternion_from_rotation_vector(tilt)).T
+        for coil, tilt in zip(coils, tilts, strict=True)
+    ]
+    shapes: dict[str, list[int]] = {}
+    for index, coil in enumerate(coils):
+        shape = {k: v for k, v in coil.parameters().items() if k not in ("name", "center", "axis", "width_direction")}
+        shapes.setdefault(json.dumps(shape, sort_keys=True), []).append(index)
+    rows = np.zeros((len(coils), ROW_LENGTH))
+    blocks, offset = [], 0
+    for members in shapes.values():
+        # The region follows the nominal coils and a fixed margin, so that every seed finds the same table.
+        local = [(corners - np.asarray(coils[i].center)) @ coil_frame(coils[i]).T for i in members]
+        margin = 4e-3
+        points = np.concatenate(local)
+        flat = hasattr(coils[members[0]], "width_direction")
+        step = 2 * spacing if flat else spacing
+        table = shape_table(coils[members[0]], points.min(0) - margin, points.max(0) + margin, step)
+        counts = np.ones(3)
+        counts[: len(table.origin)] = table.coefficients.shape[:-1]
+        origin = np.zeros(3)
+        origin[: len(table.origin)] = table.origin
+        for i in members:
+            place = np.asarray(coils[i].center) + places[i]
+            rows[i] = [table.kind, offset, *counts, *origin, 1 / step, *place, *frames[i].ravel(), gains[i]]
+        blocks.append(table.coefficients.ravel())
+        offset += blocks[-1].size
+    return CoilSet(rows, np.concatenate(blocks) if blocks else np.zeros(1))
+
+
+def _round_values(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
+    radius, height = mesh[..., 0].ravel(), mesh[..., 1].ravel()
+    field = coil.field(np.stack([np.abs(radius), np.zeros_like(radius), height], axis=1))
+    radial = np.sign(radius) * field[:, 0]  # odd in the radius, so that the spline is right on the axis
+    return np.stack([radial, field[:, 2]], axis=1).reshape(*mesh.shape[:2], 2)
+
+
+def _flat_values(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
+    # Symmetric about both middle planes, so only a quarter is computed.
+    points = np.abs(mesh.reshape(-1, 3))
+    unique, back = np.unique(points.round(9), axis=0, return_inverse=True)
+    signs = np.sign(mesh.reshape(-1, 3))
+    field = coil.field(unique)[back.ravel()]
+    z = signs[:, 2]
+    out = np.stack([field[:, 0] * signs[:, 0] * z, field[:, 1] * signs[:, 1] * z, field[:, 2]], axis=1)
+    return out.reshape(mesh.shape)
+
+
+def _coefficients(values: FloatArray) -> FloatArray:
+    from scipy.ndimage import spline_filter1d
+
+    out = values
+    for axis in range(values.ndim - 1):
+        out = spline_filter1d(out, order=3, axis=axis, mode="mirror")
+    return np.ascontiguousarray(out)
+
+
+@lru_cache(maxsize=8)
+def _kept(path: Path) -> FloatArray:
+    """Coefficients from the cache on disk, read once in a process that flies many tanks; not to be changed."""
+    coefficients: FloatArray = np.load(path)
+    coefficients.setflags(write=False)
+    return coefficients
+
+
+def _cache_path(parameters: dict[str, object], origin: FloatArray, counts: object, spacing: float) -> Path:
+    recipe = [FORMAT, parameters, origin.tolist(), np.asarray(counts).tolist(), spacing]
+    key = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()[:32]
+    return default_cache_dir() / f"tank-coil-{key}.npy"
+
+
+def _keep(path: Path, coefficients: FloatArray) -> None:
+    """Write under another name and rename, so that no reader sees half a file; a read-only cache is no fault."""
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(suffix=".npy", prefix=".tank-", dir=path.parent)
+        with os.fdopen(handle, "wb") as file:
+            np.save(file, coefficients)
+        os.replace(temporary, path)

@@ -1,0 +1,109 @@
+"""All coils around one tank: actuation, excitation, and the one that cancels the earth's field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.tank.magnetics.coil_fields import CoilSet, pack
+from sim.tank.magnetics.coupling import MU_0, coil_to_sensor
+from sim.tank.mismatch import Truth
+from sim.tank.settings import TankSettings
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+
+MARGIN = 3e-3  # m beyond the container: the magnet sits ahead of the middle of the housing
+
+
+@dataclass(frozen=True, eq=False)
+class TankCoils:
+    """The true coils of one tank; the compensation coil, if any, comes last.
+
+    Attributes
+    ----------
+    fields : CoilSet
+    circuits : ndarray, shape (n_coils, 4)
+        Columns as `sim.tank.magnetics.cantilever.swing` takes them.
+    coupling : ndarray, shape (n_coils, n_sensors), in T/A
+        Zero for the compensation coil: what it does to the sensors was nulled by hand.
+    earth : ndarray, shape (3,), in T
+    n_actuation, n_excitation : int
+    """
+
+    fields: CoilSet
+    circuits: FloatArray
+    coupling: FloatArray
+    earth: FloatArray
+    n_actuation: int
+    n_excitation: int
+
+    @classmethod
+    def build(
+        cls, rig: RigConfig, settings: TankSettings, truth: Truth, positions: FloatArray, axes: FloatArray
+    ) -> TankCoils:
+        """Place every coil with its drawn errors; `positions` and `axes` (n_sensors, 3) are the true sensors."""
+        from lookup_tables import FlatCoil, RoundCoil
+
+        driven: tuple[RoundCoil | FlatCoil, ...] = (*rig.round_coils(), *rig.flat_coils())
+        constants = [c.time_constant_ms for c in rig.sections.coils] + [
+            c.time_constant_ms for c in rig.sections.excitation
+        ]
+        circuits = np.zeros((len(driven), 4))
+        circuits[:, 3] = 1e-3 * np.array(constants) * truth.coil_time_constants
+        rotations = np.array([matrix_from_quaternion(quaternion_from_rotation_vector(t)) for t in truth.coil_tilts])
+        coupling = coil_to_sensor(driven, truth.coil_places, rotations, truth.coil_gains, positions, axes)
+        coils = list(driven)
+        places, tilts, gains = truth.coil_places, truth.coil_tilts, truth.coil_gains
+        earth = 1e-6 * np.array(settings.earth.field_ut)
+        strength = float(np.linalg.norm(earth))
+        low, high = volume(rig)
+        if settings.earth.compensated and strength > 0:
+            section, middle = settings.earth, 0.5 * (low + high)
+            radius, direction = 1e-3 * section.coil_radius_mm, -earth / strength
+            external = RoundCoil(
+                "earth", middle - 1e-3 * section.coil_distance_mm * direction, direction,
+                0.95 * radius, 1.05 * radius, 0.2 * radius, 200.0,
+            )  # fmt: skip
+            away = 1e-3 * section.coil_distance_mm
+            per_ampere = sum(
+                0.5 * MU_0 * external.turns * share * r**2 / (r**2 + (away - along) ** 2) ** 1.5
+                for r, along, share in external.loops()
+            )
+            coils.append(external)
+            places, tilts = np.vstack([places, np.zeros(3)]), np.vstack([tilts, truth.compensation_tilt])
+            gains = np.append(gains, truth.compensation_gain)
+            current = strength / per_ampere
+            circuits = np.vstack([circuits, [current, current, 0.0, 0.0]])
+            coupling = np.vstack([coupling, np.zeros(len(positions))])
+        fields = pack(tuple(coils), places, tilts, gains, low, high)
+        return cls(fields, circuits, coupling, earth, len(rig.sections.coils), len(rig.sections.excitation))
+
+
+def volume(rig: RigConfig) -> tuple[FloatArray, FloatArray]:
+    """Corners (3,) and (3,) in m, world frame, of the space in which the magnet can be."""
+    section = rig.sections.container
+    center, size = np.array(section.center_mm), np.array(section.size_mm)
+    low = np.array([*(center - 0.5 * size), section.floor_z_mm]) * 1e-3
+    high = np.array([*(center + 0.5 * size), max(section.surface_z_mm, section.floor_z_mm + 5.0) + 2.0]) * 1e-3
+    return low - MARGIN, high + MARGIN
+
+
+class NominalExcitation:
+    """Field of the excitation coils as they are believed to stand; fast inside the container's volume."""
+
+    def __init__(self, rig: RigConfig) -> None:
+        self._coils = rig.flat_coils()
+        self._low, self._high = volume(rig)
+        n = len(self._coils)
+        self._fields = pack(self._coils, np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), self._low, self._high)
+
+    def at(self, position: FloatArray) -> FloatArray:
+        """Field (n_exc, 3) in T per A at `position` (3,) in m, world frame."""
+        from sim.tank.magnetics.cantilever import fields_at
+
+        point = np.array(position, dtype=np.float64)[None]
+        if np.all(point >= self._low) and np.all(point <= self._high):
+            return np.asarray(fields_at(point, self._fields.rows, self._fields.coefficients)[:, 0])
+        return np.array([coil.field(point)[0] for coil in self._coils])

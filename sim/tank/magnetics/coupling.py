@@ -1,0 +1,90 @@
+"""What each coil's current puts into each sensor: only residual currents matter, so straight wires are exact enough."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim.tank.magnetics.coil_fields import coil_frame
+from smolbot.core.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from lookup_tables import FlatCoil, RoundCoil
+
+MU_0 = 4e-7 * np.pi
+SIDES = 64  # a polygon of 64 sides is a circle to 0.2 %
+CLOSEST = 5e-4  # m: the wire's own radius, so that a sensor in the winding reads a finite field
+
+
+def coil_to_sensor(
+    coils: tuple[RoundCoil | FlatCoil, ...],
+    places: FloatArray,
+    rotations: FloatArray,
+    gains: FloatArray,
+    positions: FloatArray,
+    axes: FloatArray,
+) -> FloatArray:
+    """Reading of each sensor per ampere in each coil.
+
+    Parameters
+    ----------
+    coils : tuple of RoundCoil or FlatCoil
+        Nominal coils.
+    places : ndarray, shape (n_coils, 3), in m
+        Displacement of each.
+    rotations : ndarray, shape (n_coils, 3, 3)
+        Tilt of each.
+    gains : ndarray, shape (n_coils,)
+    positions, axes : ndarray, shape (n_sensors, 3)
+        True places (m) and sensitive directions, gain included.
+
+    Returns
+    -------
+    ndarray, shape (n_coils, n_sensors), in T/A
+    """
+    out = np.zeros((len(coils), len(positions)))
+    for c, coil in enumerate(coils) if len(positions) else ():
+        start, end, turns = _wires(coil)
+        frame = coil_frame(coil) @ rotations[c].T
+        local = (positions - np.asarray(coil.center) - places[c]) @ frame.T
+        out[c] = gains[c] * np.einsum("ni,ni->n", wire_field(local, start, end, turns) @ frame, axes)
+    return out
+
+
+def wire_field(points: FloatArray, start: FloatArray, end: FloatArray, current: FloatArray) -> FloatArray:
+    """Field (n, 3), in T, of straight wires from `start` to `end` (m, 3) in m that carry `current` (m,) in A.
+
+        B = mu_0 I / (4 pi) * (a x b) (|a| + |b|) / (|a| |b| (|a| |b| + a . b))
+
+    with a and b from the wire's ends to the point.
+    """
+    a, b = points[:, None] - start, points[:, None] - end
+    la, lb = np.linalg.norm(a, axis=2), np.linalg.norm(b, axis=2)
+    product = la * lb
+    below = product * (product + np.einsum("nmi,nmi->nm", a, b))
+    weight = MU_0 / (4 * np.pi) * current * (la + lb) / np.maximum(below, CLOSEST**2 * product)
+    return np.asarray(np.einsum("nm,nmi->ni", weight, np.cross(a, b)))
+
+
+def _wires(coil: RoundCoil | FlatCoil) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Starts, ends and ampere-turns of the wires of a coil that stands at the origin along z."""
+    from lookup_tables import FlatCoil
+
+    loops: list[tuple[FloatArray, float, float]] = []
+    if isinstance(coil, FlatCoil):
+        half_width, half_height = 0.5 * coil.width + 0.5 * coil.build_up, 0.5 * coil.height + 0.5 * coil.build_up
+        corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [half_width, half_height]
+        heights, weights = np.polynomial.legendre.leggauss(coil.axial_loops)
+        loops = [(corners, float(0.5 * coil.length * h), float(0.5 * w)) for h, w in zip(heights, weights, strict=True)]
+    else:
+        angles = 2 * np.pi * np.arange(SIDES) / SIDES
+        circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        loops = [(radius * circle, height, share) for radius, height, share in coil.loops()]
+    starts, ends, currents = [], [], []
+    for corners, height, share in loops:
+        ring = np.column_stack([corners, np.full(len(corners), height)])
+        starts.append(ring)
+        ends.append(np.roll(ring, -1, axis=0))
+        currents.append(np.full(len(ring), coil.turns * share))
+    return np.concatenate(starts), np.concatenate(ends), np.concatenate(currents)

@@ -1,0 +1,227 @@
+"""The true sensors: what the moving magnet and dying coils put into them, and what their electronics make of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sim.tank.magnetics.noise import FieldNoise, SensorNoise
+from sim.tank.mismatch import Truth
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
+
+LEAD_TIME_CONSTANTS = 20.0  # of the low pass, run before the first sample so that it starts in steady state
+
+
+class TrueSensors:
+    """Ten (or any number of) sensors where they truly stand.
+
+    Attributes
+    ----------
+    positions, axes : ndarray, shape (n, 3)
+        True places in m and sensitive directions; the axes carry each sensor's gain.
+    lead : float, in s
+        How much of the past a recording needs.
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        truth: Truth,
+        field_rng: np.random.Generator,
+        sensor_rng: np.random.Generator,
+        constant_rng: np.random.Generator,
+    ) -> None:
+        section = rig.sections.sensors
+        nominal = section.array  # what was built, whatever a calibration says of it
+        tilts = [matrix_from_quaternion(quaternion_from_rotation_vector(t)) for t in truth.sensor_tilts]
+        self.positions = np.ascontiguousarray(nominal.positions + truth.sensor_places)
+        self.axes = np.einsum("nij,nj->ni", np.array(tilts), nominal.axes)
+        self.axes *= (truth.sensor_gains * section.gain_of_each)[:, None]
+        self.rate = section.sample_rate_hz
+        self._tau = 1.0 / (2 * math.pi * nominal.bandwidth) if np.isfinite(nominal.bandwidth) else 0.0
+        self.lead = LEAD_TIME_CONSTANTS * self._tau
+        self._range = section.range_ut * 1e-6
+        volts_per_tesla = section.sensitivity_v_per_ut * 1e6
+        self._full_scale = section.adc_range_v / volts_per_tesla
+        self._step = 2 * self._full_scale / 2**section.adc_bits
+        noise = rig.sections.noise
+        self._constant = noise.constant_nt * 1e-9
+        self._constants = constant_rng
+        self.field_noise = FieldNoise(
+            noise, self.positions, self.axes, nominal.bandwidth, truth.noise, truth.mains_frequency, field_rng
+        )
+        self.sensor_noise = SensorNoise(noise, len(nominal), nominal.bandwidth, self.rate, truth.noise, sensor_rng)
+
+    @property
+    def time_constant(self) -> float:
+        """Of their low pass, in s."""
+        return self._tau
+
+    @property
+    def converter_step(self) -> float:
+        """Least step of the converter, in T."""
+        return self._step
+
+    def hear(
+        self,
+        clock: float,
+        n: int,
+        device: FloatArray,
+        coupling: FloatArray,
+        trace_times: FloatArray,
+        trace: FloatArray,
+        pose_times: FloatArray,
+        poses: FloatArray,
+    ) -> tuple[FloatArray, BoolArray]:
+        """Record `n` samples from `clock` s on.
+
+        Parameters
+        ----------
+        clock : float, in s
+        n : int
+        device : ndarray
+            As `sim.tank.magnetics.cantilever.swing` takes it.
+        coupling : ndarray, shape (n_coils, n_sensors), in T/A
+        trace_times, trace : ndarray, shapes (k,) in s and (k, 1 + n_coils)
+            Deflection (rad) and currents (A).
+        pose_times, poses : ndarray, shapes (p,) in s and (p, 7)
+            Rotation centre (m) and orientation (scalar first).
+
+        Returns
+        -------
+        field : ndarray, shape (n_sensors, n), in T
+        saturated : ndarray of bool, shape (n_sensors,)
+        """
+        field = self.clean(clock, n, device, coupling, trace_times, trace, pose_times, poses)
+        return field, self.measure(field, clock)
+
+    def draw_constants(self) -> FloatArray:
+        """What hand-nulling leaves in each channel (n_sensors,), in T, for one recording."""
+        return self._constant * self._constants.standard_normal(len(self.positions))
+
+    def measure(self, field: FloatArray, clock: float, constants: FloatArray | None = None) -> BoolArray:
+        """Make readings of a clean `field` (n_sensors, n) in T, in place: noise, constants, range, converter.
+
+        `constants` (n_sensors,) in T are those of a recording that this is a piece of; without them it is a new one.
+
+        Returns
+        -------
+        ndarray of bool, shape (n_sensors,)
+            Which sensors were saturated.
+        """
+        self.field_noise.add(field, clock, self.rate)
+        self.sensor_noise.add(field, clock)
+        constants = self.draw_constants() if constants is None else constants
+        return _convert(field, constants, self._range, self._full_scale, self._step)
+
+    def clean(
+        self,
+        clock: float,
+        n: int,
+        device: FloatArray,
+        coupling: FloatArray,
+        trace_times: FloatArray,
+        trace: FloatArray,
+        pose_times: FloatArray,
+        poses: FloatArray,
+    ) -> FloatArray:
+        """What noiseless sensors with the same low pass would read; arguments as for `hear`."""
+        lead = math.ceil(self.lead * self.rate)
+        pace = 1.0 / (self.rate * self._tau) if self._tau else np.inf
+        keep = math.exp(-pace)
+        spread = (1.0 - keep) / pace if self._tau else 0.0
+        field = np.empty((len(self.positions), n))
+        low_pass = (keep, spread - keep, 1.0 - spread)  # exact for an input that is straight between samples
+        magnet = (float(device[0]), float(device[1]), float(device[2]), float(device[3]))
+        _listen(
+            field, clock, 1.0 / self.rate, lead, low_pass, magnet,
+            self.positions, self.axes, coupling, trace_times, trace, pose_times, poses,
+        )  # fmt: skip
+        return field
+
+
+@njit(cache=True, error_model="numpy")
+def _listen(
+    out: FloatArray,
+    clock: float,
+    step: float,
+    lead: int,
+    low_pass: tuple[float, float, float],
+    magnet: tuple[float, float, float, float],
+    positions: FloatArray,
+    axes: FloatArray,
+    coupling: FloatArray,
+    trace_times: FloatArray,
+    trace: FloatArray,
+    pose_times: FloatArray,
+    poses: FloatArray,
+) -> None:
+    """Low-passed field along each sensor's axis; the dipole is Eq. S5, its motion Eqs. S6 to S8."""
+    moment, rest_x, rest_z, l0 = magnet
+    keep, before, now = low_pass
+    n_sensors, n_coils = len(positions), trace.shape[1] - 1
+    raw, last, reading = np.zeros(n_sensors), np.zeros(n_sensors), np.zeros(n_sensors)
+    i = j = 0
+    m, c = np.empty(3), np.empty(3)
+    for s in range(-lead, out.shape[1]):
+        t = clock + s * step
+        while i < len(trace_times) - 2 and trace_times[i + 1] < t:
+            i += 1
+        while j < len(pose_times) - 2 and pose_times[j + 1] < t:
+            j += 1
+        a = min(max((t - trace_times[i]) / (trace_times[i + 1] - trace_times[i]), 0.0), 1.0)
+        f = min(max((t - pose_times[j]) / (pose_times[j + 1] - pose_times[j]), 0.0), 1.0)
+        theta = trace[i, 0] + a * (trace[i + 1, 0] - trace[i, 0])
+        w = poses[j, 3] + f * (poses[j + 1, 3] - poses[j, 3])
+        x = poses[j, 4] + f * (poses[j + 1, 4] - poses[j, 4])
+        y = poses[j, 5] + f * (poses[j + 1, 5] - poses[j, 5])
+        z = poses[j, 6] + f * (poses[j + 1, 6] - poses[j, 6])
+        norm = 2.0 / (w * w + x * x + y * y + z * z)
+        xx, xz = 1 - norm * (y * y + z * z), norm * (x * z + y * w)
+        yx, yz = norm * (x * y + z * w), norm * (y * z - x * w)
+        zx, zz = norm * (x * z - y * w), 1 - norm * (x * x + y * y)
+        sine, cosine = math.sin(theta), math.cos(theta)
+        u, v = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
+        m[0], m[1], m[2] = u * xx + v * xz, u * yx + v * yz, u * zx + v * zz
+        u, v = l0 * sine, l0 * cosine
+        c[0] = poses[j, 0] + f * (poses[j + 1, 0] - poses[j, 0]) + u * xx + v * xz
+        c[1] = poses[j, 1] + f * (poses[j + 1, 1] - poses[j, 1]) + u * yx + v * yz
+        c[2] = poses[j, 2] + f * (poses[j + 1, 2] - poses[j, 2]) + u * zx + v * zz
+        for k in range(n_sensors):
+            rx, ry, rz = positions[k, 0] - c[0], positions[k, 1] - c[1], positions[k, 2] - c[2]
+            ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
+            inverse = 1.0 / (rx * rx + ry * ry + rz * rz)
+            near = 1e-7 * inverse * math.sqrt(inverse)
+            along = (m[0] * rx + m[1] * ry + m[2] * rz) * (ax * rx + ay * ry + az * rz)
+            raw[k] = near * (3.0 * along * inverse - (m[0] * ax + m[1] * ay + m[2] * az))
+        for q in range(n_coils):
+            current = trace[i, 1 + q] + a * (trace[i + 1, 1 + q] - trace[i, 1 + q])
+            if abs(current) > 1e-12:
+                for k in range(n_sensors):
+                    raw[k] += current * coupling[q, k]
+        for k in range(n_sensors):
+            reading[k] = keep * reading[k] + before * last[k] + now * raw[k] if s > -lead else raw[k]
+            last[k] = raw[k]
+            if s >= 0:
+                out[k, s] = reading[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _convert(
+    field: FloatArray, constants: FloatArray, sensor_range: float, full_scale: float, step: float
+) -> BoolArray:
+    """Add the constants, clip at the sensor's range and the converter's, and round to its steps, in place."""
+    saturated = np.zeros(len(field), np.bool_)
+    top = full_scale - step
+    for i in range(len(field)):
+        for j in range(field.shape[1]):
+            value = field[i, j] + constants[i]
+            if abs(value) >= sensor_range:
+                saturated[i] = True
+                value = math.copysign(sensor_range, value)
+            field[i, j] = step * math.floor(min(max(value, -full_scale), top) / step + 0.5)
+    return saturated

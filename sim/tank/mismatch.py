@@ -1,0 +1,135 @@
+"""Draws one tank from a seed: every way in which the world differs from what the controller believes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from sim.tank.settings import TankSettings
+from smolbot.core.arrays import FloatArray
+
+CLIP = 3.0  # standard deviations: a tank is not built with a coil 2 mm off
+
+
+class DrawnValues:
+    """Base of what was drawn: dataclasses of numbers and arrays."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """All drawn values as plain lists and numbers, for a run's provenance."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
+
+
+class Spreads:
+    """Draws mismatches about nominal values, none beyond `CLIP` standard deviations; the scale only multiplies them."""
+
+    def __init__(self, rng: np.random.Generator, scale: float) -> None:
+        self._rng = rng
+        self._scale = scale
+
+    def spread(self, deviation: float, *shape: int) -> FloatArray:
+        """Offsets with a standard deviation, of any unit."""
+        return self._scale * deviation * np.clip(self._rng.standard_normal(shape), -CLIP, CLIP)
+
+    def factor(self, percent: float, *shape: int) -> FloatArray:
+        """Factors about 1, all of them above 0."""
+        return np.maximum(1.0 + self.spread(0.01 * percent, *shape), 0.05)
+
+    def one(self, percent: float) -> float:
+        """A single factor."""
+        return float(self.factor(percent, 1)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Truth(DrawnValues):
+    """What was drawn. Places in m, tilts as rotation vectors in rad, everything else a factor on the nominal value.
+
+    Attributes
+    ----------
+    coil_places, coil_tilts : ndarray, shape (n_coils, 3)
+    coil_gains, coil_time_constants : ndarray, shape (n_coils,)
+        Actuation coils first, in the rig's order, then the excitation coils.
+    sensor_places, sensor_tilts : ndarray, shape (n_sensors, 3)
+    sensor_gains : ndarray, shape (n_sensors,)
+    drag, rotation_drag : ndarray, shape (3,)
+        Along and about the body axes.
+    density, moment, l0, theta_max, damping, frequency, noise, mains_frequency, compensation_gain : float
+    compensation_tilt : ndarray, shape (3,)
+    start_offset : ndarray, shape (2,), in m
+    start_heading : float, in rad
+        From world x to the robot's forward axis. Drawn, as the offset is, at every scale.
+    """
+
+    coil_places: FloatArray
+    coil_tilts: FloatArray
+    coil_gains: FloatArray
+    coil_time_constants: FloatArray
+    sensor_places: FloatArray
+    sensor_tilts: FloatArray
+    sensor_gains: FloatArray
+    drag: FloatArray
+    rotation_drag: FloatArray
+    density: float
+    moment: float
+    l0: float
+    theta_max: float
+    damping: float
+    frequency: float
+    noise: float
+    mains_frequency: float
+    compensation_gain: float
+    compensation_tilt: FloatArray
+    start_offset: FloatArray
+    start_heading: float
+
+
+@dataclass(frozen=True)
+class Streams:
+    """Independent random generators of one tank, so that more of one thing does not change another."""
+
+    mismatch: np.random.Generator
+    start: np.random.Generator
+    field_noise: np.random.Generator
+    sensor_noise: np.random.Generator
+    constants: np.random.Generator
+
+    @classmethod
+    def from_seed(cls, seed: int) -> Streams:
+        """Spawn all streams from one seed."""
+        return cls(*(np.random.Generator(np.random.SFC64(s)) for s in np.random.SeedSequence(seed).spawn(5)))
+
+
+def draw(settings: TankSettings, n_coils: int, n_sensors: int, streams: Streams, *, ideal: bool = False) -> Truth:
+    """Draw a tank with `n_coils` coils (excitation coils included) and `n_sensors` sensors.
+
+    The order of draws is fixed, and the scale only multiplies them: the same seed at twice the scale is
+    the same tank with every mismatch doubled. `ideal` is the scale 0.
+    """
+    section = settings.mismatch
+    spreads = Spreads(streams.mismatch, 0.0 if ideal else section.scale)
+    spread, factor, one = spreads.spread, spreads.factor, spreads.one
+    return Truth(
+        coil_places=spread(1e-3 * section.coil_place_mm, n_coils, 3),
+        coil_tilts=spread(np.radians(section.coil_axis_deg), n_coils, 3),
+        coil_gains=factor(section.coil_gain_percent, n_coils),
+        coil_time_constants=factor(section.time_constant_percent, n_coils),
+        sensor_places=spread(1e-3 * section.sensor_place_mm, n_sensors, 3),
+        sensor_tilts=spread(np.radians(section.sensor_axis_deg), n_sensors, 3),
+        sensor_gains=factor(section.sensor_gain_percent, n_sensors),
+        drag=one(section.drag_percent) * factor(section.drag_anisotropy_percent, 3),
+        rotation_drag=one(section.rotation_drag_percent) * factor(section.drag_anisotropy_percent, 3),
+        density=one(section.density_percent),
+        moment=one(section.moment_percent),
+        l0=one(section.l0_percent),
+        theta_max=one(section.theta_max_percent),
+        damping=one(section.damping_percent),
+        frequency=one(section.frequency_percent),
+        noise=one(section.noise_percent),
+        mains_frequency=one(section.mains_frequency_percent),
+        compensation_gain=one(settings.earth.compensation_gain_percent),
+        compensation_tilt=spread(np.radians(settings.earth.compensation_axis_deg), 3),
+        start_offset=1e-3 * settings.start_scatter_mm * np.clip(streams.start.standard_normal(2), -2.0, 2.0),
+        start_heading=float(streams.start.uniform(-np.pi, np.pi)),
+    )

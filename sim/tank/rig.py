@@ -1,0 +1,165 @@
+"""The simulated rig: keeps the promise of `smolbot.core.rig.Rig` with a tank behind it."""
+
+from __future__ import annotations
+
+import math
+from types import TracebackType
+from typing import Any, Self
+
+from sim.tank.history import TankWitness
+from sim.tank.magnetics.coils import NominalExcitation
+from sim.tank.settings import TankSettings
+from sim.tank.tank import Step, Tank
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import FloatArray, as_floats
+from smolbot.core.coil_probe import AFTER, BEFORE, HELD, Probe, probe_shot
+from smolbot.core.rig import Witness
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Excite, Listen, MoveMagnet, Rest, Shot, magnet_near_after
+from smolbot.errors import RigError
+
+
+class TankRig:
+    """A rig whose world is simulated. What it says about itself is nominal; the truth leaves only by the witness.
+
+    Attributes
+    ----------
+    sensors : SensorArray
+        As they are believed to stand.
+    limits : Limits
+    witness : Witness or None
+        Knows the truth; may be set to None, which changes nothing else.
+
+    Examples
+    --------
+    >>> from smolbot.config.rig import load_rig
+    >>> from smolbot.config.robot import load_robot
+    >>> from smolbot.core.shots import RingDown, Shot
+    >>> from sim.tank.world import TankWorld
+    >>> with TankWorld.open(load_rig("tank"), load_robot("gradient"), (0.0, 0.0), seed=1) as rig:
+    ...     heard = rig.play(Shot((Excite((2.0, 2.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5))))
+    >>> print(heard.field.shape, bool(heard.saturated.any()))
+    (10, 483) False
+    """
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        robot: RobotConfig,
+        settings: TankSettings,
+        start: FloatArray,
+        seed: int,
+        *,
+        gui: bool = False,
+        ideal: bool = False,
+    ) -> None:
+        self.sensors = rig.sensors
+        self.limits = rig.limits
+        self._tank = Tank(rig, robot, settings, start, seed, gui=gui, ideal=ideal)
+        self.witness: Witness | None = TankWitness(self._tank.history)
+        self._excitation = NominalExcitation(rig)
+        self._driven = (*rig.coil_names, *(f"excitation {coil.name}" for coil in rig.sections.excitation))
+        self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
+        self._turnaround = rig.turnaround
+        self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
+        self._last_drive: tuple[Excite, float] | None = None
+        self._magnet_near = False
+        self._open, self._stopped = True, False
+
+    def now(self) -> float:
+        """Time on the tank's virtual clock, in s."""
+        return self._tank.time
+
+    def play(self, shot: Shot) -> Recording | None:
+        """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
+
+        The turnaround follows: the tank runs on with every command at zero while the loop computes.
+
+        Raises
+        ------
+        InterlockError
+            Before anything moves, if the shot breaks a limit.
+        RigError
+            If the rig is closed, was stopped during the shot, or the robot left the container.
+        """
+        if not self._open:
+            raise RigError("This tank is closed; nothing was played.")
+        self.limits.check(shot, magnet_near=self._magnet_near)
+        tank, begin = self._tank, self._tank.time
+        windows = (*shot.windows, Rest(self._turnaround)) if self._turnaround > 0 else shot.windows
+        for window in shot.windows:
+            if isinstance(window, MoveMagnet):  # a move that is cut short leaves the magnet near
+                self._magnet_near = True
+        self._stopped, heard = False, None
+        played = tank.advance(windows)
+        if played:
+            self._magnet_near = magnet_near_after(shot, near=self._magnet_near)
+            heard = self._recording(shot, begin)
+        if self._stopped or not played:  # while it moved, or while its samples were made
+            raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
+        return heard
+
+    def probe(self, coil: str, current: float) -> Probe:
+        """What the sensors hear while one coil (``+x``, ``excitation x``) is held at a small current, in A.
+
+        Raises
+        ------
+        InterlockError
+            Before anything is driven, if the current breaks a limit.
+        RigError
+            If the tank is closed, or was stopped meanwhile.
+        """
+        if not self._open:
+            raise RigError("This tank is closed; nothing was driven.")
+        self.limits.check(probe_shot(self.limits, coil, current), magnet_near=self._magnet_near)
+        tank, begin = self._tank, self._tank.time
+        self._stopped = False
+        step = Step(HELD, self._driven.index(coil), current)
+        played = tank.advance((Rest(BEFORE), step, Rest(AFTER), Rest(max(self._turnaround, 1e-3))))
+        if self._stopped or not played:
+            raise RigError(f"Stopped at {tank.time:.3f} s, while {coil} was probed; every output is at zero.")
+        field, saturated = tank.listen(begin, round((BEFORE + HELD + AFTER) * self._rate))
+        heard = Recording(field / self._gains, self._rate, math.inf, saturated, None, begin)
+        return Probe(heard, BEFORE, BEFORE + HELD)
+
+    def excitation_field(self, position: FloatArray) -> FloatArray:
+        """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
+        return self._excitation.at(as_floats(position, (3,), "excitation_field position"))
+
+    def stop(self) -> None:
+        """Bring every output to zero now and end a shot under way. Safe from any thread, any number of times."""
+        self._stopped, self._tank.running = True, False
+        self._tank.silence()
+
+    def close(self) -> None:
+        """Stop, then let go of what carries the robot; harmless when repeated."""
+        self.stop()
+        self._open = False
+        self._tank.carrier.close()
+
+    def provenance(self) -> dict[str, Any]:
+        """What this tank was drawn as: seed, whether ideal, and every drawn mismatch."""
+        return {"seed": self._seed, "ideal": self._ideal, **self._tank.drawn()}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _recording(self, shot: Shot, begin: float) -> Recording | None:
+        heard: Recording | None = None
+        for at, window in shot.timed():
+            start = begin + at
+            if isinstance(window, Excite):
+                self._last_drive = (window, start + window.duration)
+            elif isinstance(window, Listen):
+                drive = shot.excite
+                since = start - self._last_drive[1] if drive is not None and self._last_drive else math.inf
+                n = round(window.duration * self._rate)
+                field, saturated = self._tank.listen(start, n)
+                heard = Recording(field / self._gains, self._rate, since, saturated, drive, start)
+        return heard

@@ -1,0 +1,265 @@
+"""A bench without liquid, coils or Bullet: the tank's sensors, noise and magnet, with a device held where it is put.
+
+For studies of localization alone. What is heard is computed by `sim.tank.magnetics.sensors`, as in the tank; only the oscillation is
+given in closed form, and places come from a stage instead of hydrodynamics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.tank.magnetics.magnet import pack_device
+from sim.tank.magnetics.sensors import TrueSensors
+from sim.tank.mismatch import Streams, Truth, draw
+from sim.tank.settings import TankSettings
+from smolbot.config.document import validate
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import BoolArray, FloatArray, as_floats
+from smolbot.core.sensing import Device, Recording, SensorArray
+from smolbot.core.shots import Excite
+from smolbot.errors import InputError
+
+DRIVE_CYCLES = 5
+LONGEST_QUIET = 2.0  # s: of one quiet recording
+TRACK_STEP = 2.5e-4  # s: between two poses of a moving device; straight between them
+GAP = (0.05, 1.05)  # s: drawn between two recordings, so that the mains' phase is another one each time
+
+Track = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Positions (n, 3) in m and orientations (n, 4) at times (n,) in s from a recording's first sample."""
+
+Disturbance = Callable[[FloatArray, FloatArray], FloatArray]
+"""Field (n_sensors, n, 3) in T at times (n,) in s from a recording's first sample, at places (n_sensors, 3) in m."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Amplitude at the end of the drive (rad) and phase (rad) of the last oscillation: for a study's books only."""
+
+    amplitude: float
+    phase: float
+
+
+class StaticBench:
+    """Makes recordings of a device that is held still, or led along a track.
+
+    Parameters
+    ----------
+    rig : RigConfig
+        Sensors, noise and mismatches; see `with_sensors` for another layout.
+    device : Device
+        As believed.
+    seed : int
+        Of everything that is drawn: mismatches, lines, noise, constants, phases, times between recordings.
+    mismatch_scale : float
+        Of the rig file's mismatches; 0 is the ideal bench.
+
+    Attributes
+    ----------
+    sensors, device : SensorArray, Device
+        As believed: what a localizer may be told.
+    rate : float, in Hz
+    clock : float, in s
+        Bench time; runs on from recording to recording.
+    truth : Truth
+    true_device : Device
+        As drawn. For a study's books only, like `true_sensors` and `last`.
+    true_sensors : TrueSensors
+    last : Swing or None
+        Of the last recording.
+
+    Examples
+    --------
+    >>> from smolbot.config.rig import load_rig
+    >>> device = Device(0.89e-3, np.array([1.0, 0, 0]), 1.5e-3, np.radians(17.8), 103.5, 1.1, "linear")
+    >>> bench = StaticBench(load_rig("tank"), device, seed=1, mismatch_scale=0.0)
+    >>> heard = bench.record(np.array([0, 0, 0.08]), np.array([1.0, 0, 0, 0]), half_periods=2)
+    >>> print(heard.field.shape, heard.time_since_drive, round(float(np.degrees(bench.last.amplitude)), 1))
+    (10, 483) 0.02 17.8
+    """
+
+    def __init__(self, rig: RigConfig, device: Device, seed: int, mismatch_scale: float = 1.0) -> None:
+        if not 0 <= mismatch_scale < np.inf:
+            raise InputError(f"mismatch_scale must not be negative; got {mismatch_scale}.")
+        settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
+        if settings is None:
+            raise rig.document.error(faults)
+        mismatch = settings.mismatch.model_copy(update={"scale": float(mismatch_scale)})
+        streams = Streams.from_seed(seed)
+        n_coils = len(rig.sections.coils) + len(rig.sections.excitation)
+        self.truth: Truth = draw(settings.model_copy(update={"mismatch": mismatch}), n_coils, len(rig.sensors), streams)
+        self.true_sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
+        self.sensors: SensorArray = rig.sensors
+        self.device = device
+        self.rate = rig.sample_rate
+        self._gains = rig.sensor_gains[:, None]
+        self.clock = 0.0
+        self.last: Swing | None = None
+        self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 1])))
+        t = self.truth
+        self.true_device = replace(
+            device,
+            moment=device.moment * t.moment,
+            l0=device.l0 * t.l0,
+            theta_max=device.theta_max * t.theta_max,
+            frequency=device.frequency * t.frequency,
+            damping=device.damping * t.damping,
+        )
+        d = self.true_device
+        self._magnet = pack_device(
+            d.moment, d.moment_in_body, d.l0, d.theta_max, d.frequency, d.damping, d.damping_model, 0.0, (0.0, 0.0, 0.0)
+        )
+        self._lead = math.ceil(self.true_sensors.lead * self.rate) + 1
+
+    def samples(self, half_periods: int) -> int:
+        """Number of samples in a window of so many half-periods of the believed frequency."""
+        return round(half_periods * self.rate / (2.0 * self.device.frequency))
+
+    def record(
+        self,
+        position: FloatArray,
+        orientation: FloatArray,
+        half_periods: int,
+        time_since_drive: float = 0.02,
+        amplitude: float | None = None,
+        phase: float | None = None,
+        disturbance: Disturbance | None = None,
+    ) -> Recording:
+        """What the sensors hear of a device that is held still.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            Rotation centre of the cantilever.
+        orientation : ndarray, shape (4,)
+        half_periods : int
+            Length, in half-periods of the believed frequency.
+        time_since_drive : float, in s
+        amplitude, phase : float, in rad
+            Of the oscillation at the end of the drive; the true stop and a drawn phase if not given.
+        disturbance : callable, optional
+            Another field that the sensors hear.
+        """
+        place = as_floats(position, (3,), "record position")
+        turn = as_floats(orientation, (4,), "record orientation")
+        n, swing = self.samples(half_periods), self._drawn(amplitude, phase)
+        poses = np.tile(np.concatenate([place, turn]), (2, 1))
+        field = self._clean(n, time_since_drive, swing, np.array([-1.0, n / self.rate]), poses)
+        return self._measured(field, time_since_drive, disturbance)
+
+    def record_track(
+        self,
+        track: Track,
+        half_periods: int,
+        time_since_drive: float = 0.02,
+        amplitude: float | None = None,
+        phase: float | None = None,
+        disturbance: Disturbance | None = None,
+    ) -> Recording:
+        """What the sensors hear of a device that is led along a track; see `record`.
+
+        The track is asked from some milliseconds before the first sample on, for the sensors' low pass remembers.
+        """
+        n, swing = self.samples(half_periods), self._drawn(amplitude, phase)
+        begin, end = -self._lead / self.rate, n / self.rate
+        times = np.linspace(begin, end, max(math.ceil((end - begin) / TRACK_STEP), 1) + 1)
+        places, turns = track(times)
+        turns = as_floats(turns, (len(times), 4), "track orientations")
+        signs = np.cumprod(np.concatenate([[1.0], np.sign(np.sum(turns[1:] * turns[:-1], axis=1))]))
+        poses = np.concatenate(
+            [as_floats(places, (len(times), 3), "track positions"), turns * signs[:, None]], axis=1
+        )  # one sign for all quaternions: they are interpolated
+        field = self._clean(n, time_since_drive, swing, times, poses)
+        return self._measured(field, time_since_drive, disturbance)
+
+    def quiet(self, seconds: float, disturbance: Disturbance | None = None) -> list[Recording]:
+        """Recordings without an oscillation, `seconds` long together, none longer than two seconds."""
+        count = max(math.ceil(seconds / LONGEST_QUIET - 1e-9), 1)
+        n = math.ceil(seconds * self.rate / count - 1e-9)
+        return [self._measured(np.zeros((len(self.sensors), n)), np.inf, disturbance) for _ in range(count)]
+
+    def clean(
+        self,
+        position: FloatArray,
+        orientation: FloatArray,
+        n: int,
+        time_since_drive: float = 0.02,
+        amplitude: float | None = None,
+        phase: float = 0.0,
+    ) -> FloatArray:
+        """Noiseless readings (n_sensors, n) in T of a device that is held still; draws nothing."""
+        size = self.true_device.theta_max if amplitude is None else amplitude
+        poses = np.tile(np.concatenate([position, orientation]), (2, 1))
+        return self._clean(n, time_since_drive, Swing(size, phase), np.array([-1.0, n / self.rate]), poses)
+
+    def _drawn(self, amplitude: float | None, phase: float | None) -> Swing:
+        drawn = float(self._rng.uniform(-np.pi, np.pi))  # drawn even where it is given, so that nothing else changes
+        size = self.true_device.theta_max if amplitude is None else amplitude
+        self.last = Swing(size, drawn if phase is None else phase)
+        return self.last
+
+    def _clean(self, n: int, since: float, swing: Swing, pose_times: FloatArray, poses: FloatArray) -> FloatArray:
+        """Field of an oscillation in closed form (Eqs. S2 to S4), after the sensors' low pass."""
+        device = self.true_device
+        times = np.arange(-self._lead, n + 1) / self.rate
+        after = np.maximum(since + times, 0.0)
+        if device.damping_model == "linear":
+            envelope = np.maximum(1.0 - device.damping * after, 0.0)
+        else:
+            envelope = np.exp(-device.damping * after)
+        theta = swing.amplitude * envelope * np.cos(2 * np.pi * device.frequency * (since + times) + swing.phase)
+        coupling = np.zeros((0, len(self.sensors)))
+        return self.true_sensors.clean(0.0, n, self._magnet, coupling, times, theta[:, None], pose_times, poses)
+
+    def _measured(self, field: FloatArray, since: float, disturbance: Disturbance | None) -> Recording:
+        """Add what disturbs, then noise, constants and the converter; the bench's clock runs on."""
+        n = field.shape[1]
+        if disturbance is not None:
+            field += self._heard(disturbance, n)
+        clock = self.clock
+        saturated: BoolArray = self.true_sensors.measure(field, clock)
+        self.clock = clock + n / self.rate + float(self._rng.uniform(*GAP))
+        drive = Excite((5.0, 5.0), self.device.frequency, DRIVE_CYCLES) if np.isfinite(since) else None
+        return Recording(field / self._gains, self.rate, since, saturated, drive, clock)
+
+    def _heard(self, disturbance: Disturbance, n: int) -> FloatArray:
+        """A disturbing field along the true axes, after the sensors' low pass."""
+        from scipy.signal import lfilter
+
+        times = np.arange(-self._lead, n) / self.rate
+        places = self.true_sensors.positions
+        shape = (len(places), len(times), 3)
+        field = as_floats(disturbance(times, places), shape, "disturbance field")
+        along = np.einsum("ktj,kj->kt", field, self.true_sensors.axes)
+        bandwidth = self.sensors.bandwidth
+        if not np.isfinite(bandwidth):
+            return np.ascontiguousarray(along[:, self._lead :])
+        keep = math.exp(-2 * math.pi * bandwidth / self.rate)
+        slow = lfilter([1.0 - keep], [1.0, -keep], along, axis=1, zi=keep * along[:, :1])[0]
+        return np.ascontiguousarray(slow[:, self._lead :])
+
+
+def with_sensors(rig: RigConfig, positions: FloatArray, axes: FloatArray) -> RigConfig:
+    """The same rig with its sensors elsewhere.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (n, 3), in m
+    axes : ndarray, shape (n, 3)
+        Sensitive directions.
+    """
+    places = as_floats(positions, (None, 3), "with_sensors positions")
+    directions = as_floats(axes, (None, 3), "with_sensors axes")
+    if len(places) != len(directions):
+        raise InputError(f"{len(places)} positions but {len(directions)} axes; each sensor needs both.")
+    update = {
+        "positions_mm": [tuple(1e3 * float(v) for v in row) for row in places],
+        "axes": [tuple(float(v) for v in row) for row in directions],
+        "gains": None,
+        "calibrated": None,
+    }
+    section = rig.sections.sensors.model_copy(update=update)
+    return RigConfig(rig.document, rig.sections.model_copy(update={"sensors": section}))

@@ -1,0 +1,228 @@
+"""The simulated tank: a robot, its liquid, its coils and its sensors on one virtual clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim.tank.carriers.carrier import Carrier, Drawn, Magnetised, Turned, make_carrier
+from sim.tank.history import History
+from sim.tank.magnetics.cantilever import STATE_LENGTH, swing
+from sim.tank.magnetics.coils import TankCoils, volume
+from sim.tank.magnetics.magnet import true_device
+from sim.tank.magnetics.sensors import TrueSensors
+from sim.tank.mismatch import Streams, Truth, draw
+from sim.tank.settings import TankSettings
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.core.rotations import matrix_from_quaternion
+from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rest, Rotate, Window
+from smolbot.errors import RigError
+
+STRIDES = 500  # of a mechanical window between two looks at whether to stop
+SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
+NO_SAMPLES = np.zeros((0, 1))
+
+
+@dataclass(frozen=True)
+class Step(Rest):
+    """One coil held at a constant current; actuation coils are counted first, then excitation coils."""
+
+    coil: int = 0
+    current: float = 0.0
+
+
+class Tank:
+    """Plays windows: advances the robot in steps of at most 1 ms, the cantilever in steps of the sample clock.
+
+    Parameters
+    ----------
+    rig, robot : RigConfig, RobotConfig
+        What is believed; the truth is drawn around it.
+    start : array_like, shape (2,), in m
+        Where the robot is put down by hand (x, y).
+    seed : int
+    gui, ideal : bool
+        Show Bullet's window; draw no mismatch.
+    """
+
+    def __init__(
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
+        *, gui: bool = False, ideal: bool = False,
+    ) -> None:  # fmt: skip
+        streams = Streams.from_seed(seed)
+        n_coils = len(rig.sections.coils) + len(rig.sections.excitation)
+        self.truth: Truth = draw(settings, n_coils, len(rig.sensors), streams, ideal=ideal)
+        self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
+        self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
+        self.device = true_device(robot, settings, self.truth)
+        self.carrier: Carrier = make_carrier(rig, robot, settings, self.truth, start, seed, gui=gui, ideal=ideal)
+        self._magnetised = self.carrier if isinstance(self.carrier, Magnetised) else None
+        self.history = History()
+        self.time = 0.0
+        self.running = False
+        self._step = settings.physics_step_ms * 1e-3
+        self._low, self._high = volume(rig)
+        self._state = np.zeros(STATE_LENGTH)
+        self._trace_times = np.zeros(1)
+        self._trace = np.zeros((1, 1 + len(self.coils.circuits)))
+        self._trace[0, 1:] = self.coils.circuits[:, 0]
+        self._used = 1
+        self._note_pose(*self.history.reserve(1))
+
+    def advance(self, windows: tuple[Window, ...]) -> bool:
+        """Play windows one after the other; return False if `running` was set to False meanwhile.
+
+        Afterwards every command is zero."""
+        lengths = [(w, *self._strides(w)) for w in windows]
+        steps = sum(n for _, n, _ in lengths)
+        self.history.drop_last()  # the first row of this shot repeats the closing row of the last
+        times, poses = self.history.reserve(steps + 1)
+        self._begin_trace(sum(1 if _is_mechanical(w) else n * _substeps(h) for w, n, h in lengths))
+        done, self.running = 0, True
+        try:
+            for window, n, step in lengths:
+                self._command(window)
+                run = self._turn if isinstance(window, Rotate | MoveMagnet) else self._run
+                done += run(n, step, times[done:], poses[done:])
+                if isinstance(self.carrier, Turned) and _is_mechanical(window):
+                    self.carrier.end(window)
+                if not self.running:
+                    break
+        finally:
+            self.running = False
+            self.silence()
+            self._note_pose(times[done : done + 1], poses[done : done + 1])
+            self.history.drop_last(steps - done)
+        self._stays(poses[done, :3])
+        return done == steps
+
+    def listen(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
+        """Samples (n_sensors, n) in T from `clock` s on, of the shot just played, and which sensors were saturated."""
+        pose_times, poses = self.history.since(clock - self.sensors.lead)
+        end, sensors = self._used, self.sensors
+        field = sensors.clean(
+            clock, n, self.device, self.coils.coupling, self._trace_times[:end], self._trace[:end], pose_times, poses
+        )
+        if self._magnetised is not None:
+            field += self._magnetised.heard(
+                clock, n, sensors.rate, sensors.time_constant, sensors.positions, sensors.axes
+            )
+        return field, sensors.measure(field, clock)
+
+    def drawn(self) -> dict[str, Any]:
+        """What this tank was drawn as: every mismatch, as plain lists and numbers."""
+        own = {"carrier": self.carrier.as_dict()} if isinstance(self.carrier, Drawn) else {}
+        return {"truth": self.truth.as_dict(), **own}
+
+    def silence(self) -> None:
+        """Command zero to every driven coil; its current decays."""
+        driven = self.coils.n_actuation + self.coils.n_excitation
+        self.coils.circuits[:driven, 1:3] = 0.0
+
+    def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray, commands: FloatArray = NO_SAMPLES) -> int:
+        """Advance by `n` steps, as commanded for the window, or by a row of `commands` (in A) for each substep."""
+        substeps = _substeps(step)
+        device, earth, state = self.device, self.coils.earth, self._state
+        rows, table, circuits = self.coils.fields.rows, self.coils.fields.coefficients, self.coils.circuits
+        read, move = self.carrier.state, self.carrier.advance
+        used, start = self._used, self.time
+        trace = self._trace
+        near = None if self._magnetised is None else self._magnetised.field_at_magnet
+        steady = earth
+        played = 0
+        for i in range(n):
+            if not self.running:
+                break
+            body = read()
+            if near is not None:
+                earth = steady + matrix_from_quaternion(np.array(body[1])) @ near
+            magnetic = swing(
+                body[0], body[1], device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps,
+                commands, i * substeps,
+            )  # fmt: skip
+            move(body, magnetic, start + i * step, step)
+            used += substeps
+            played += 1
+        times[:played] = start + step * np.arange(played)
+        count = played * substeps
+        self._trace_times[self._used : used] = start + step / substeps * np.arange(1, count + 1)
+        self._used = used
+        self.time = start + played * step
+        return played
+
+    def _turn(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
+        """A mechanical window: the magnet's own field stills the swing, and nobody listens."""
+        carrier, start, played = self.carrier, self.time, 0
+        assert isinstance(carrier, Turned)  # no other rig's limits let such a window pass
+        while self.running and played < n:
+            stride = min(STRIDES, n - played)
+            carrier.turn(step, poses[played : played + stride])
+            played += stride
+        times[:played] = start + step * np.arange(played)
+        self.time = start + played * step
+        self._state[:2] = 0.0
+        self._trace_times[self._used], self._trace[self._used] = self.time, 0.0
+        self._trace[self._used, 1:] = self.coils.circuits[:, 0]
+        self._used += 1
+        return played
+
+    def _strides(self, window: Window) -> tuple[int, float]:
+        if isinstance(self.carrier, Turned) and _is_mechanical(window):
+            return _divide(self.carrier.lasting(window), self.carrier.longest_step)
+        return _divide(window.duration, self._step)
+
+    def _command(self, window: Window) -> None:
+        self.silence()
+        self.carrier.begin(window, self.time)
+        self._state[2:4] = 0.0
+        actuation = self.coils.n_actuation
+        if isinstance(window, Step):
+            self.coils.circuits[window.coil, 1] = window.current
+        elif isinstance(window, Actuate):
+            self.coils.circuits[:actuation, 1] = window.currents
+        elif isinstance(window, Excite):
+            n = self.coils.n_excitation
+            self.coils.circuits[actuation : actuation + n, 2] = window.currents[:n]
+            self._state[3] = 2 * math.pi * window.frequency
+
+    def _begin_trace(self, rows: int) -> None:
+        """Keep what the sensors' low pass still remembers of the past, and make room for `rows` more."""
+        end = self._used
+        first = max(int(np.searchsorted(self._trace_times[:end], self.time - self.sensors.lead)) - 1, 0)
+        kept = end - first
+        times, trace = self._trace_times[first:end].copy(), self._trace[first:end].copy()
+        if kept + rows > len(self._trace_times):
+            self._trace_times = np.zeros(kept + rows)
+            self._trace = np.zeros((kept + rows, self._trace.shape[1]))
+        self._trace_times[:kept], self._trace[:kept] = times, trace
+        self._used = kept
+
+    def _stays(self, place: FloatArray) -> None:
+        if not (np.all(place > self._low) and np.all(place < self._high)):
+            raise RigError(f"The robot left the container, to {np.round(1e3 * place, 2)} mm, at {self.time:.3f} s.")
+
+    def _note_pose(self, time: FloatArray, pose: FloatArray) -> None:
+        position, quaternion, _, _ = self.carrier.state()
+        turn = matrix_from_quaternion(np.array(quaternion))
+        time[0] = self.time
+        pose[0, :3] = position - turn @ self.device[10:13]
+        pose[0, 3:] = quaternion
+
+
+def _is_mechanical(window: Window) -> bool:
+    return isinstance(window, Rotate | MoveMagnet)
+
+
+def _divide(duration: float, longest: float) -> tuple[int, float]:
+    """Number and length of equal steps, none longer than `longest`, that exactly fill `duration`."""
+    n = max(math.ceil(duration / longest - 1e-9), 1)
+    return n, duration / n
+
+
+def _substeps(step: float) -> int:
+    return max(math.ceil(step / SUBSTEP - 1e-9), 1)

@@ -1,0 +1,1 @@
+"""Measures device and sensors before the first mission."""

@@ -1,0 +1,217 @@
+"""Where the sensors truly stand: gains, axes and places from recordings of a device on a known track.
+
+With the device's pose known, what each sensor should hear is known too, up to the amplitude of each shot.
+What it hears instead tells its gain, the tilt of its axis and its place: six numbers a sensor, found by least
+squares under weak priors, so that what the track does not tell stays as believed. A gain common to all
+sensors cannot be told from the amplitudes and stays 1. Nobody knows to a tenth of a millimetre where in its
+holder a cantilever turns: six more numbers, common to all poses, say how the device sits in what the stage
+carries. Some recordings are held out, and located with the old and the new array: only they show whether
+anything was gained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray, frozen
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import rotation_error
+from smolbot.core.sensing import Device, Recording, SensorArray
+from smolbot.errors import InputError
+from smolbot.localization.array.fit import HOLDER, PER_SENSOR, Heard, Unknowns, across, corrected_array, held, step
+from smolbot.localization.device.thinning import Hum
+
+ROUNDS = 4
+"""Gauss-Newton steps; each also renews what the higher harmonics are taken to be."""
+
+
+@dataclass(frozen=True)
+class Priors:
+    """How far the array may be from what is believed: one standard deviation of each.
+
+    Attributes
+    ----------
+    place : float, in m, per axis
+    gain : float, relative
+    axis : float, in rad, about each direction across it
+    track : float, in m
+        Error of the known places, per axis: what no array can explain.
+    holder_place, holder_turn : float, in m and rad
+        Of the device in its holder, the same in all poses.
+    """
+
+    place: float = 2e-4
+    gain: float = 5e-3
+    axis: float = float(np.radians(0.3))
+    track: float = 2e-5
+    holder_place: float = 3e-4
+    holder_turn: float = float(np.radians(1.0))
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors of poses located in recordings that took no part: rms, in m and rad.
+
+    Attributes
+    ----------
+    recordings : int
+    position_before, position_after : float, in m, per axis
+    orientation_before, orientation_after : float, in rad, per axis
+    """
+
+    recordings: int
+    position_before: float
+    position_after: float
+    orientation_before: float
+    orientation_after: float
+
+    @property
+    def better(self) -> bool:
+        """Whether positions came out better, and orientations, which noise rules, not clearly worse."""
+        return self.position_after < self.position_before and self.orientation_after < 1.1 * self.orientation_before
+
+
+@dataclass(frozen=True, eq=False)
+class Holder:
+    """How the device sits in its holder, beyond what the track says.
+
+    Attributes
+    ----------
+    place, place_std : ndarray, shape (3,), in m
+        Of the rotation centre, along the body axes.
+    turn, turn_std : ndarray, shape (3,), in rad
+        About the body axes.
+    """
+
+    place: FloatArray
+    turn: FloatArray
+    place_std: FloatArray
+    turn_std: FloatArray
+
+    def true(self, pose: Pose) -> Pose:
+        """Pose of the device where the track says `pose`."""
+        return held(pose, np.concatenate([self.place, self.turn]))
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayCalibration:
+    """The array as it was found to be.
+
+    Attributes
+    ----------
+    sensors : SensorArray
+        Corrected places and axes.
+    gains : ndarray, shape (n_sensors,)
+        Of each sensor relative to what is believed; divide a recording by them (`corrected`).
+    place_std : ndarray, shape (n_sensors, 3), in m
+    gain_std : ndarray, shape (n_sensors,)
+    tilt_std : ndarray, shape (n_sensors, 2), in rad
+        Standard deviations that are left; as large as the priors where the track tells nothing.
+    holder : Holder
+    held_out : HeldOut
+    """
+
+    sensors: SensorArray
+    gains: FloatArray
+    place_std: FloatArray
+    gain_std: FloatArray
+    tilt_std: FloatArray
+    holder: Holder
+    held_out: HeldOut
+
+    def corrected(self, recording: Recording) -> Recording:
+        """The recording as sensors of unit gain would have made it."""
+        return replace(recording, field=recording.field / self.gains[:, None])
+
+
+def calibrate_sensors(
+    recordings: Sequence[Recording],
+    track: Sequence[Pose],
+    sensors: SensorArray,
+    device: Device,
+    *,
+    priors: Priors | None = None,
+    hum: Hum | None = None,
+    hold_out: int = 4,
+) -> ArrayCalibration:
+    """Gains, axes and places of the sensors from recordings with the device at known poses.
+
+        y_rs = g_s A_r c(p_s, a_s; pose_r h)
+
+    y is the size of the oscillation in recording r and sensor s, c the field per deflection along the sensor's
+    axis (Eqs. S5 to S8), A_r the amplitude of the shot, free, and h the device's pose in its holder, the same in all.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Each after a drive; of some twenty poses or more, spread over the volume and over headings.
+    track : sequence of Pose
+        The known pose of each; covariances are not used.
+    sensors, device : SensorArray, Device
+        As believed; the device calibrated, or its frequency's error is taken for the sensors'.
+    priors : Priors, optional
+    hum : Hum, optional
+        Mains lines in the room.
+    hold_out : int
+        Every so many-th recording takes no part and is located before and after.
+
+    Raises
+    ------
+    InputError
+        If recordings and poses do not match in number, or there are too few of them.
+    """
+    priors = priors or Priors()
+    if len(recordings) != len(track):
+        raise InputError(
+            f"There are {len(recordings)} recordings but {len(track)} poses; each recording needs its own."
+        )
+    if hold_out < 2:
+        raise InputError(f"hold_out must be at least 2: every so many-th recording is held out; got {hold_out}.")
+    aside = set(range(hold_out - 1, len(recordings), hold_out))
+    used = [i for i in range(len(recordings)) if i not in aside]
+    if len(used) < 8 or len(aside) < 2:
+        raise InputError(
+            f"{len(recordings)} recordings leave {len(used)} to learn from and {len(aside)} to check with; at least 8 "
+            "and 2 are needed, and three times as many are wise."
+        )
+    heard = [Heard.of(recordings[i], track[i], sensors, device, hum) for i in used]
+    frames = np.stack([across(axis) for axis in sensors.axes])
+    deviations = (
+        np.array([priors.gain, priors.axis, priors.axis, *[priors.place] * 3]),
+        np.array([*[priors.holder_place] * 3, *[priors.holder_turn] * 3]),
+    )
+    found = Unknowns(np.zeros((len(sensors), PER_SENSOR)), np.zeros(HOLDER), np.array([h.amplitude for h in heard]))
+    for _ in range(ROUNDS):
+        found, spread, loose = step(heard, sensors, device, frames, found, deviations, priors.track)
+    array, gains = corrected_array(sensors, frames, found.sensors), np.exp(found.sensors[:, 0])
+    check = [(recordings[i], held(track[i], found.holder)) for i in sorted(aside)]
+    before = _errors([r for r, _ in check], check, sensors, device)
+    after = _errors([replace(r, field=r.field / gains[:, None]) for r, _ in check], check, array, device)
+    return ArrayCalibration(
+        sensors=array,
+        gains=frozen(gains),
+        place_std=frozen(spread[:, 3:]),
+        gain_std=frozen(spread[:, 0]),
+        tilt_std=frozen(spread[:, 1:3]),
+        holder=Holder(*(frozen(part) for part in (found.holder[:3], found.holder[3:], loose[:3], loose[3:]))),
+        held_out=HeldOut(len(check), before[0], after[0], before[1], after[1]),
+    )
+
+
+def _errors(
+    recordings: Sequence[Recording], check: Sequence[tuple[Recording, Pose]], array: SensorArray, device: Device
+) -> tuple[float, float]:
+    """Rms error per axis of poses located from the known ones: m, rad."""
+    from smolbot.localization.localizer import Localizer
+
+    loose = replace(device, theta_max=min(1.2 * device.theta_max, 1.0))
+    localizer = Localizer(sensors=array, device=loose)
+    places, turns = [], []
+    for recording, (_, pose) in zip(recordings, check, strict=True):
+        found = localizer.locate(recording, pose)
+        places.append(found.position - pose.position)
+        turns.append(rotation_error(np.array(found.orientation), np.array(pose.orientation)))
+    return float(np.sqrt(np.mean(np.square(places)))), float(np.sqrt(np.mean(np.square(turns))))

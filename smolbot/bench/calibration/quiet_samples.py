@@ -1,0 +1,92 @@
+"""Quiet samples of a lab: the noise that they teach, and the channels that they say are broken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.config.samples import Shots, read_samples, recordings_from
+from smolbot.core.arrays import BoolArray
+from smolbot.errors import InputError
+from smolbot.localization.noise.model import BLOCK_RATE, NoiseModel
+from smolbot.localization.problem import MIN_OUTPUTS
+
+if TYPE_CHECKING:
+    from smolbot.config.rig import RigConfig
+
+
+@dataclass(frozen=True, eq=False)
+class Quiet:
+    """What quiet samples say.
+
+    Attributes
+    ----------
+    noise : NoiseModel
+    broken : ndarray of bool, shape (n_sensors,)
+        Channels that were saturated, dead or stuck in every shot.
+    told : str
+        What must be said of it: the file, and what was left out.
+    """
+
+    noise: NoiseModel
+    broken: BoolArray
+    told: str
+
+    def taken_from(self, shots: Shots) -> Shots:
+        """The shots without the broken channels; each says so."""
+        if not self.broken.any():
+            return shots
+        note = f"left out: {_named(self.broken)}, of no use in the quiet samples"
+        recordings = tuple(replace(r, saturated=r.saturated | self.broken) for r in shots.recordings)
+        return Shots(recordings, tuple("; ".join(filter(None, [said, note])) for said in shots.notes))
+
+
+def learn_quiet(path: Path, rig: RigConfig, rate: float) -> Quiet:
+    """Learn the noise from a file of quiet samples, for recordings of `rate` Hz.
+
+    Shots in which a channel fails that works in others are left out; a channel that fails in all of them is broken.
+
+    Raises
+    ------
+    InputError
+        As for the samples themselves, or if too little is left to learn from.
+    """
+    held = read_samples(path, quiet=True)
+    shots = recordings_from(held, rig)
+    least = min(rate, BLOCK_RATE)
+    if held.sample_rate < 0.999 * least:
+        raise InputError(
+            f"{path}: has {held.sample_rate:g} samples per second; for samples of {rate:g} Hz the noise must be known "
+            f"up to {0.5 * least:g} Hz, which takes {least:g}."
+        )
+    bad = np.array([r.saturated for r in shots.recordings])
+    broken: BoolArray = np.asarray(bad.all(axis=0))
+    if np.sum(~broken) < MIN_OUTPUTS:
+        raise InputError(
+            f"{path}: only {int(np.sum(~broken))} channels are of use, at least {MIN_OUTPUTS} are needed; "
+            f"{shots.notes[0]}."
+        )
+    used = [number for number, each in enumerate(bad) if not np.any(each & ~broken)]
+    if not used:
+        said = "; ".join(f"shot {i}: {note}" for i, note in enumerate(shots.notes) if note)
+        raise InputError(f"{path}: no shot is quiet in all channels that work. {said[:300]}")
+    try:
+        noise = NoiseModel.learn([shots.recordings[i] for i in used])
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    told = str(path)
+    if broken.any():
+        told += f"; {shots.notes[used[0]]}"
+    if len(used) < len(bad):
+        told += f"; {len(bad) - len(used)} of {len(bad)} shots left out: " + "; ".join(
+            f"shot {i}, {shots.notes[i].removeprefix('left out: ')}" for i in range(len(bad)) if i not in used
+        )
+    return Quiet(noise, broken, told)
+
+
+def _named(channels: BoolArray) -> str:
+    which = np.flatnonzero(channels)
+    return f"channel{'s' if len(which) > 1 else ''} {', '.join(map(str, which))}"

@@ -1,0 +1,144 @@
+"""Recordings of a device at known poses: a lab's own files, or those of the stage that a rig's world has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.bench.calibration.device import HEARD, weighted_mean
+from smolbot.config.known_track import planned_track, read_track, write_track
+from smolbot.config.samples import read_samples, recordings_from
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Device, Recording
+from smolbot.errors import InputError
+
+if TYPE_CHECKING:
+    from smolbot.config.rig import RigConfig
+    from smolbot.localization.device.thinning import Hum
+
+HALF_PERIODS = 20
+"""Length of a recording on a rig's own stage."""
+
+SPAN = 3.0
+"""The resonance is looked for so far, in Hz, to both sides of the believed frequency."""
+
+LEAST = 11
+"""Recordings without which there is too little to learn from and to check with."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """One recording of the track: where it comes from, what was heard, the known pose, what must be said of it."""
+
+    name: str
+    recording: Recording
+    pose: Pose
+    note: str = ""
+
+
+def from_files(track: Path, samples: Path | None, rig: RigConfig) -> list[Known]:
+    """A lab's own recordings: rows of the track that name one file take its shots in order.
+
+    Raises
+    ------
+    InputError
+        If a row has no samples, or a file has another number of shots than rows; as track and samples are read.
+    """
+    known = read_track(track)
+    rows: dict[Path, list[Pose]] = {}
+    for row, (file, pose) in enumerate(zip(known.files, known.poses, strict=True), 1):
+        chosen = file or samples
+        if chosen is None:
+            raise InputError(f"{track}: row {row} names no samples; give a column 'file', or one file by --samples.")
+        rows.setdefault(chosen, []).append(pose)
+    found = []
+    for file, poses in rows.items():
+        shots = recordings_from(read_samples(file), rig)
+        if len(shots.recordings) != len(poses):
+            raise InputError(
+                f"{track}: {len(poses)} rows, but {file} holds {len(shots.recordings)} shots; each row needs its own."
+            )
+        for number, heard in enumerate(zip(shots.recordings, poses, shots.notes, strict=True)):
+            found.append(Known(f"{file.name}, shot {number}", *heard))
+    return found
+
+
+def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path | None) -> list[Known]:
+    """Recordings on the stage that the rig's world has; `keep` names a new folder for track and samples.
+
+    Raises
+    ------
+    InputError
+        If the world has no stage, or the folder is in use.
+    """
+    from smolbot.config.plugins import load_world
+
+    if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
+        raise InputError(f"--keep {keep}: must be a new or empty folder, so that no recording is lost.")
+    opened = getattr(load_world(rig.world, rig.document), "stage", None)
+    if opened is None:
+        raise InputError(
+            f"World '{rig.world}' of rig '{rig.name}' has no stage of its own; give a TRACK with recordings."
+        )
+    box = rig.sections.container
+    middle, half = 1e-3 * np.array(box.center_mm), 0.5e-3 * np.array(box.size_mm)
+    low = np.array([*(middle - half), 1e-3 * box.floor_z_mm])
+    high = np.array([*(middle + half), 1e-3 * (box.surface_z_mm + box.wall_height_mm)])
+    stage = opened(rig, device, seed)
+    track = planned_track(low, high, count)
+    heard = [stage.record(p.position, np.array(p.orientation), HALF_PERIODS) for p in track]
+    if keep is not None:
+        _keep(keep, track, heard, rig)
+    return [Known(f"pose {i}", h, p) for i, (h, p) in enumerate(zip(heard, track, strict=True))]
+
+
+def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfig) -> None:
+    """Write track and samples as a lab would have them."""
+    scale = 1e6 * rig.sections.sensors.sensitivity_v_per_ut
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(
+            folder / "samples.npz",
+            volts=np.stack([scale * rig.sensor_gains[:, None] * h.field for h in heard]),
+            sample_rate_hz=heard[0].sample_rate,
+            time_since_drive_ms=[1e3 * h.time_since_drive for h in heard],
+            clock_s=[h.clock for h in heard],
+        )
+    except OSError as error:
+        raise InputError(f"--keep {folder}: cannot be written: {error}.") from error
+    write_track(folder / "track.csv", track, ["samples.npz"] * len(track))
+
+
+def ringing(shots: list[Known], rig: RigConfig, device: Device, hum: Hum) -> tuple[list[Known], Device, list[str]]:
+    """Recordings in which the device rings, the device as heard in them, and which were left out, with the reason.
+
+    Resonance and damping are those of the device as it is held and stands in the room now.
+
+    Raises
+    ------
+    InputError
+        If too few are left.
+    """
+    from smolbot.localization.device.ringdown import measure
+
+    used, heard, left_out = [], [], []
+    for shot in shots:
+        try:
+            rang = measure(shot.recording, rig.sensors, device, hum=hum, search=SPAN)
+        except InputError as error:
+            left_out.append(f"{shot.name}: left out: {error}")
+            continue
+        if rang.signal_to_noise < HEARD:
+            left_out.append(f"{shot.name}: left out: nothing rings (signal to noise {rang.signal_to_noise:.1f})")
+            continue
+        used.append(shot)
+        heard.append(rang)
+    if len(used) < LEAST:
+        why = "".join(f"\n{line}" for line in left_out[:10])
+        raise InputError(f"{len(used)} of {len(shots)} recordings can be used; at least {LEAST} are needed.{why}")
+    frequency, _ = weighted_mean([(r.frequency, r.frequency_std) for r in heard])
+    damping, _ = weighted_mean([(r.damping, r.damping_std) for r in heard])
+    return used, replace(device, frequency=frequency, damping=damping), left_out

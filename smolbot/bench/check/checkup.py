@@ -1,0 +1,211 @@
+"""Plays what does no harm on an open rig, measures it, and holds it against the rig file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.bench.check.byhand import by_hand
+from smolbot.bench.check.coils import FEWEST, CoilCheck, check_coils
+from smolbot.bench.check.hum import SHORTEST, Hum, measure_hum
+from smolbot.core.coil_probe import Prober
+from smolbot.core.rig import Checkable, CheckItem, Rig
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Listen, Shot
+from smolbot.errors import InputError
+
+if TYPE_CHECKING:
+    from smolbot.config.rig import RigConfig
+
+FLOOR_TIMES, SLOW_TIMES, HUM_TIMES = 1.5, 3.0, 2.0
+"""Times what the rig file expects: noise floor; noise at 1 Hz, which varies by a third in a few recordings; mains."""
+
+QUIET_SHARE = 0.2
+"""A sensor with less than this share of the floor that it should have is dead."""
+
+OFFSET_SHARE = 0.5
+"""Share of the range that a standing field may take: what is left is for the signals."""
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """One sensor, in SI units, and what is wrong with it."""
+
+    name: str
+    offset: float
+    rms: float
+    slow: float
+    floor: float
+    mains: float
+    harmonics: float
+    gain: float | None
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the rig file leads to expect of a sensor, in SI units; the limits are multiples of it."""
+
+    slow: float
+    floor: float
+    mains: float
+    harmonics: float
+    range: float
+
+
+@dataclass(frozen=True)
+class Checkup:
+    """Everything that was found.
+
+    Attributes
+    ----------
+    devices : tuple of CheckItem
+    sensors : tuple of SensorCheck
+    coils : tuple of CoilCheck
+        Empty where the rig cannot hear its own coils.
+    expected : Expected
+    mains_frequency : float, in Hz
+    by_hand : tuple of str
+        What only a person can verify.
+    simulated : bool
+        Whether somebody knows the truth, so that there is nothing for a person to do.
+    """
+
+    devices: tuple[CheckItem, ...]
+    sensors: tuple[SensorCheck, ...]
+    coils: tuple[CoilCheck, ...]
+    expected: Expected
+    mains_frequency: float
+    by_hand: tuple[str, ...]
+    simulated: bool
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def faults(self) -> list[str]:
+        """Everything that is wrong, a line each."""
+        found = [
+            f"{d.device}: {d.what} is {d.found}" + (f", not {d.limit}" if d.limit else "")
+            for d in self.devices
+            if not d.ok
+        ]
+        found += [f"sensor {s.name}: {fault}" for s in self.sensors for fault in s.faults]
+        return found + [f"coil {c.name}: {fault}" for c in self.coils for fault in c.faults]
+
+    @property
+    def ok(self) -> bool:
+        return not self.faults
+
+
+def check_rig(rig: Rig, config: RigConfig, quiet: float = 12.0, say: Callable[[str], None] = lambda _: None) -> Checkup:
+    """Check an open rig; it is left as it was.
+
+    Parameters
+    ----------
+    rig : Rig
+    config : RigConfig
+        What is believed of it.
+    quiet : float, in s
+        How long to listen to nothing, in all.
+    say : callable
+        Told what is going on.
+
+    Raises
+    ------
+    InputError
+        If the time to listen is too short, or less than a second can be listened at once.
+    InterlockError, RigError
+        As `Rig.play`.
+    """
+    devices = tuple(rig.checks()) if isinstance(rig, Checkable) else ()
+    say(f"listening to nothing for {quiet:g} s")
+    noise = config.sections.noise
+    recordings = _listen(rig, quiet, noise.mains_hz)
+    hum = measure_hum(recordings, noise.mains_hz, rig.sensors.bandwidth)
+    expected = _expected(config)
+    faults = _hum_faults(hum, expected)
+    usable = np.array([not any("dead" in f or "saturated" in f for f in of_one) for of_one in faults])
+    coils: tuple[CoilCheck, ...] = ()
+    gains: list[float | None] = [None] * len(rig.sensors)
+    notes: list[str] = []
+    if not isinstance(rig, Prober):
+        notes.append("This rig cannot hear its own coils while they are driven: coils and relays were not checked.")
+    elif usable.sum() < FEWEST:
+        notes.append(f"Fewer than {FEWEST} sensors can be relied on: coils and relays were not checked.")
+    else:
+        coils, heard = check_coils(rig, config, usable, expected.range, say)
+        for number, likeness in enumerate(heard):
+            gains[number] = likeness.gain
+            if likeness.fault and usable[number]:
+                faults[number].append(likeness.fault)
+    names = _sensor_names(config, len(rig.sensors))
+    sensors = tuple(
+        SensorCheck(
+            names[k], float(hum.offset[k]), float(hum.rms[k]), float(hum.slow[k]), float(hum.floor[k]),
+            float(hum.mains[k]), float(np.linalg.norm(hum.harmonics[k])), gains[k], tuple(faults[k]),
+        )
+        for k in range(len(names))
+    )  # fmt: skip
+    return Checkup(
+        devices, sensors, coils, expected, hum.mains_frequency, tuple(by_hand(config)),
+        rig.witness is not None, tuple(notes),
+    )  # fmt: skip
+
+
+def _listen(rig: Rig, quiet: float, mains: float) -> list[Recording]:
+    if not quiet >= SHORTEST:
+        raise InputError(f"A check listens to nothing for at least {SHORTEST:g} s; got {quiet:g} s.")
+    count = max(math.ceil(quiet / rig.limits.max_listen - 1e-9), 1)
+    half_periods = max(round(2 * mains * min(quiet / count, rig.limits.max_listen) - 0.5 + 1e-9), 1)
+    heard: list[Recording] = []
+    for _ in range(count):
+        recording = rig.play(Shot((Listen(half_periods, mains),), "quiet", rig.now()))
+        if recording is not None:
+            heard.append(recording)
+    return heard
+
+
+def _expected(config: RigConfig) -> Expected:
+    noise, sensors = config.sections.noise, config.sections.sensors
+    reach = float(np.linalg.norm(config.sensors.positions - config.sensors.positions.mean(axis=0), axis=1).max())
+    mains = 1e-9 * (noise.mains_nt + noise.mains_gradient_nt_per_m * reach)
+    return Expected(
+        slow=1e-12 * max(noise.at_1hz_pt_per_rthz, noise.floor_pt_per_rthz),
+        floor=1e-12 * noise.floor_pt_per_rthz,
+        mains=mains,
+        harmonics=mains * math.sqrt(sum(size**2 for size in noise.harmonics.values())),
+        range=1e-6 * min(sensors.range_ut, sensors.adc_range_v / sensors.sensitivity_v_per_ut),
+    )
+
+
+def _hum_faults(hum: Hum, expected: Expected) -> list[list[str]]:
+    found: list[list[str]] = [[] for _ in hum.floor]
+    for k, faults in enumerate(found):
+        if hum.span[k] == 0.0:
+            faults.append("dead: every sample is the same")
+        elif hum.floor[k] < QUIET_SHARE * expected.floor:
+            faults.append(f"dead: {1e12 * hum.floor[k]:.2g} pT/√Hz is less than a working one's noise")
+        if hum.saturated[k]:
+            faults.append("saturated")
+        if abs(hum.offset[k]) > OFFSET_SHARE * expected.range:
+            share = 100 * abs(hum.offset[k]) / expected.range
+            faults.append(f"offset takes {share:.0f} % of its range")
+        for what, value, should, times, scale, unit in (
+            ("noise floor", hum.floor[k], expected.floor, FLOOR_TIMES, 1e12, "pT/√Hz"),
+            ("noise at 1 Hz", hum.slow[k], expected.slow, SLOW_TIMES, 1e12, "pT/√Hz"),
+            ("mains", hum.mains[k], expected.mains, HUM_TIMES, 1e9, "nT"),
+            ("harmonics", float(np.linalg.norm(hum.harmonics[k])), expected.harmonics, HUM_TIMES, 1e9, "nT"),
+        ):
+            if should > 0 and value > times * should:
+                faults.append(f"{what} {scale * value:.3g} {unit}, {value / should:.1f} times what is expected")
+    return found
+
+
+def _sensor_names(config: RigConfig, count: int) -> list[str]:
+    inputs = config.sections.bench.get("inputs", {}).get("channels", []) if config.sections.bench else []
+    if len(inputs) != count:
+        return [str(k) for k in range(count)]
+    return [f"{k} ({channel})" for k, channel in enumerate(inputs)]

@@ -1,0 +1,115 @@
+"""Drives every coil faintly, one after the other, and tells which it is, which way round, and when its relay works."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.bench.check.edges import Edges, find_edges
+from smolbot.bench.check.prediction import predict
+from smolbot.bench.check.wiring import Likeness, match
+from smolbot.core.arrays import BoolArray
+from smolbot.core.coil_probe import Probe, Prober
+
+if TYPE_CHECKING:
+    from smolbot.config.rig import RigConfig
+
+FEWEST = 3
+"""Sensors without which a pattern says nothing."""
+
+PROBE_SHARE = 0.6
+"""Share of the range that a probe fills in the sensor that hears it best."""
+
+LATE = 0.5e-3
+"""Seconds by which a relay may be later than the rig file says; edges are found to some 0.02 ms."""
+
+SLOW_TOLERANCE = 0.3
+"""Of a coil's time constant."""
+
+
+@dataclass(frozen=True)
+class CoilCheck:
+    """One coil as the sensors hear it, in SI units, and what is wrong with it."""
+
+    name: str
+    current: float
+    gain: float
+    unexplained: float
+    closes: float | None
+    opens: float | None
+    rise: float | None
+    time_constant: float
+    close_limit: float
+    open_limit: float
+    faults: tuple[str, ...]
+
+
+def check_coils(
+    rig: Prober, config: RigConfig, usable: BoolArray, full: float, say: Callable[[str], None]
+) -> tuple[tuple[CoilCheck, ...], list[Likeness]]:
+    """Probe every coil; the coils, and what each sensor says of them.
+
+    `usable` (n_sensors,) are the sensors to rely on, `full` is their range in T.
+    """
+    prediction = predict(config)
+    lag = 1.0 / (2 * math.pi * config.sensors.bandwidth) if np.isfinite(config.sensors.bandwidth) else 0.0
+    currents: list[float] = []
+    probes: list[Probe] = []
+    for name, row in zip(prediction.names, prediction.response, strict=True):
+        say(f"driving {name} faintly")
+        currents.append(min(PROBE_SHARE * full / float(np.abs(row).max()), _most(config, name)))
+        probes.append(rig.probe(name, currents[-1]))
+    overdriven = np.array([probe.recording.saturated & usable for probe in probes])
+    clear = usable & ~overdriven.any(axis=0)
+    trusted = clear if clear.sum() >= FEWEST else usable
+    edges = [find_edges(probe, current, lag, trusted) for probe, current in zip(probes, currents, strict=True)]
+    measured = np.array([edge.response if edge.heard else np.zeros_like(edge.response) for edge in edges])
+    found, sensors = match(measured, prediction.response, prediction.names, trusted, prediction.spread)
+    coils = []
+    for k, (likeness, edge, probe) in enumerate(zip(found, edges, probes, strict=True)):
+        constant = prediction.constants[k]
+        coils.append(
+            CoilCheck(
+                name=prediction.names[k],
+                current=currents[k],
+                gain=likeness.gain,
+                unexplained=likeness.unexplained,
+                closes=edge.closes,
+                opens=edge.opens,
+                rise=edge.rise,
+                time_constant=constant,
+                close_limit=probe.close_limit,
+                open_limit=probe.open_limit,
+                faults=tuple(_faults(likeness, edge, probe, constant, bool(overdriven[k].any()))),
+            )
+        )
+    return tuple(coils), sensors
+
+
+def _faults(likeness: Likeness, edge: Edges, probe: Probe, constant: float, over: bool) -> list[str]:
+    found = []
+    if likeness.fault:
+        found.append(likeness.fault)
+    elif over:  # where a coil is another one, that is why
+        found.append("saturates sensors at its probe's current")
+    if not edge.heard:
+        return found
+    for what, time, limit in (("comes", edge.closes, probe.close_limit), ("goes", edge.opens, probe.open_limit)):
+        if time is None:
+            found.append(f"its field never {what}")
+        elif time > limit + LATE:
+            found.append(f"its field {what} {1e3 * time:.1f} ms late, limit {1e3 * (limit + LATE):.1f} ms")
+        elif time < -LATE:
+            found.append(f"its field {what} {-1e3 * time:.1f} ms before it is told to")
+    if edge.rise is not None and constant > 0 and abs(edge.rise / constant - 1.0) > SLOW_TOLERANCE:
+        found.append(f"time constant {1e3 * edge.rise:.2f} ms, not {1e3 * constant:.2f} ms")
+    return found
+
+
+def _most(config: RigConfig, name: str) -> float:
+    limits = config.limits
+    return limits.max_current if name in limits.coils else limits.max_excitation_current

@@ -1,0 +1,180 @@
+"""Mains and its harmonics, and the noise between them, of each sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Recording
+from smolbot.errors import InputError
+
+BLOCK_RATE = 5000.0
+"""Rate, in Hz, to which recordings are averaged down before they are looked at."""
+
+ORDERS = 8
+"""Harmonics of the mains that are taken out, the first one included."""
+
+MAINS_SPREAD = 0.01
+"""Grids stay within half of this, relative to their frequency; a generator may not."""
+
+SLOW_BAND = (0.7, 1.7)
+"""Hz: what counts as noise at 1 Hz."""
+
+FLOOR_BAND = (0.16, 0.42)
+"""Times the sensors' bandwidth: what counts as the floor, above 1/f noise and below their corner."""
+
+FLOOR_SEGMENT = 0.2
+"""Length in s of the pieces that the floor is averaged over."""
+
+SHORTEST = 1.0
+"""Seconds that a recording must last, to say something of 1 Hz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hum:
+    """What each sensor hears where nothing is driven; arrays of shape (n_sensors,).
+
+    Attributes
+    ----------
+    offset : ndarray, in T
+        Mean.
+    rms : ndarray, in T
+        What is left without mean, trend, mains and harmonics.
+    slow, floor : ndarray, in T/√Hz
+        Noise density around 1 Hz, and above 1/f noise; the sensors' low pass is made good.
+    mains : ndarray, in T
+        Peak at the mains' frequency.
+    harmonics : ndarray, shape (n_sensors, ORDERS - 1), in T
+        Peaks at its multiples, from twice on.
+    mains_frequency : float, in Hz
+    span : ndarray, in T
+        Largest less smallest sample; 0 for a channel that is stuck.
+    saturated : ndarray of bool
+    """
+
+    offset: FloatArray
+    rms: FloatArray
+    slow: FloatArray
+    floor: FloatArray
+    mains: FloatArray
+    harmonics: FloatArray
+    mains_frequency: float
+    span: FloatArray
+    saturated: np.ndarray
+
+
+def measure_hum(quiet: Sequence[Recording], mains: float, bandwidth: float = np.inf) -> Hum:
+    """Measure recordings in which nothing was driven.
+
+    Parameters
+    ----------
+    quiet : sequence of Recording
+        Of one sample rate and one set of sensors, each at least a second long.
+    mains : float, in Hz
+        Nominal.
+    bandwidth : float, in Hz
+        Corner of the sensors' first-order low pass.
+
+    Raises
+    ------
+    InputError
+        If there is none, or one is too short.
+    """
+    if not quiet:
+        raise InputError("measure_hum needs at least one quiet recording; got none.")
+    shortest = min(r.duration for r in quiet)
+    if shortest < SHORTEST - 1e-9:
+        raise InputError(f"Quiet recordings must last at least {SHORTEST:g} s; got {shortest:.3f} s.")
+    size = max(round(quiet[0].sample_rate / BLOCK_RATE), 1)
+    rate = quiet[0].sample_rate / size
+    pieces = [_averaged(np.asarray(r.field), size) for r in quiet]
+    frequency = _mains_frequency(pieces, rate, mains)
+    fits = [_without_lines(piece, rate, frequency) for piece in pieces]
+    left = [residual for _, residual in fits]
+    peaks = np.sqrt(np.mean([np.abs(phasors) ** 2 for phasors, _ in fits], axis=0)).T
+    top = min(bandwidth, 0.2 * rate)
+    slow, _ = _density(left, rate, shortest, SLOW_BAND, np.mean)
+    floor, grid = _density(left, rate, FLOOR_SEGMENT, (FLOOR_BAND[0] * top, FLOOR_BAND[1] * top), None)
+    gain = np.sqrt(np.mean(1.0 / (1.0 + (grid / bandwidth) ** 2))) if np.isfinite(bandwidth) else 1.0
+    return Hum(
+        offset=np.mean([np.asarray(r.field).mean(axis=1) for r in quiet], axis=0),
+        rms=np.sqrt(np.mean([np.mean(piece**2, axis=1) for piece in left], axis=0)),
+        slow=slow,
+        floor=floor / gain,
+        mains=peaks[:, 0],
+        harmonics=peaks[:, 1:],
+        mains_frequency=frequency,
+        span=np.max([np.ptp(np.asarray(r.field), axis=1) for r in quiet], axis=0),
+        saturated=np.any([r.saturated for r in quiet], axis=0),
+    )
+
+
+def _averaged(field: FloatArray, size: int) -> FloatArray:
+    n = field.shape[1] // size
+    return np.asarray(field[:, : n * size].reshape(len(field), n, size).mean(axis=2))
+
+
+def _design(count: int, rate: float, frequency: float) -> FloatArray:
+    """Columns: cosines and sines of every order, a constant, a trend."""
+    time = np.arange(count) / rate
+    orders = np.arange(1, ORDERS + 1)
+    angle = 2 * np.pi * frequency * np.outer(time, orders[orders * frequency < 0.45 * rate])
+    slow = np.stack([np.ones(count), (time - time.mean()) / time[-1]], axis=1)
+    return np.concatenate([np.cos(angle), np.sin(angle), slow], axis=1)
+
+
+def _without_lines(piece: FloatArray, rate: float, frequency: float) -> tuple[np.ndarray, FloatArray]:
+    """Peak phasors (ORDERS, n_sensors) and what is left (n_sensors, n) of one recording."""
+    design = _design(piece.shape[1], rate, frequency)
+    solution = np.linalg.solve(design.T @ design, design.T @ piece.T)
+    n = (design.shape[1] - 2) // 2
+    phasors = np.zeros((ORDERS, len(piece)), np.complex128)
+    phasors[:n] = solution[:n] - 1j * solution[n : 2 * n]
+    return phasors, piece - (design @ solution).T
+
+
+def _mains_frequency(pieces: list[FloatArray], rate: float, nominal: float) -> float:
+    """The frequency near `nominal` at which the first harmonic takes most power out, summed over all."""
+    from scipy.optimize import minimize_scalar
+
+    centred = [(p - p.mean(axis=1, keepdims=True)) * np.hanning(p.shape[1]) for p in pieces]
+    times = [np.arange(p.shape[1]) / rate for p in pieces]
+
+    def less_power(frequency: float) -> float:
+        return -sum(
+            float(np.sum(np.abs(p @ np.exp(-2j * np.pi * frequency * t)) ** 2))
+            for p, t in zip(centred, times, strict=True)
+        )
+
+    grid = nominal * (1 + MAINS_SPREAD * np.linspace(-0.5, 0.5, 41))
+    best = float(grid[np.argmin([less_power(f) for f in grid])])
+    step = grid[1] - grid[0]
+    found = minimize_scalar(less_power, bounds=(best - step, best + step), method="bounded")
+    return float(found.x)
+
+
+def _density(
+    pieces: list[FloatArray], rate: float, segment: float, band: tuple[float, float], mean: object
+) -> tuple[FloatArray, FloatArray]:
+    """Noise density (n_sensors,) in a band, by half-overlapping Hann segments; and the frequencies that were used.
+
+    The mean over the band, or, without one, a median that minds no unknown line.
+    """
+    length = round(segment * rate)
+    window = np.hanning(length + 2)[1:-1]
+    grid = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
+    used = (grid >= band[0]) & (grid <= band[1])
+    total, count = np.zeros((len(pieces[0]), int(used.sum()))), 0
+    for piece in pieces:
+        for start in range(0, piece.shape[1] - length + 1, max(length // 2, 1)):
+            wave = np.fft.rfft(piece[:, start : start + length] * window, axis=1)[:, used]
+            total += np.abs(wave) ** 2
+            count += 1
+    power = total * 2.0 / (rate * np.sum(window**2) * count)
+    if mean is not None:
+        return np.sqrt(power.mean(axis=1)), grid[used]
+    averages = max(count * 0.52, 1.0)  # of independent segments among half-overlapping ones
+    return np.sqrt(np.median(power, axis=1) / (1.0 - 1.0 / (9.0 * averages)) ** 3), grid[used]

@@ -1,0 +1,286 @@
+"""The converter card: tasks that live as long as the bench, and shots played on them."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import itertools
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+from smolbot.bench.hardware.driver import Driver
+from smolbot.bench.hardware.waveform import Waveform
+from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import RigError
+
+PATIENCE = 0.06
+"""Seconds that samples may be late before their window counts as lost; meanwhile what plays goes on."""
+
+PROBE = 100
+"""Samples of a recording that only shows whether the inputs work."""
+
+LONGEST_PIECE = 0.03
+"""Seconds of samples in one read: a stop is noticed that soon, and no message grows large."""
+
+
+LAST_PIECE = 4e-3
+"""Seconds of the last one, which the loop waits for."""
+
+
+class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window that can be done without
+    """What was to be heard is lost; the card is at zero and fit for the next shot."""
+
+
+class Guarding(Protocol):
+    """Watches over what is driven."""
+
+    def arm(self) -> None:
+        """Something is about to be driven."""
+
+    def disarm(self) -> None:
+        """Nothing is driven any more."""
+
+    def abandon(self) -> None:
+        """Something may still be driven: let the watchdog expire."""
+
+    def must_be_open(self) -> None:
+        """Raise `RigError` unless every relay is open."""
+
+
+class Card:
+    """Plays waveforms. Every task is made once; a shot only fills and starts them.
+
+    Parameters
+    ----------
+    section : BenchSection
+    sample_rate : float, in Hz
+        Of each input.
+    driver : Driver
+        The client library, on this machine's driver or on a device server.
+
+    Raises
+    ------
+    RigError
+        If the card is not there, is another product, or a channel cannot be had; nothing was energised.
+    """
+
+    def __init__(self, section: BenchSection, sample_rate: float, driver: Driver) -> None:
+        self._section, self._rate, self._driver = section, sample_rate, driver
+        self.product, self.serial = "", ""
+        self._stopped = threading.Event()
+        self._lengths: dict[str, int] = {}
+        self._patience = 1e-3 * section.call_timeout_ms
+        self._tasks: list[Any] = []
+        try:
+            with self._naming("open"):
+                self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        from nidaqmx.constants import LineGrouping, TerminalConfiguration
+        from nidaqmx.stream_readers import AnalogMultiChannelReader
+        from nidaqmx.stream_writers import AnalogMultiChannelWriter, DigitalSingleChannelWriter
+
+        section, name = self._section, self._section.device
+        device = self._driver.device(name)
+        self.product, self.serial = device.product_type, f"{device.serial_num:08X}"
+        if self.product != section.product:
+            raise RigError(f"{name} is a {self.product}; the rig file's bench.product says {section.product}.")
+        device.reset_device()  # whatever another program left: outputs at zero, lines low, watchdog off
+        self.inputs = self._task()
+        terminal = {
+            "differential": TerminalConfiguration.DIFF,
+            "rse": TerminalConfiguration.RSE,
+            "nrse": TerminalConfiguration.NRSE,
+        }[section.inputs.terminal]
+        span = section.inputs.range_v
+        channels = ", ".join(f"{name}/{channel}" for channel in section.inputs.channels)
+        self.inputs.ai_channels.add_ai_voltage_chan(channels, terminal_config=terminal, min_val=-span, max_val=span)
+        outputs, top = ", ".join(f"{name}/{channel}" for channel in section.used_outputs), section.outputs.range_v
+        lines = ", ".join(f"{name}/{line}" for line in section.clocked_lines)
+        self.outputs, self.lines, self._zero_outputs, self._zero_lines = (self._task() for _ in range(4))
+        for task in (self.outputs, self._zero_outputs):
+            task.ao_channels.add_ao_voltage_chan(outputs, min_val=-top, max_val=top)
+        for task in (self.lines, self._zero_lines):
+            task.do_channels.add_do_chan(lines, line_grouping=LineGrouping.CHAN_FOR_ALL_LINES)
+        self._reader = AnalogMultiChannelReader(self.inputs.in_stream)
+        self._output_writer = AnalogMultiChannelWriter(self.outputs.out_stream, auto_start=False)
+        self._line_writer = DigitalSingleChannelWriter(self.lines.out_stream, auto_start=False)
+        self._zero_output_writer = AnalogMultiChannelWriter(self._zero_outputs.out_stream, auto_start=True)
+        self._zero_line_writer = DigitalSingleChannelWriter(self._zero_lines.out_stream, auto_start=True)
+        for stream in (
+            self._reader, self._output_writer, self._line_writer, self._zero_output_writer, self._zero_line_writer,
+        ):  # fmt: skip
+            stream.verify_array_shape = False  # it asks the server, with every call
+        self._clock("outputs", 2)
+        self.outputs.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{name}/ai/StartTrigger")
+        self._clock("lines", 2)
+        self._clock("inputs", 2)
+        self._write_zeros()
+
+    def play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
+        """Play one shot; what was heard in its listening window and the start of its first sample.
+
+        The `guard` is armed while anything is driven.
+
+        Returns
+        -------
+        volts : ndarray, shape (n_inputs, n), in V, or None
+        began : float, in s
+            On the monotonic clock.
+
+        Raises
+        ------
+        LostWindow
+            If what was to be heard did not come; outputs are at zero.
+        RigError
+            For every other failure.
+        """
+        try:
+            with self._naming("play a shot"):
+                return self._play(waveform, guard)
+        except BaseException:
+            if self.silence():
+                guard.disarm()
+            else:
+                guard.abandon()
+            raise
+
+    def _play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
+        driven = waveform.outputs > 0
+        self._clock("inputs", waveform.samples)
+        if driven:
+            self._clock("outputs", waveform.outputs)
+            self._clock("lines", waveform.outputs)
+            self._output_writer.write_many_sample(np.ascontiguousarray(waveform.volts), timeout=self._patience)
+            self._line_writer.write_many_sample_port_uint32(waveform.lines, timeout=self._patience)
+            guard.arm()
+            self.lines.start()
+            self.outputs.start()
+        before = time.monotonic()
+        self.inputs.start()
+        began = 0.5 * (before + time.monotonic())
+        heard = np.zeros((len(self._section.inputs.channels), waveform.samples))
+        for first, end in self._pieces(waveform):
+            self._read(heard, first, end)
+            if driven and end >= waveform.settled:
+                self.outputs.stop()
+                self.lines.stop()
+                guard.must_be_open()
+                guard.disarm()
+                driven = False
+        self.inputs.stop()
+        if waveform.listen is None:
+            return None, began
+        first, count = waveform.listen
+        return heard[:, first : first + count], began
+
+    def _pieces(self, waveform: Waveform) -> Iterator[tuple[int, int]]:
+        """Spans of samples to read one after the other; one ends where the relays are open, and the last is short."""
+        last = waveform.samples - max(round(LAST_PIECE * self._rate), 1)
+        marks = sorted({0, waveform.settled, max(last, waveform.settled), waveform.samples})
+        longest = max(int(LONGEST_PIECE * self._rate), 1)
+        for begin, end in itertools.pairwise(marks):
+            count = -(-(end - begin) // longest)
+            edges = [begin + round(k * (end - begin) / count) for k in range(count + 1)]
+            yield from itertools.pairwise(edges)
+
+    def _read(self, heard: FloatArray, first: int, end: int) -> None:
+        if self._stopped.is_set():
+            raise RigError("Stopped during a shot; every output is at zero.")
+        piece = np.zeros((len(heard), end - first))
+        got = self._reader.read_many_sample(piece, end - first, timeout=PATIENCE + (end - first) / self._rate)
+        if got != end - first:
+            raise LostWindow(f"{got} of {end - first} samples came")
+        heard[:, first:end] = piece
+
+    def probe(self) -> None:
+        """Listen for a moment, nothing driven.
+
+        Raises
+        ------
+        LostWindow
+            If no samples come now either.
+        RigError
+            For every other failure.
+        """
+        with self._naming("listen"):
+            self._clock("inputs", PROBE)
+            self.inputs.start()
+            self._read(np.zeros((len(self._section.inputs.channels), PROBE)), 0, PROBE)
+            self.inputs.stop()
+
+    def stop(self) -> bool:
+        """As `silence`, and for good: this card plays nothing any more."""
+        self._stopped.set()
+        return self.silence()
+
+    def silence(self) -> bool:
+        """Abort what plays; outputs to zero, amplifiers off, relays open. Safe from any thread, never raises.
+
+        Returns
+        -------
+        bool
+            Whether the card did so; if not, its watchdog is what opens the relays.
+        """
+        from nidaqmx.constants import TaskMode
+
+        for task in (self.lines, self.outputs, self.inputs):
+            self._driver.attempt(functools.partial(task.control, TaskMode.TASK_ABORT))
+        self._lengths.clear()
+        return self._write_zeros()
+
+    def _write_zeros(self) -> bool:
+        """Relays first, for that is what stops a current; then the outputs behind them. Whether both went well."""
+
+        def lines() -> None:
+            self._zero_line_writer.write_one_sample_port_uint32(0, timeout=PATIENCE)
+            self._zero_lines.stop()
+
+        def outputs() -> None:
+            self._zero_output_writer.write_one_sample(np.zeros(len(self._section.used_outputs)), timeout=PATIENCE)
+            self._zero_outputs.stop()
+
+        done = self._driver.attempt(lines)
+        return self._driver.attempt(outputs) and done
+
+    def close(self) -> None:
+        """Let go of every task; outputs are as they were left, so silence first."""
+        for task in self._tasks:
+            self._driver.attempt(task.close)
+        self._tasks.clear()
+
+    def _task(self) -> Any:
+        task = self._driver.task()
+        self._tasks.append(task)
+        return task
+
+    def _clock(self, which: str, count: int) -> None:
+        """Give a task its sample clock and length, unless it has them."""
+        if self._lengths.get(which) == count:
+            return
+        rate = self._rate if which == "inputs" else self._section.outputs.rate_hz
+        source = f"/{self._section.device}/ao/SampleClock" if which == "lines" else ""
+        getattr(self, which).timing.cfg_samp_clk_timing(rate, source=source, samps_per_chan=count)
+        self._lengths[which] = count
+
+    @contextlib.contextmanager
+    def _naming(self, action: str) -> Iterator[None]:
+        """Errors of the client library as ours, with device and action; a lost read as a lost window."""
+        name = self._section.device
+        try:
+            yield
+        except self._driver.errors as error:
+            self._driver.note(error)
+            if self._driver.is_lost_read(error):
+                raise LostWindow(self._driver.explain(error)) from error
+            raise RigError(
+                f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}"
+            ) from error

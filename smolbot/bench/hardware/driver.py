@@ -1,0 +1,154 @@
+"""The card's client library, on the driver of this machine or on a device server; and what its errors mean."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from smolbot.bench.hardware.deadline import open_channel
+from smolbot.errors import RigError
+
+TWIN_HINT = "Without hardware, start the twin (`smolbot twin`) and use --rig twin."
+
+LOST_READS = {-200284: "read time-out", -200279: "overrun", -200361: "overrun"}
+"""Errors after which only what was to be heard is lost: samples that came too late, or were overwritten."""
+
+DEVICE_GONE = -201003
+
+_REMEDIES = {
+    -201003: "Is the card plugged in and powered? Reset it before the next run.",
+    -200220: "Is the device name in bench.device the one that the driver lists?",
+    -50103: "Another program holds the card; end it first.",
+    -200678: "The watchdog expired and opened every relay; the program was too slow to feed it.",
+    -200077: "A value lies outside what the channel can do; compare bench ranges with the card's.",
+    -200284: "Samples stopped coming: is the sample clock running, the cable in place?",
+    -200279: "Samples were overwritten before they were read; is this machine overloaded?",
+    -200361: "Samples were overwritten before they were read; is this machine overloaded?",
+}
+
+
+class Driver:
+    """Makes tasks and devices of the client library.
+
+    Parameters
+    ----------
+    server : str
+        Address (host:port) of a device server; empty for the driver of this machine.
+    timeout : float, in s
+        Deadline of every call to a server, beyond what the call itself asks for.
+
+    Raises
+    ------
+    RigError
+        If there is no such driver, or no server answers.
+    """
+
+    def __init__(self, server: str, timeout: float) -> None:
+        from nidaqmx.errors import Error
+
+        self.server = server
+        self.errors: tuple[type[BaseException], ...] = (Error,)
+        self.answers = True
+        self._options: Any = None
+        self._urgent: Any = None
+        self._bare: list[Any] = []
+        if server:
+            self._connect(server, timeout)
+
+    def _connect(self, server: str, timeout: float) -> None:
+        try:
+            channels = [open_channel(server, timeout) for _ in range(2)]
+        except ModuleNotFoundError as error:
+            raise RigError("A device server needs gRPC: install smolbot with its extra 'twin'.") from error
+        except ConnectionError as error:
+            raise RigError(f"bench.server: {error}. {TWIN_HINT}") from error
+        from nidaqmx import GrpcSessionOptions
+
+        self._bare = [bare for _, bare in channels]
+        self._options, self._urgent = (GrpcSessionOptions(channel, session_name="") for channel, _ in channels)
+
+    def task(self, *, urgent: bool = False) -> Any:
+        """A task without a name; an `urgent` one has a connection that no long recording keeps busy."""
+        import nidaqmx
+
+        options = self._urgent if urgent else self._options
+        with self._found():
+            return nidaqmx.Task(grpc_options=options) if options else nidaqmx.Task()
+
+    def device(self, name: str) -> Any:
+        """A device by its name in the driver."""
+        from nidaqmx.system import Device
+
+        with self._found():
+            return Device(name, grpc_options=self._options) if self._options else Device(name)
+
+    def watchdog(self, name: str, timeout: float) -> Any:
+        """The watchdog of a device, not yet started."""
+        from nidaqmx.system.watchdog import WatchdogTask
+
+        with self._found():
+            return WatchdogTask(name, timeout=timeout, grpc_options=self._urgent)
+
+    @contextlib.contextmanager
+    def _found(self) -> Iterator[None]:
+        from nidaqmx.errors import DaqNotFoundError, DaqNotSupportedError
+
+        try:
+            yield
+        except (DaqNotFoundError, DaqNotSupportedError) as error:
+            raise RigError(f"The NI-DAQmx driver is not installed on this machine. {TWIN_HINT}") from error
+
+    def is_lost_read(self, error: BaseException) -> bool:
+        """Whether only samples were lost by an error."""
+        return code_of(error) in LOST_READS
+
+    def explain(self, error: BaseException) -> str:
+        """First line of an error's message, with its code."""
+        first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        code, rpc = code_of(error), getattr(error, "rpc_code", None)
+        if code is not None:
+            return f"{first.rstrip('.')} ({code})."
+        if rpc is not None:
+            where = f"the device server at {self.server}"
+            name = str(getattr(rpc, "name", rpc))
+            said = {"DEADLINE_EXCEEDED": f"{where} did not answer in time", "UNAVAILABLE": f"{where} is gone"}
+            return f"{said.get(name, first.rstrip('.'))} ({name})."
+        return f"{first.rstrip('.')}."
+
+    def remedy(self, error: BaseException) -> str:
+        """What a person can do about an error."""
+        code, rpc = code_of(error), getattr(error, "rpc_code", None)
+        if code in _REMEDIES:
+            return _REMEDIES[code]
+        if rpc is not None:
+            return "Is the server running, the network in place?"
+        return "See the driver's description of this error."
+
+    def note(self, error: BaseException) -> None:
+        """Remember from an error that nobody answers any more: then nothing is to be waited for."""
+        name = str(getattr(getattr(error, "rpc_code", None), "name", ""))
+        if name in ("DEADLINE_EXCEEDED", "UNAVAILABLE") or code_of(error) == DEVICE_GONE:
+            self.answers = False
+
+    def attempt(self, action: Callable[[], object]) -> bool:
+        """Do what brings the card to rest, if it answers; whether it did. An error changes nothing else."""
+        if not self.answers:
+            return False
+        try:
+            action()
+        except self.errors as error:
+            self.note(error)
+            return False
+        return True
+
+    def close(self) -> None:
+        """Let go of the server."""
+        while self._bare:
+            self._bare.pop().close()
+
+
+def code_of(error: BaseException) -> int | None:
+    """Number of a card's error; None for one of the connection."""
+    code = getattr(error, "error_code", None)
+    return code if isinstance(code, int) else None

@@ -1,0 +1,154 @@
+"""The rotating magnet on its stage: mechanical shots, with a person who brings it near and takes it away."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from smolbot.bench.hardware.wiring import OperatorSection, StageSection
+from smolbot.config.rig import MagnetSection
+from smolbot.core.rig import CheckItem
+from smolbot.core.shots import MoveMagnet, Rest, Rotate, Shot
+from smolbot.errors import RigError
+
+if TYPE_CHECKING:
+    from smolbot.core.operator import Operator
+
+LOOK = 0.05
+"""Seconds between two looks at the switches, or at whether to stop."""
+
+GRACE = 2.0
+"""Seconds that a move may take longer than planned, for its ramps."""
+
+
+class Magnet:
+    """Plays mechanical shots.
+
+    Attributes
+    ----------
+    near : bool
+        Where the magnet is, as far as is known.
+    switched : bool
+        Whether switches at the stage say so.
+    identity : str
+        What the firmware calls itself.
+
+    Raises
+    ------
+    RigError
+        If the stage cannot be opened, or the magnet is not away.
+    """
+
+    def __init__(
+        self, magnet: MagnetSection, section: StageSection, patience: OperatorSection, operator: Operator
+    ) -> None:
+        from smolbot.bench.hardware.stage import MagnetStage
+
+        self._operator, self._patience = operator, patience.answer_timeout_s
+        self._steering_rate = math.radians(magnet.max_steering_deg_per_s)
+        self.switched = section.switches
+        self._stage = MagnetStage(section, self._steering_rate)
+        self._stage.open()
+        try:
+            self.identity = str(self._stage.identity)
+            self.near = self.switched and self._stage.at != "away"
+            if self.near:
+                raise RigError(
+                    f"the magnet is not away (its switches say {self._stage.at or 'neither near nor away'}); "
+                    "take it away before a mission."
+                )
+            self._stage.arm()
+        except BaseException:
+            self._stage.close()
+            raise
+
+    def play(self, shot: Shot, proceed: Callable[[], None]) -> None:
+        """Play a mechanical shot; `proceed` raises when it is to end."""
+        for number, window in enumerate(shot.windows):
+            proceed()
+            if isinstance(window, MoveMagnet):
+                if window.to == "near":
+                    self._steer_ahead(shot, number, proceed)
+                self._move(window, proceed)
+            elif isinstance(window, Rotate):
+                self._stage.turn(math.atan2(window.axis[1], window.axis[0]), window.turns, window.frequency)
+                self._until_idle(window.duration + 0.5 * math.pi / self._steering_rate + GRACE, proceed)
+            elif isinstance(window, Rest):
+                self._pause(window.duration, proceed)
+
+    def _steer_ahead(self, shot: Shot, number: int, proceed: Callable[[], None]) -> None:
+        """Set the axis of the first turn while the magnet is away, where it moves nothing."""
+        first = next((w for w in shot.windows[number:] if isinstance(w, Rotate)), None)
+        if first is not None and not self.near:
+            self._stage.steer(math.atan2(first.axis[1], first.axis[0]))
+            self._until_idle(math.pi / self._steering_rate + GRACE, proceed)
+
+    def _move(self, window: MoveMagnet, proceed: Callable[[], None]) -> None:
+        if self._at() == window.to:
+            return
+        request = f"Bring the magnet {'near' if window.to == 'near' else 'away'}"
+        if not self.switched:
+            if not self._operator.ask(f"{request}.", self._patience):
+                raise RigError(f"Stopped by the operator, who was asked to bring the magnet {window.to}.")
+            self.near = window.to == "near"
+            return
+        self.near = True  # on its way it may be anywhere
+        self._stage.ask_for(window.to)
+        self._operator.say(f"{request}; its switch is waited for, {self._patience:g} s at most.")
+        end = time.monotonic() + self._patience
+        try:
+            while self._at() != window.to:
+                proceed()
+                if time.monotonic() > end:
+                    raise RigError(
+                        f"The magnet was not brought {window.to} within {self._patience:g} s "
+                        f"(its switches say {self._at() or 'neither near nor away'})."
+                    )
+                time.sleep(LOOK)
+        finally:
+            self._stage.ask_for(None)
+        self.near = window.to == "near"
+
+    def _at(self) -> str | None:
+        return self._stage.at if self.switched else ("near" if self.near else "away")
+
+    def _until_idle(self, longest: float, proceed: Callable[[], None]) -> None:
+        end = time.monotonic() + longest
+        while not self._stage.wait(LOOK):
+            proceed()
+            if time.monotonic() > end:
+                self._stage.stop()
+                raise RigError(f"The magnet stage did not come to rest within {longest:.1f} s; its motors are off.")
+
+    @staticmethod
+    def _pause(duration: float, proceed: Callable[[], None]) -> None:
+        end = time.monotonic() + duration
+        while (left := end - time.monotonic()) > 0.0:
+            proceed()
+            time.sleep(min(left, LOOK))
+
+    def checks(self) -> Iterator[CheckItem]:
+        """Firmware and switches; nothing moves."""
+        yield CheckItem("magnet stage", "firmware", self.identity)
+        if self.switched:
+            place = self._stage.at or "neither near nor away"
+            yield CheckItem("magnet stage", "magnet", place, place == "away", "away")
+
+    def must_rest(self) -> None:
+        """Raise `RigError` unless the motors stand still and the firmware reports no fault."""
+        self._stage.must_rest()
+
+    def take_recovered(self) -> Counter[str]:
+        """What the serial line made good since the last call, by name."""
+        return self._stage.take_recovered()
+
+    def stop(self) -> None:
+        """Stop the motors now. Safe from any thread."""
+        self._stage.stop()
+
+    def close(self) -> None:
+        """Stop, then let go of the port."""
+        self._stage.close()

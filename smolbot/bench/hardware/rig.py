@@ -1,0 +1,302 @@
+"""The bench: keeps the promise of `smolbot.core.rig.Rig` with a converter card, relays and a magnet stage."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from smolbot.bench.hardware.card import Card, LostWindow
+from smolbot.bench.hardware.driver import Driver
+from smolbot.bench.hardware.guard import Guard
+from smolbot.bench.hardware.magnet import Magnet
+from smolbot.bench.hardware.nominal import NominalExcitation
+from smolbot.bench.hardware.priority import ask_for_priority
+from smolbot.bench.hardware.relayprobe import relay_probe
+from smolbot.bench.hardware.supply import Supply
+from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
+from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import FloatArray, as_floats
+from smolbot.core.coil_probe import BEFORE, Probe, probe_shot
+from smolbot.core.rig import CheckItem, Witness
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import MoveMagnet, Rest, Rotate, Shot, magnet_near_after
+from smolbot.errors import RigError
+
+if TYPE_CHECKING:
+    from smolbot.core.operator import Operator
+
+LOST_IN_A_ROW = 2
+"""Windows lost one after the other that are no accident any more: a card that fails twice fails for good."""
+
+
+class BenchRig:
+    """A rig whose world is real, or a twin that speaks the same protocols.
+
+    Attributes
+    ----------
+    sensors : SensorArray
+        As they are believed to stand.
+    limits : Limits
+    witness : Witness or None
+        None on a bench; a twin on the same machine may tell the truth.
+    recovered : Counter
+        What went wrong and was made good, by name.
+
+    Raises
+    ------
+    RigError
+        One line for every device that cannot be opened; nothing was energised.
+    """
+
+    def __init__(self, rig: RigConfig, section: BenchSection, operator: Operator) -> None:
+        self.sensors, self.limits = rig.sensors, rig.limits
+        self.witness: Witness | None = None
+        self.recovered: Counter[str] = Counter()
+        self._rig, self._section = rig, section
+        self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
+        self._volts_per_tesla = rig.sections.sensors.sensitivity_v_per_ut * 1e6
+        self._range = rig.sections.sensors.range_ut * 1e-6
+        self._compiler = WaveformCompiler(section, rig.coil_names, self._rate, _time_constants(rig))
+        self._excitation = NominalExcitation(rig)
+        self._epoch = time.monotonic()
+        self._drive_end: float | None = None
+        self._lost = 0
+        self._latched: RigError | None = None
+        self._driver: Driver | None = None
+        self._card: Card | None = None
+        self._guard: Guard | None = None
+        self._magnet: Magnet | None = None
+        self._supply: Supply | None = None
+        self._open = True
+        try:
+            self._open_devices(operator)
+        except BaseException:
+            self.close()
+            raise
+
+    def _open_devices(self, operator: Operator) -> None:
+        section, faults = self._section, []
+        ask_for_priority()
+        try:
+            self._driver = Driver(section.server, 1e-3 * section.call_timeout_ms)
+            self._card = Card(section, self._rate, self._driver)
+            self._guard = Guard(section, self._driver, self._trip)
+            self._guard.open()
+        except (RigError, LostWindow) as error:
+            faults.append(f"card {section.device}: {error}")
+        if section.stage is not None:
+            try:
+                self._magnet = Magnet(self._rig.magnet, section.stage, section.operator, operator)
+            except RigError as error:
+                faults.append(str(error) if str(error).startswith("magnet stage") else f"magnet stage: {error}")
+        if section.supply is not None:
+            try:
+                self._supply = Supply(section.supply)
+                self._supply.configure()
+            except RigError as error:
+                faults.append(str(error))
+        if section.truth and not faults:
+            from smolbot.bench.hardware.remotewitness import RemoteWitness
+
+            try:
+                self.witness = RemoteWitness(section.truth, self._epoch)
+            except (RigError, OSError) as error:
+                faults.append(f"truth of the twin at {section.truth}: {error}")
+        if faults:
+            raise RigError("\n".join([*faults, f"'{self._rig.name}' was not opened; nothing was energised."]))
+        if self._supply is not None:
+            self._supply.on()
+
+    def now(self) -> float:
+        """Time in s since the bench was opened; a shot that is asked for now starts some milliseconds later."""
+        return time.monotonic() - self._epoch
+
+    def play(self, shot: Shot) -> Recording | None:
+        """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
+
+        None also where what it listened to was lost; `recovered` counts that.
+
+        Raises
+        ------
+        InterlockError
+            Before anything moves, if the shot breaks a limit.
+        RigError
+            If a device fails, or the bench was stopped; every output is at zero and every relay open.
+        """
+        self._refuse_if_stopped()
+        near = self._magnet is not None and self._magnet.near
+        self.limits.check(shot, magnet_near=near)
+        try:
+            if any(isinstance(window, Rotate | MoveMagnet) for window in shot.windows):
+                assert self._magnet is not None  # no other rig's limits let such a window pass
+                self._magnet.play(shot, self._refuse_if_stopped)
+                self.recovered.update(self._magnet.take_recovered())
+                return None
+            return self._electrical(shot)
+        except RigError as error:
+            self._halt(error)
+            raise self._latched or error from error
+        finally:
+            if self._magnet is not None and not self._magnet.switched:
+                self._magnet.near = magnet_near_after(shot, near=near)
+
+    def probe(self, coil: str, current: float) -> Probe:
+        """What the sensors hear while the relay of one coil (``+x``, ``excitation x``) lets `current` A through.
+
+        Raises
+        ------
+        InterlockError
+            Before anything is driven, if the current breaks a limit.
+        RigError
+            If a device fails, a sample is lost, or the bench was stopped; every output is at zero and every relay open.
+        """
+        self._refuse_if_stopped()
+        near = self._magnet is not None and self._magnet.near
+        self.limits.check(probe_shot(self.limits, coil, current), magnet_near=near)
+        waveform, on, off = relay_probe(self._section, coil, current, self._rate)
+        assert self._card is not None
+        assert self._guard is not None
+        try:
+            if self._magnet is not None:
+                self._magnet.must_rest()
+            volts, began = self._card.play(waveform, self._guard)
+        except (RigError, LostWindow) as error:
+            reason = error if isinstance(error, RigError) else RigError(f"The probe of {coil} was lost: {error}")
+            self._halt(reason)
+            raise self._latched or reason from error
+        heard = self._recording(Shot((Rest(BEFORE),)), waveform, volts, began - self._epoch)
+        assert heard is not None
+        relays = self._section.relays
+        return Probe(heard, on, off, 1e-3 * relays.close_ms, 1e-3 * relays.open_ms)
+
+    def excitation_field(self, position: FloatArray) -> FloatArray:
+        """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
+        return self._excitation.at(as_floats(position, (3,), "excitation_field position"))
+
+    def stop(self) -> None:
+        """Bring every output to zero now and play nothing more. Safe from any thread, any number of times."""
+        self._halt(RigError("This bench was stopped; open it anew. Every output is at zero."))
+
+    def close(self) -> None:
+        """Stop, then let go of every device; harmless when repeated."""
+        if not self._open:
+            return
+        self._open = False
+        self.stop()
+        for part in (self._guard, self._card, self._magnet, self._supply, self.witness, self._driver):
+            closing = getattr(part, "close", None)
+            if closing is not None:
+                with contextlib.suppress(RigError):  # a device that is gone keeps no other from being let go
+                    closing()
+
+    @property
+    def status_line(self) -> str:
+        """What was made good so far, in a few words."""
+        return ", ".join(f"{count} {what}" for what, count in sorted(self.recovered.items()))
+
+    def checks(self) -> Iterator[CheckItem]:
+        """Read back every device, nothing driven."""
+        section = self._section
+        card = f"card {section.device}"
+        if self._card is not None and self._guard is not None:
+            yield CheckItem(card, "product", self._card.product, True, section.product)
+            yield CheckItem(card, "serial number", self._card.serial)
+            yield from self._guard.checks(card)
+        if self._magnet is not None:
+            yield from self._magnet.checks()
+        if self._supply is not None:
+            yield CheckItem("power supply", "model", str(self._supply.identity))
+            on = self._supply.is_on
+            yield CheckItem("power supply", "outputs", "on" if on else "off", on, "on")
+            wrong = self._supply.differences()
+            yield CheckItem("power supply", "settings", " ".join(wrong) or "as in the rig file", not wrong)
+
+    def provenance(self) -> dict[str, Any]:
+        """What the devices say they are; of a twin, also what it drew."""
+        found: dict[str, Any] = {"device": self._section.device, "server": self._section.server or "local driver"}
+        if self._card is not None:
+            found |= {"product": self._card.product, "serial": self._card.serial}
+        if self._magnet is not None:
+            found["magnet_stage"] = self._magnet.identity
+        if self._supply is not None:
+            found["supply"] = str(self._supply.identity)
+        drawn = getattr(self.witness, "provenance", None)
+        return found if drawn is None else found | {"twin": drawn()}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _electrical(self, shot: Shot) -> Recording | None:
+        assert self._card is not None
+        assert self._guard is not None
+        if self._magnet is not None:
+            self._magnet.must_rest()
+        waveform = self._compiler.compile(shot)
+        try:
+            if self._lost:  # before anything is driven again
+                self._card.probe()
+            volts, began = self._card.play(waveform, self._guard)
+        except LostWindow as error:
+            self._count_lost(str(error))
+            return None
+        self._lost = 0
+        return self._recording(shot, waveform, volts, began - self._epoch)
+
+    def _count_lost(self, what: str) -> None:
+        self._refuse_if_stopped()
+        self._lost += 1
+        if self._lost >= LOST_IN_A_ROW:
+            raise RigError(f"{self._section.device}: {self._lost} windows in a row were lost: {what}")
+        self.recovered["lost windows"] += 1
+
+    def _recording(self, shot: Shot, waveform: Waveform, volts: FloatArray | None, began: float) -> Recording | None:
+        if waveform.drive_end is not None:
+            self._drive_end = began + waveform.drive_end
+        if volts is None or waveform.listen is None:
+            return None
+        field = volts / self._volts_per_tesla
+        clock = began + waveform.listen[0] / self._rate
+        drive = shot.excite
+        since = clock - self._drive_end if drive is not None and self._drive_end is not None else math.inf
+        full = min(self._range, self._section.inputs.range_v / self._volts_per_tesla)
+        saturated = np.abs(field).max(axis=1) >= full * (1.0 - 2.0**-14)
+        return Recording(field / self._gains, self._rate, since, saturated, drive, clock)
+
+    def _trip(self, reason: RigError) -> None:
+        """The guard, from its own thread, says why nothing may go on."""
+        self._halt(reason)
+
+    def _halt(self, reason: RigError) -> None:
+        """Latch the first reason and bring everything to zero; what the card does not do, its watchdog does."""
+        if self._latched is None:
+            self._latched = reason
+        if self._card is not None and not self._card.stop() and self._guard is not None:
+            self._guard.abandon()
+        if self._magnet is not None:
+            self._magnet.stop()
+        if self._supply is not None:
+            with contextlib.suppress(RigError):  # nothing is driven any more, whether it hears this or not
+                self._supply.off()
+
+    def _refuse_if_stopped(self) -> None:
+        if self._latched is not None:
+            raise self._latched
+
+
+def _time_constants(rig: RigConfig) -> dict[str, float]:
+    """Of every coil by its name, in s."""
+    actuation = {coil.name: 1e-3 * coil.time_constant_ms for coil in rig.sections.coils}
+    return actuation | {f"excitation {c.name}": 1e-3 * c.time_constant_ms for c in rig.sections.excitation}

@@ -1,0 +1,208 @@
+"""One serial port to the magnet stage: a command out, its answer back, one garbled or lost answer made good."""
+
+from __future__ import annotations
+
+import errno
+import threading
+import time
+from collections import Counter
+from typing import Any
+
+from smolbot.bench.hardware.stage.protocol import VERSION, GarbledError, Reply, line, parse, version_fault
+from smolbot.errors import RigError
+
+ANSWER = 0.2
+"""Seconds to wait for an answer. Two of them and a pause still fit into the firmware's heartbeat of 0.5 s."""
+
+WRITE = 0.2
+"""Seconds that a write may take."""
+
+POLL = 0.02
+"""Seconds that one read of the port may wait."""
+
+BOOT = 4.0
+"""Seconds that a board may take that resets as its port is opened: bootloader, then banner."""
+
+ASK = 0.5
+"""Seconds between two questions who is there, while a board may boot."""
+
+LONGEST = 256
+"""Bytes without an end of line after which they are thrown away."""
+
+_WHY = {
+    errno.ENOENT: "there is no such port",
+    errno.ENXIO: "there is no such port",
+    errno.EACCES: "permission denied; your user must be in the group that owns it",
+    errno.EAGAIN: "it is busy: another program has it open",
+    errno.EBUSY: "it is busy: another program has it open",
+}
+
+
+class Link:
+    """An open port with the right firmware behind it.
+
+    Attributes
+    ----------
+    identity : str
+        What the firmware calls itself.
+
+    Raises
+    ------
+    RigError
+        From every method, naming port and action: if the port is absent, busy or lost, nothing answers in time, the
+        answer is garbled twice, the firmware refuses, or it has started anew.
+    """
+
+    def __init__(self, port: str, baud: int, boot: float = BOOT) -> None:
+        self.port = port
+        self._recovered: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._sequence = 0
+        self._received = bytearray()
+        self._serial = self._open(baud)
+        try:
+            self.identity = " ".join(self._await_firmware(boot))
+        except BaseException:
+            self.close()
+            raise
+
+    def exchange(self, command: str, action: str) -> tuple[str, ...]:
+        """Send a command; the words of its answer after ``OK``. Safe from any thread."""
+        with self._lock:
+            self._sequence = self._sequence % 255 + 1
+            sent = line(self._sequence, command)
+            try:
+                reply = self._ask(sent, action)
+            except (GarbledError, TimeoutError) as first:
+                self._recovered["garbled line" if isinstance(first, GarbledError) else "lost line"] += 1
+                try:
+                    reply = self._ask_again(sent, action)
+                except TimeoutError:
+                    raise self.error(action, f"twice no answer in {ANSWER:g} s that can be read ({first})") from first
+        if reply.word == "ERR":
+            raise self.error(action, f"the firmware refuses: {' '.join(reply.rest) or 'no reason given'}")
+        return reply.rest
+
+    def take_recovered(self) -> Counter[str]:
+        """Lines that were asked for a second time since the last call, by cause. Safe from any thread."""
+        with self._lock:
+            taken, self._recovered = self._recovered, Counter()
+        return taken
+
+    def error(self, action: str, why: str) -> RigError:
+        """What is raised when `action` fails."""
+        return RigError(f"magnet stage on {self.port}: {action}: {why}.")
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._serial.close()
+
+    def _ask(self, sent: bytes, action: str) -> Reply:
+        self._write(sent, action)
+        return self._answer(action, again=False)
+
+    def _ask_again(self, sent: bytes, action: str) -> Reply:
+        """The same line once more: the firmware answers it again and does nothing twice.
+
+        An end of line goes ahead, for the board may hold half of the first one; what it says to that is passed over.
+        """
+        self._received.clear()
+        self._write(b"\n" + sent, action)
+        return self._answer(action, again=True)
+
+    def _answer(self, action: str, again: bool) -> Reply:
+        end = time.monotonic() + ANSWER
+        while True:
+            try:
+                reply = parse(self._read_line(end, action))
+            except GarbledError:
+                if again:
+                    continue
+                raise
+            if reply.sequence is None and reply.word == "HELLO":
+                raise self.error(action, f"the firmware has started anew ({' '.join(reply.rest)}); its motors are off")
+            if reply.sequence is None and not again:
+                raise GarbledError(f"the board could not read the line: {' '.join((reply.word, *reply.rest))}")
+            if reply.sequence == self._sequence:
+                return reply
+
+    def _open(self, baud: int) -> Any:
+        import serial
+
+        try:
+            opened = serial.Serial(self.port, baud, timeout=POLL, write_timeout=WRITE, exclusive=True)
+            opened.reset_input_buffer()
+        except (OSError, ValueError) as error:
+            why = _WHY.get(getattr(error, "errno", None) or 0, str(error))
+            raise self.error("opening the port", why) from error
+        return opened
+
+    def _await_firmware(self, boot: float) -> tuple[str, ...]:
+        """Name and version. A board that was running answers at once; one that resets says them as it boots.
+
+        Bytes that a bootloader gets instead make it start the firmware at once.
+        """
+        action = "waiting for the banner"
+        end = time.monotonic() + boot
+        heard = b""
+        while time.monotonic() < end:
+            self._write(b"\n" + line(0, "ID"), action)
+            look = min(end, time.monotonic() + ASK)
+            while (text := self._read_or_none(look, action)) is not None:
+                heard = text or heard
+                try:
+                    reply = parse(text)
+                except GarbledError:
+                    continue
+                if reply.word == "HELLO" or (reply.sequence == 0 and reply.word == "OK"):
+                    identity = reply.rest[:2]
+                    if (fault := version_fault(identity)) is not None:
+                        raise self.error("checking the firmware's version", fault)
+                    return self._settled(identity, action)
+        said = f"heard only {heard[:60]!r}" if heard else "heard nothing"
+        raise self.error(
+            action, f"{said} within {boot:g} s; is the firmware (version {VERSION[0]}.{VERSION[1]} is needed) on it?"
+        )
+
+    def _settled(self, identity: tuple[str, ...], action: str) -> tuple[str, ...]:
+        """Pass over the banner or the answer that comes besides the other."""
+        end = time.monotonic() + 2.0 * POLL
+        while self._read_or_none(end, action) is not None:
+            pass
+        return identity
+
+    def _write(self, text: bytes, action: str) -> None:
+        import serial
+
+        try:
+            self._serial.write(text)
+        except (OSError, TypeError) as error:  # pyserial meets its own closed port with a TypeError
+            why = "it takes no bytes" if isinstance(error, serial.SerialTimeoutException) else f"port lost ({error})"
+            raise self.error(action, why) from error
+
+    def _read_or_none(self, end: float, action: str) -> bytes | None:
+        try:
+            return self._read_line(end, action)
+        except TimeoutError:
+            return None
+
+    def _read_line(self, end: float, action: str) -> bytes:
+        """The next line, without its end.
+
+        Raises
+        ------
+        TimeoutError
+            If there is none by `end` (time.monotonic()).
+        """
+        while (at := self._received.find(b"\n")) < 0:
+            if time.monotonic() >= end:
+                raise TimeoutError("no answer")
+            try:
+                self._received += self._serial.read(max(1, self._serial.in_waiting))
+            except (OSError, TypeError) as error:
+                raise self.error(action, f"port lost ({error})") from error
+            if len(self._received) > LONGEST and b"\n" not in self._received:
+                self._received.clear()
+        text = bytes(self._received[:at])
+        del self._received[: at + 1]
+        return text

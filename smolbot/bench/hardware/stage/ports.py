@@ -1,0 +1,50 @@
+"""Which serial port is the magnet stage: by what it is plugged into USB as, then by its banner."""
+
+from __future__ import annotations
+
+from smolbot.bench.hardware.stage.link import Link
+from smolbot.errors import RigError
+
+BOARDS = frozenset({
+    (0x2341, 0x0043), (0x2341, 0x0001), (0x2341, 0x0243), (0x2A03, 0x0043),  # Arduino Uno, R3 and older
+    (0x1A86, 0x7523), (0x0403, 0x6001), (0x10C4, 0xEA60),  # converters on boards that are built like it
+})  # fmt: skip
+"""USB vendor and product ids of boards that may carry the firmware."""
+
+
+def open_link(port: str, baud: int) -> Link:
+    """The link to the magnet stage at `port`, or at the only port that answers as one where that is empty.
+
+    Raises
+    ------
+    RigError
+        If the given port cannot be used, or not exactly one port answers; the message has every port's answer.
+    """
+    return Link(port, baud) if port else _find(baud)
+
+
+def _find(baud: int) -> Link:
+    from serial.tools import list_ports
+
+    candidates = [p.device for p in list_ports.comports() if (p.vid, p.pid) in BOARDS]
+    found: list[Link] = []
+    said: list[str] = []
+    for device in candidates:
+        try:
+            found.append(Link(device, baud))
+        except RigError as error:
+            said.append(str(error))
+    if len(found) == 1:
+        return found[0]
+    for link in found:
+        link.close()
+    if found:
+        raise RigError(
+            f"magnet stage: {len(found)} ports answer as one: {', '.join(link.port for link in found)}; "
+            "name one in bench.stage.port."
+        )
+    if not candidates:
+        raise RigError(
+            "magnet stage: no Arduino Uno on any USB port; plug it in, or name its port in bench.stage.port."
+        )
+    raise RigError(f"magnet stage: none of {len(candidates)} USB ports answers as one. {' '.join(said)}")

@@ -1,0 +1,257 @@
+"""The magnet stage in SI: where its axis points, how it turns, and that it stops."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import Counter
+from dataclasses import replace
+
+from smolbot.bench.hardware.stage.link import Link
+from smolbot.bench.hardware.stage.ports import open_link
+from smolbot.bench.hardware.stage.protocol import RATE_MAX, RATE_MIN, STEPS_MAX, GarbledError, Place, State, parse_state
+from smolbot.bench.hardware.wiring import StageSection
+from smolbot.errors import RigError
+
+BEAT = 0.1
+"""Seconds between two heartbeats. The firmware takes the motors off after 0.5 s without one."""
+
+STEERING_RATE = math.radians(10.0)
+"""rad/s, where the caller knows no other."""
+
+
+class MagnetStage:
+    """Motor that turns the magnet, and motor that steers the axis it turns about, behind a serial port.
+
+    Steering is counted from where the axis stood when the board got its power: heading 0, pole down.
+    A thread keeps the firmware's heartbeat from `open` to `close`; what it finds wrong, the next call raises.
+
+    Parameters
+    ----------
+    section : StageSection
+    steering_rate : float, in rad/s
+        How fast the axis is steered.
+
+    Raises
+    ------
+    RigError
+        From every method but `stop` and `close`: naming port, action and cause. The motors are off then, or go off
+        within a second.
+    """
+
+    def __init__(self, section: StageSection, steering_rate: float = STEERING_RATE) -> None:
+        self._section, self._steering_rate = section, steering_rate
+        self._link: Link | None = None
+        self._state: State | None = None
+        self._failure: RigError | None = None
+        self._armed = False
+        self._news = threading.Condition()
+        self._telling = threading.Lock()  # held until an answer is known: an older one never overwrites a newer
+        self._ending = threading.Event()
+        self._heart: threading.Thread | None = None
+
+    @property
+    def identity(self) -> str:
+        """Name and version of the firmware."""
+        return self._open_link().identity
+
+    @property
+    def at(self) -> Place | None:
+        """Where the switches say the magnet is; None where neither, or both, are closed."""
+        return self._known().at
+
+    def open(self) -> None:
+        """Find and open the port, wait for the firmware, begin the heartbeat. The motors stay off.
+
+        A fault that an earlier run left behind is cleared: that run has ended, and has told it.
+        """
+        self._link = open_link(self._section.port, self._section.baud)
+        try:
+            self._link.exchange("OFF", "switching the motors off")
+            self._link.exchange("CLEAR", "clearing what an earlier run left")
+            self._beat()
+        except BaseException:
+            self._link.close()
+            self._link = None
+            raise
+        self._heart = threading.Thread(target=self._keep_beating, name="magnet stage heartbeat", daemon=True)
+        self._heart.start()
+
+    def arm(self) -> None:
+        """Power the motors; they hold still."""
+        self._known()
+        self._command("ARM", "arming the motors")
+        with self._news:
+            self._armed = True
+        self._beat_or_fail()  # where the axis stands now
+
+    def turn(self, heading: float, turns: float, frequency: float) -> None:
+        """Steer to `heading` (rad) and turn the magnet `turns` times at `frequency` (Hz) about it. Returns at once.
+
+        The axis goes to the opposite heading where that is nearer, and the magnet then turns the other way.
+        """
+        steering, backward = self._nearer(heading)
+        count = (-1 if backward else 1) * round(turns * self._section.steps_per_turn)
+        self._move(count, abs(frequency) * self._section.steps_per_turn, steering, "turning the magnet")
+
+    def steer(self, heading: float) -> None:
+        """Steer the axis to `heading` (rad) or its opposite, whichever is nearer. Returns at once."""
+        self._move(0, 0.0, self._nearer(heading)[0], "steering the axis")
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until both motors stand still, `seconds` at most; whether they do."""
+        end = time.monotonic() + seconds
+        with self._news:
+            while self._known_locked().moving:
+                left = end - time.monotonic()
+                if left <= 0.0:
+                    return False
+                self._news.wait(left)
+        return True
+
+    def ask_for(self, place: Place | None) -> None:
+        """Light the lamp that asks the operator to bring the magnet `near` or `away`, or none."""
+        self._command(f"LAMP {(place or 'none').upper()}", "setting the operator's lamp")
+
+    def must_rest(self) -> None:
+        """Raise `RigError` unless the motors stand still and nothing failed."""
+        if self._known().moving:
+            raise self._open_link().error("checking that the magnet rests", "its motors turn")
+
+    def take_recovered(self) -> Counter[str]:
+        """What was made good since the last call, by name."""
+        return Counter({f"magnet stage: {name}": n for name, n in self._open_link().take_recovered().items()})
+
+    def stop(self) -> None:
+        """Switch the motors off now. Safe from any thread, and raises nothing.
+
+        Where the line is lost, the heartbeat ends, and the firmware switches them off by itself within 0.5 s.
+        """
+        with self._news:
+            self._armed = False
+        if self._link is None or self._ending.is_set():
+            return
+        try:
+            with self._telling:
+                self._link.exchange("OFF", "switching the motors off")
+                with self._news:
+                    if self._state is not None:
+                        self._state = replace(self._state, armed=False, moving=False)
+                    self._news.notify_all()
+        except RigError as error:
+            self._fail(error)
+
+    def close(self) -> None:
+        """Switch the motors and the lamps off and let go of the port. May be called twice."""
+        link = self._link
+        if link is None:
+            return
+        self.stop()
+        self._ending.set()
+        if self._heart is not None:
+            self._heart.join()
+        if self._failure is None:
+            try:
+                link.exchange("LAMP NONE", "switching the operator's lamp off")
+            except RigError as error:
+                self._fail(error)
+        link.close()
+        self._link = None
+
+    def _open_link(self) -> Link:
+        if self._link is None:
+            raise RigError("magnet stage: not open.")
+        return self._link
+
+    def _known(self) -> State:
+        with self._news:
+            return self._known_locked()
+
+    def _known_locked(self) -> State:
+        self._open_link()
+        if self._failure is not None:
+            raise RigError(str(self._failure)) from self._failure
+        assert self._state is not None
+        return self._state
+
+    def _command(self, command: str, action: str) -> None:
+        self._known()
+        try:
+            self._open_link().exchange(command, action)
+        except RigError as error:
+            self._fail(error)
+            raise
+
+    def _nearer(self, heading: float) -> tuple[int, bool]:
+        """Steps to the axis that is nearer to where it points now, and whether it is the opposite one."""
+        per_turn = self._section.steering_steps_per_turn
+        now = self._known().steering
+        off = _wrapped(heading - 2.0 * math.pi * now / per_turn)
+        backward = abs(off) > 0.5 * math.pi
+        off = _wrapped(off + math.pi) if backward else off
+        return round(off * per_turn / (2.0 * math.pi)), backward
+
+    def _move(self, turn: int, turn_rate: float, steering: int, action: str) -> None:
+        if turn and not RATE_MIN <= round(turn_rate) <= RATE_MAX:
+            raise self._open_link().error(
+                action, f"needs {turn_rate:.0f} steps a second; the firmware steps {RATE_MIN} to {RATE_MAX}"
+            )
+        if max(abs(turn), abs(steering)) > STEPS_MAX:
+            raise self._open_link().error(action, f"needs more than the {STEPS_MAX} steps the firmware makes at once")
+        steering_rate = self._steering_rate * self._section.steering_steps_per_turn / (2.0 * math.pi)
+        rates = round(turn_rate) if turn else 0, round(min(max(steering_rate, RATE_MIN), RATE_MAX)) if steering else 0
+        with self._news:
+            armed = self._armed
+        if not armed:
+            raise self._open_link().error(action, "the motors are off")
+        if turn or steering:
+            self._command(f"MOVE {turn} {rates[0]} {steering} {rates[1]}", action)
+            self._beat_or_fail()
+
+    def _beat(self) -> None:
+        """One heartbeat, and what it brings back."""
+        link = self._open_link()
+        with self._telling:
+            with self._news:
+                armed = self._armed
+            try:
+                state = parse_state(link.exchange("BEAT", "heartbeat"))
+            except GarbledError as error:
+                raise link.error("heartbeat", str(error)) from error
+            with self._news:
+                self._state = state
+                still_armed = armed and self._armed
+                self._news.notify_all()
+        if state.fault != "NONE" or (still_armed and not state.armed):
+            raise link.error("heartbeat", f"the firmware has switched its motors off (fault: {state.fault})")
+
+    def _beat_or_fail(self) -> None:
+        try:
+            self._beat()
+        except RigError as error:
+            self._fail(error)
+            raise
+
+    def _keep_beating(self) -> None:
+        while not self._ending.wait(BEAT):
+            try:
+                self._beat()
+            except RigError as error:
+                self._fail(error)
+                return
+
+    def _fail(self, error: RigError) -> None:
+        """No heartbeat from now on: if no command gets through, the firmware still stops."""
+        with self._news:
+            self._failure = self._failure or error
+            self._armed = False
+            if self._state is not None:
+                self._state = replace(self._state, armed=False)
+            self._news.notify_all()
+        self._ending.set()
+
+
+def _wrapped(angle: float) -> float:
+    """The same direction within half a turn of zero."""
+    return math.remainder(angle, 2.0 * math.pi)

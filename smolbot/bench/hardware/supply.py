@@ -1,0 +1,257 @@
+"""The coils' power supply (R&S NGP800 class): limits are set and read back before an output is switched on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from smolbot.bench.hardware.scpi import Permit, ScpiSocket
+from smolbot.bench.hardware.supplysection import SupplyChannelSection, SupplySection
+from smolbot.errors import RigError
+
+RESOLUTION = 1e-3
+"""Step of voltages and currents that the supply holds, in V and A; what it reads back may be half of it off."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a supply answers to ``*IDN?``."""
+
+    maker: str
+    model: str
+    serial: str
+    firmware: str
+
+    def __str__(self) -> str:
+        return f"{self.maker} {self.model}, serial number {self.serial}, firmware {self.firmware}"
+
+
+@dataclass(frozen=True)
+class ChannelState:
+    """One channel as it is set, in V and A, and what it gives now."""
+
+    channel: int
+    voltage: float
+    current: float
+    ovp: float
+    ovp_on: bool
+    fuse_on: bool
+    selected: bool
+    measured_voltage: float
+    measured_current: float
+
+
+class Supply:
+    """A power supply whose channels are set from the rig file.
+
+    It opens with every output off, and stays so until `on`.
+
+    Attributes
+    ----------
+    identity : Identity
+
+    Raises
+    ------
+    RigError
+        If it does not answer, is another model, or has not the channels; says device, address and action.
+    """
+
+    def __init__(self, section: SupplySection) -> None:
+        self._section = section
+        self._name = f"power supply at {section.where}"
+        self._scpi = ScpiSocket(self._name, section.address, 1e-3 * section.timeout_ms)
+        self._offs = 0  # how often it was told to be off
+        self._set_after = -1  # how often when it was last configured
+        self._closed = False
+        try:
+            self.identity = self._identify()
+            self._scpi.forget_errors("clear its error queue")
+            self.off()
+        except BaseException:
+            self._scpi.close()
+            raise
+
+    def configure(self) -> None:
+        """Set voltage, current, over-voltage protection and fuse of every channel, and hold them against what it says.
+
+        Only the channels of the rig file follow the output switch afterwards.
+
+        Raises
+        ------
+        RigError
+            If a setting is refused, or reads back as another.
+        """
+        offs = self._offs
+        wanted = {channel.channel: channel for channel in self._section.channels}
+        for number in range(1, self.channel_count + 1):
+            if number in wanted:
+                self._set(wanted[number])
+            else:
+                self._tell_channel(number, "OUTP:SEL 0", action=f"leave channel {number} off")
+        faults = self.differences()
+        if faults:
+            raise RigError(f"{self._name}: does not read back as set: {' '.join(faults)}")
+        self._set_after = offs
+
+    def on(self) -> None:
+        """Switch the outputs on; only after `configure`, and not if it was switched off since.
+
+        Raises
+        ------
+        RigError
+            If that is so, or if the supply does not say that it is on.
+        """
+        if not self._switch("OUTP:GEN 1", "switch the outputs on", self._refuse_unless_set):
+            raise RigError(f"{self._name}: was told to switch the outputs on; it says that they are off.")
+
+    def off(self) -> None:
+        """Switch every output off, until it is configured anew. Safe from any thread, any number of times.
+
+        Waits for another thread's setting under way, and for no other.
+
+        Raises
+        ------
+        RigError
+            If it cannot be reached or says that outputs are on: then they may be.
+        """
+        self._offs += 1
+        try:
+            still_on = self._switch("OUTP:GEN 0", "switch the outputs off")
+        except RigError:  # the connection may be what failed: once more, over a new one
+            still_on = self._switch("OUTP:GEN 0", "switch the outputs off (they may be on)")
+        if still_on:
+            raise RigError(f"{self._name}: was told to switch the outputs off; it says that they are on.")
+
+    @property
+    def is_on(self) -> bool:
+        """Whether the outputs' common switch is on."""
+        return self._flag("OUTP:GEN?", "read the output switch")
+
+    @property
+    def channel_count(self) -> int:
+        """How many channels this model has: the last digit of its name."""
+        return int(self.identity.model[-1])
+
+    def read_back(self) -> tuple[ChannelState, ...]:
+        """Every channel of the rig file as the supply says it is set, and what it measures."""
+        return tuple(self._state(channel.channel) for channel in self._section.channels)
+
+    def differences(self) -> list[str]:
+        """What is set otherwise than the rig file says, a sentence each; empty where all is as it should be."""
+        wanted = {channel.channel: channel for channel in self._section.channels}
+        return [fault for state in self.read_back() for fault in self._differences(wanted[state.channel], state)]
+
+    def close(self) -> None:
+        """Switch off and let go; harmless when repeated.
+
+        Raises
+        ------
+        RigError
+            If it cannot be switched off; it is let go of all the same.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.off()
+        finally:
+            self._scpi.close()
+
+    def _identify(self) -> Identity:
+        action = "identify it"
+        parts = [part.strip() for part in self._scpi.ask("*IDN?", action).split(",")]
+        if len(parts) != 4:
+            raise RigError(f"{self._name}: cannot {action}: it answers *IDN? with '{','.join(parts)}'.")
+        found = Identity(*parts)
+        if not found.model.upper().startswith(self._section.model.upper()) or not found.model[-1:].isdigit():
+            raise RigError(
+                f"{self._name}: is a {found.maker} {found.model}; the rig file says bench.supply.model = "
+                f"'{self._section.model}'. Nothing was switched on."
+            )
+        highest = max(channel.channel for channel in self._section.channels)
+        if highest > int(found.model[-1]):
+            raise RigError(
+                f"{self._name}: is a {found.model} with {found.model[-1]} channels; the rig file sets {highest}."
+            )
+        return found
+
+    def _set(self, channel: SupplyChannelSection) -> None:
+        number, name = channel.channel, channel.name
+        # Protection comes first: a voltage is never set that nothing guards.
+        for command, what in (
+            (f"VOLT:PROT:LEV {channel.ovp_v:.3f}", f"{channel.ovp_v:g} V of over-voltage protection"),
+            ("VOLT:PROT 1", "over-voltage protection"),
+            (f"VOLT {channel.voltage_v:.3f}", f"{channel.voltage_v:g} V"),
+            (f"CURR {channel.current_a:.3f}", f"{channel.current_a:g} A"),
+            (f"FUSE {int(channel.fuse)}", f"fuse {'on' if channel.fuse else 'off'}"),
+            ("OUTP:SEL 1", "following the output switch"),
+        ):
+            self._tell_channel(number, command, action=f"set {name} to {what}")
+
+    def _refuse_unless_set(self) -> None:
+        if self._set_after != self._offs:
+            why = (
+                "its channels were not set"
+                if self._set_after < 0
+                else "it was switched off since its channels were set"
+            )
+            raise RigError(f"{self._name}: cannot switch the outputs on: {why}.")
+
+    def _switch(self, command: str, action: str, permit: Permit | None = None) -> bool:
+        """Turn the outputs' common switch; what it says of it right afterwards."""
+        query = "OUTP:GEN?"
+        return self._truth(self._scpi.tell(command, action=action, permit=permit, then=query), query, action)
+
+    def _tell_channel(self, number: int, command: str, *, action: str) -> None:
+        self._scpi.tell(f"INST:NSEL {number}", command, action=action)
+
+    def _state(self, number: int) -> ChannelState:
+        action = f"read back channel {number}"
+        self._scpi.tell(f"INST:NSEL {number}", action=action)
+        return ChannelState(
+            channel=number,
+            voltage=self._number("VOLT?", action),
+            current=self._number("CURR?", action),
+            ovp=self._number("VOLT:PROT:LEV?", action),
+            ovp_on=self._flag("VOLT:PROT?", action),
+            fuse_on=self._flag("FUSE?", action),
+            selected=self._flag("OUTP:SEL?", action),
+            measured_voltage=self._number("MEAS:VOLT?", action),
+            measured_current=self._number("MEAS:CURR?", action),
+        )
+
+    def _number(self, query: str, action: str) -> float:
+        answer = self._scpi.ask(query, action)
+        try:
+            return float(answer)
+        except ValueError:
+            raise RigError(
+                f"{self._name}: cannot {action}: it answers {query} with '{answer}', not a number."
+            ) from None
+
+    def _flag(self, query: str, action: str) -> bool:
+        return self._truth(self._scpi.ask(query, action), query, action)
+
+    def _truth(self, answer: str, query: str, action: str) -> bool:
+        if answer.upper() not in ("0", "1", "ON", "OFF"):
+            raise RigError(f"{self._name}: cannot {action}: it answers {query} with '{answer}', not 0 or 1.")
+        return answer.upper() in ("1", "ON")
+
+    @staticmethod
+    def _differences(wanted: SupplyChannelSection, state: ChannelState) -> list[str]:
+        pairs = (
+            ("voltage", wanted.voltage_v, state.voltage, "V"),
+            ("current", wanted.current_a, state.current, "A"),
+            ("over-voltage protection", wanted.ovp_v, state.ovp, "V"),
+        )
+        found = [
+            f"{wanted.name}: {what} is {is_:g} {unit}, not {should:g} {unit}."
+            for what, should, is_, unit in pairs
+            if abs(is_ - should) > RESOLUTION
+        ]
+        if not state.ovp_on:
+            found.append(f"{wanted.name}: its over-voltage protection is off.")
+        if state.fuse_on != wanted.fuse:
+            found.append(f"{wanted.name}: its fuse is {'on' if state.fuse_on else 'off'}.")
+        if not state.selected:
+            found.append(f"{wanted.name}: does not follow the output switch.")
+        return found

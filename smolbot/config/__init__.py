@@ -1,0 +1,1 @@
+"""Files that a user writes, read strictly: missions, rigs, robots, devices, sensors, samples, tracks."""

@@ -1,0 +1,166 @@
+"""The device file: a SMOL device as it was calibrated, with uncertainties, and for which robot it holds."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.robot import DeviceSection
+from smolbot.core.sensing import Device
+from smolbot.errors import InputError
+
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class CalibratedSection(DeviceSection):
+    """The device of a robot file, and one standard deviation of each value that was measured."""
+
+    theta_max_deg_std: NotNegative | None = None
+    frequency_hz_std: NotNegative | None = None
+    damping_per_s_std: NotNegative | None = None
+
+
+class DeviceFile(FileModel):
+    """Everything a device file says."""
+
+    robot: str
+    rig: str
+    date: datetime.date
+    description: str = ""
+    z_mm: float | None = None
+    device: CalibratedSection
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviations of calibrated values: ``theta_max`` (rad), ``frequency`` (Hz), ``damping`` (1/s)."""
+
+    theta_max: float
+    frequency: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class DeviceConfig:
+    """A calibrated device, and where it comes from.
+
+    Attributes
+    ----------
+    robot, rig : str
+        Names of the robot that it belongs to and the rig that it was calibrated on.
+    date : datetime.date
+    device : Device
+    std : Uncertainty or None
+        Absent where the file gives none, or not all.
+    height : float or None, in m
+        Known z of the rotation centre during the calibration.
+    description : str
+    """
+
+    robot: str
+    rig: str
+    date: datetime.date
+    device: Device
+    std: Uncertainty | None = None
+    height: float | None = None
+    description: str = ""
+
+
+def load_device(path: str | Path, robot: str | None = None) -> DeviceConfig:
+    """Read a device file.
+
+    Parameters
+    ----------
+    path : path
+    robot : str, optional
+        Name of the robot that the device must belong to.
+
+    Raises
+    ------
+    ConfigError
+        With ``file:line: key`` for every fault, and if the file is another robot's.
+    MissingFileError
+        If there is no such file.
+    """
+    document = Document.read(Path(path))
+    sections, faults = document.validate(DeviceFile)
+    if sections is None:
+        raise document.error(faults)
+    if robot is not None and sections.robot != robot:
+        message = f"this device was calibrated for robot '{sections.robot}'; asked for is '{robot}'."
+        raise document.error([Fault(("robot",), f"{message} Calibrate that one, or give the file that is its own.")])
+    s = sections.device
+    try:
+        device = Device(
+            moment=s.moment_ma_m2 * 1e-3,
+            moment_in_body=np.array(s.moment_in_body),
+            l0=s.l0_mm * 1e-3,
+            theta_max=float(np.radians(s.theta_max_deg)),
+            frequency=s.frequency_hz,
+            damping=s.damping_per_s,
+            damping_model=s.damping_model,
+        )
+    except InputError as error:
+        raise document.error([Fault(("device",), str(error))]) from error
+    std = None
+    if s.theta_max_deg_std is not None and s.frequency_hz_std is not None and s.damping_per_s_std is not None:
+        std = Uncertainty(float(np.radians(s.theta_max_deg_std)), s.frequency_hz_std, s.damping_per_s_std)
+    height = None if sections.z_mm is None else sections.z_mm * 1e-3
+    return DeviceConfig(sections.robot, sections.rig, sections.date, device, std, height, sections.description)
+
+
+def write_device(path: str | Path, config: DeviceConfig) -> None:
+    """Write a device file that `load_device` reads back to the last digit that matters.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    d = config.device
+    along = ", ".join(f"{c:.9g}" for c in d.moment_in_body)
+    lines = ["# SMOL device as calibrated; smolbot calibrate writes such files."]
+    lines += [f"robot = {_text(config.robot)}", f"rig = {_text(config.rig)}", f"date = {config.date.isoformat()}"]
+    if config.description:
+        lines.append(f"description = {_text(config.description)}")
+    if config.height is not None:
+        lines.append(f"{_entry('z_mm', config.height * 1e3)}  # known height of the rotation centre during calibration")
+    lines += ["", "[device]"]
+    lines.append(
+        f"{_entry('moment_ma_m2', d.moment * 1e3)}  # as believed: theta_max is measured as moment times angle"
+    )
+    lines += [f"moment_in_body = [{along}]", _entry("l0_mm", d.l0 * 1e3)]
+    theta_std, frequency_std, damping_std = (
+        (None, None, None)
+        if config.std is None
+        else (float(np.degrees(config.std.theta_max)), config.std.frequency, config.std.damping)
+    )
+    lines += _measured("theta_max_deg", float(np.degrees(d.theta_max)), theta_std)
+    lines += _measured("frequency_hz", d.frequency, frequency_std)
+    lines += _measured("damping_per_s", d.damping, damping_std)
+    lines += [f"damping_model = {_text(d.damping_model)}"]
+    try:
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}.") from error
+
+
+def _measured(key: str, value: float, std: float | None) -> list[str]:
+    return [_entry(key, value)] + ([] if std is None else [_entry(f"{key}_std", std)])
+
+
+def _entry(key: str, value: float) -> str:
+    return f"{key} = {float(value):.10g}"
+
+
+def _text(value: str) -> str:
+    """A TOML basic string."""
+    import json
+
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,196 @@
+"""Whether mission, rig and robot fit each other: checked before anything moves."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.config.document import Fault
+from smolbot.config.rig import RigConfig
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
+from smolbot.core.shots import Excite, Listen, RingDown, Shot
+from smolbot.errors import ConfigError
+from smolbot.localization.bounds import Window, pose_bound
+from smolbot.localization.chain import WINDOW
+from smolbot.localization.expected import expected_covariance
+from smolbot.localization.noise.room import NoiseLevels
+from smolbot.localization.problem import MIN_OUTPUTS
+
+if TYPE_CHECKING:
+    from smolbot.config.mission import Mission
+    from smolbot.config.mission_base import MissionBase
+
+ROOMS = 3
+"""Drawn directions of the mains that an expected error is averaged over."""
+
+
+def fitness_faults(mission: Mission) -> list[Fault]:
+    """Every reason why the mission cannot be flown as its files say; empty if there is none."""
+    return [
+        *_container_faults(mission),
+        *(_table_faults(mission) if mission.robot.kind == "gradient" else ()),
+        *_limit_faults(mission),
+        *(_sensor_faults(mission) or _tolerance_faults(mission)),
+    ]
+
+
+def listening_faults(mission: MissionBase) -> list[Fault]:
+    """Why this rig cannot listen to this device as the mission's cycle says; empty if it can."""
+    return [*_limit_faults(mission), *_sensor_faults(mission)]
+
+
+def _container_faults(mission: Mission) -> list[Fault]:
+    box = mission.rig.sections.container
+    margin = 0.5e3 * math.hypot(*sorted(mission.robot.size)[1:])  # it may lie at any angle
+    low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
+    high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
+    room = f"the robot's centre can go from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) mm"
+    faults = []
+    for key, points in (("path", mission.path.points[:, :2] * 1e3), ("start", 1e3 * np.array([mission.start]))):
+        outside = np.flatnonzero(np.any((points < low - 1e-9) | (points > high + 1e-9), axis=1))
+        if outside.size:
+            x, y = points[outside[0]]
+            faults.append(Fault((key,), f"({x:.1f}, {y:.1f}) mm lies outside the tank; {room}."))
+    return faults
+
+
+def _table_faults(mission: Mission) -> list[Fault]:
+    try:
+        table = mission.rig.table()
+    except ConfigError as error:
+        return [Fault(("rig",), line) for line in str(error).splitlines()]
+    if table.n_coils != len(mission.rig.coil_names):
+        message = f"the table holds {table.n_coils} coils, rig '{mission.rig.name}' has {len(mission.rig.coil_names)}."
+        return [Fault(("rig",), message)]
+    faults = []
+    start = np.array([[*mission.start, mission.rig.surface_z]])
+    for key, points in (("path", mission.path.points), ("start", start)):
+        outside = np.flatnonzero(~table.contains(points))
+        if outside.size:
+            x, y, z = points[outside[0]] * 1e3
+            low, high = (1e3 * np.array(bound) for bound in table.bounds)
+            message = (
+                f"({x:.1f}, {y:.1f}, {z:.1f}) mm lies outside the field table, "
+                f"which covers x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g}, "
+                f"z {low[2]:g} to {high[2]:g} mm."
+            )
+            faults.append(Fault((key,), message))
+    return faults
+
+
+def _limit_faults(mission: MissionBase) -> list[Fault]:
+    frequency = mission.robot.device.frequency
+    cycle = mission.cycle
+    shot = Shot(
+        (
+            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
+            RingDown(cycle.ring_down),
+            Listen(cycle.half_periods, frequency),
+        )
+    )
+    return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
+
+
+def _sensor_faults(mission: MissionBase) -> list[Fault]:
+    axes, frequency = mission.rig.sensors.axes, mission.robot.device.frequency
+    parallel = np.abs(axes @ axes.T) > np.cos(np.radians(2.0))
+    differences = int(np.sum(np.tril(parallel, -1).any(axis=1)))  # each with an earlier sensor of its direction
+    faults = []
+    if differences < MIN_OUTPUTS:
+        message = f"its {len(axes)} sensors form {differences} same-axis differences; a pose needs {MIN_OUTPUTS}."
+        faults.append(Fault(("rig",), message))
+    least = 2.0 * frequency * WINDOW
+    if mission.rig.sample_rate < least:
+        message = (
+            f"it samples at {mission.rig.sample_rate:g} Hz; a device of {frequency:g} Hz needs {least:g} Hz or more."
+        )
+        faults.append(Fault(("rig",), message))
+    return faults
+
+
+def _tolerance_faults(mission: Mission) -> list[Fault]:
+    expected = expected_error(mission)
+    if mission.tolerance >= expected:
+        return []
+    message = (
+        f"{mission.tolerance * 1e3:g} mm lies under the localization error to be expected on this path, "
+        f"{expected * 1e3:.2f} mm in the plane; raise it, or listen longer ([cycle] half_periods)."
+    )
+    return [Fault(("controller", "tolerance_mm"), message)]
+
+
+def noise_levels(rig: RigConfig) -> NoiseLevels:
+    """What the rig's room is expected to sound like."""
+    section = rig.sections.noise
+    return NoiseLevels(
+        floor=section.floor_pt_per_rthz * 1e-12,
+        at_1hz=section.at_1hz_pt_per_rthz * 1e-12,
+        mains_frequency=section.mains_hz,
+        mains=section.mains_nt * 1e-9,
+        mains_gradient=section.mains_gradient_nt_per_m * 1e-9,
+        harmonics={int(order): size for order, size in section.harmonics.items()},
+    )
+
+
+def expected_error(mission: Mission, places: int = 5) -> float:
+    """Horizontal rms error of one pose, in m, the worst of some places along the path."""
+    return float(np.max(expected_errors(mission, np.linspace(0.0, mission.path.length, places))))
+
+
+def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
+    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path."""
+    covariances = covariances_along(mission, arc)
+    errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+    return errors
+
+
+def covariances_along(mission: Mission, arc: FloatArray) -> FloatArray:
+    """Covariances (n, 6, 6) of one pose, (m, rad), at arc lengths `arc` in m, the robot heading along the path."""
+    up = np.array([0.0, 0.0, 1.0])
+    headings = [quaternion_from_axes(heading, up, "zy") for heading in mission.path.tangent(arc)]
+    return expected_covariances(mission, mission.path.at(arc), headings)
+
+
+def expected_covariances(mission: MissionBase, points: FloatArray, orientations: list[FloatArray]) -> FloatArray:
+    """Covariances (n, 6, 6) of one pose each, (m, rad), at `points` (n, 3) in m and `orientations` (4,).
+
+    Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned.
+    """
+    find = _whitened if mission.base.localization.estimator == "whitened" else _paper
+    return find(mission, points, orientations)
+
+
+def _whitened(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+    """Covariances (n, 6, 6) of the whitened estimator."""
+    rig = mission.rig
+    window = Window(mission.cycle.half_periods, rig.sample_rate, mission.cycle.ring_down)
+    rotations = np.array([matrix_from_quaternion(q) for q in headings])
+    learned = mission.base.localization.quiet_s > 0.0
+    rooms = [noise_levels(rig).room(rig.sensors, seed) for seed in range(ROOMS)] if learned else []
+    found = [
+        pose_bound(rig.sensors, mission.robot.device, noise, points, rotations, window).covariance[:, :6, :6]
+        for noise in rooms or [noise_levels(rig).model(rig.sensors)]
+    ]
+    return np.mean(found, axis=0)
+
+
+def _paper(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+    """Covariances (n, 6, 6) of the paper's estimator."""
+    rig, cycle = mission.rig, mission.cycle
+    found = [
+        expected_covariance(
+            rig.sensors,
+            mission.robot.device,
+            noise_levels(rig),
+            Pose(0.0, point, heading, np.eye(6)),
+            cycle.half_periods,
+            rig.sample_rate,
+            cycle.ring_down,
+        )
+        for point, heading in zip(points, headings, strict=True)
+    ]
+    return np.array(found)

@@ -1,0 +1,168 @@
+"""The known track of a positioning stage: a row per recording, with where the device was and which way it pointed.
+
+A .csv file with named columns; others are left alone, and so are lines that begin with ``#``:
+
+- ``x_mm, y_mm, z_mm``: the cantilever's rotation centre, in the rig's world frame.
+- ``along_x, along_y, along_z`` and ``swing_x, swing_y, swing_z``: world directions of the cantilever (body z) and of
+  its swing (body x), of any length. Or ``qw, qx, qy, qz``, as ``smolbot localize`` writes orientations.
+- ``file``, optional: samples of this row, beside the track. Rows that name one file take its shots in order.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.errors import InputError, MissingFileError
+
+PLACE = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qw", "qx", "qy", "qz")
+ALONG, SWING = ("along_x", "along_y", "along_z"), ("swing_x", "swing_y", "swing_z")
+
+UNKNOWN = np.full((6, 6), math.nan)
+"""Covariance of a pose that a stage tells: none is claimed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What a track file holds: a pose for each row, and the file of its samples where the row names one."""
+
+    path: Path
+    poses: tuple[Pose, ...]
+    files: tuple[Path | None, ...]
+
+
+def read_track(path: str | Path) -> Track:
+    """Read a track.
+
+    Raises
+    ------
+    InputError
+        With ``file:line: column`` for what is missing or is no number, and what is needed.
+    MissingFileError
+        If there is no such file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingFileError(f"{path}: no such file.")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text: {error}.") from error
+    lines = [(n, row) for n, row in enumerate(text.splitlines(), 1) if row.strip() and not row.lstrip().startswith("#")]
+    if len(lines) < 2:
+        raise InputError(
+            f"{path}: holds no track; a line of column names ({_needed()}) and a row per recording are needed."
+        )
+    separator = max(",;\t", key=lines[0][1].count)
+    names = [name.strip() for name in next(csv.reader([lines[0][1]], delimiter=separator))]
+    turned = _orientation_columns(path, names)
+    poses, files = [], []
+    for number, line in lines[1:]:
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+        if len(cells) != len(names):
+            raise InputError(f"{path}:{number}: has {len(cells)} columns; the line of names has {len(names)}.")
+        row = dict(zip(names, cells, strict=True))
+        place = 1e-3 * _numbers(path, number, row, PLACE)
+        orientation = _orientation(path, number, row, turned)
+        poses.append(Pose(0.0, place, orientation, UNKNOWN))
+        files.append(path.parent / row["file"] if row.get("file") else None)
+    return Track(path, tuple(poses), tuple(files))
+
+
+def write_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -> None:
+    """Write a track that `read_track` reads back, a row per pose, with the file of its samples.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    lines = [",".join([*PLACE, *ALONG, *SWING, "file"])]
+    for pose, file in zip(poses, files, strict=True):
+        values = [*(1e3 * pose.position), *pose.body_axis("z"), *pose.body_axis("x")]
+        lines.append(",".join([*(f"{v:.9g}" for v in values), file]))
+    try:
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}.") from error
+
+
+def planned_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:
+    """Places spread evenly over a box and headings all round, for a stage with a rotary axis and three holders.
+
+    In turn the cantilever lies and swings level, lies and swings up and down, and stands.
+
+    Parameters
+    ----------
+    low, high : ndarray, shape (3,), in m
+        Corners of the box.
+    count : int
+
+    Examples
+    --------
+    >>> track = planned_track(np.array([-0.02, -0.02, 0.05]), np.array([0.02, 0.02, 0.08]), 3)
+    >>> print(np.round(1e3 * track[0].position, 1), np.round(track[2].body_axis("z"), 1))
+    [ -7.2 -13.2  51.5] [0. 0. 1.]
+    """
+    ratio = 1.2207440846057596  # root of r^4 = r + 1: steps of its powers fill a cube most evenly
+    up = np.array([0.0, 0.0, 1.0])
+    track = []
+    for i in range(count):
+        place = low + (high - low) * ((0.5 + (i + 1) * ratio ** -np.arange(1.0, 4.0)) % 1.0)
+        heading = 2.399963 * i  # golden angle
+        ahead, aside = (np.array([math.cos(a), math.sin(a), 0.0]) for a in (heading, heading + 0.5 * math.pi))
+        along, swing = ((ahead, aside), (ahead, up), (up, ahead))[i % 3]
+        track.append(Pose(0.0, place, quaternion_from_axes(along, swing, "zx"), UNKNOWN))
+    return track
+
+
+def _needed() -> str:
+    return f"{', '.join(PLACE)}, and {', '.join((*ALONG, *SWING))} or {', '.join(QUATERNION)}"
+
+
+def _orientation_columns(path: Path, names: Sequence[str]) -> bool:
+    """Whether directions give the orientation, and not a quaternion."""
+    directions = all(name in names for name in (*ALONG, *SWING))
+    missing = [name for name in PLACE if name not in names]
+    if missing or not (directions or all(name in names for name in QUATERNION)):
+        what = f"column {', '.join(missing)} is missing" if missing else "no orientation"
+        raise InputError(f"{path}: {what}; a track needs {_needed()}. Got {', '.join(names)[:200]}.")
+    return directions
+
+
+def _orientation(path: Path, number: int, row: Mapping[str, str], directions: bool) -> FloatArray:
+    if not directions:
+        quaternion = _numbers(path, number, row, QUATERNION)
+        length = float(np.linalg.norm(quaternion))
+        if not 0.99 < length < 1.01:
+            raise InputError(f"{path}:{number}: {', '.join(QUATERNION)} must be of unit length; got {length:.4g}.")
+        return quaternion / length
+    along, swing = (_numbers(path, number, row, columns) for columns in (ALONG, SWING))
+    sine = float(np.linalg.norm(np.cross(along, swing)))
+    if not sine > 0.5 * float(np.linalg.norm(along)) * float(np.linalg.norm(swing)):
+        raise InputError(
+            f"{path}:{number}: along and swing must be two directions at right angles; got {along} and {swing}."
+        )
+    return quaternion_from_axes(along, swing, "zx")
+
+
+def _numbers(path: Path, number: int, row: Mapping[str, str], columns: Sequence[str]) -> FloatArray:
+    values = []
+    for column in columns:
+        try:
+            value = float(row[column])
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(f"{path}:{number}: {column} is not a number ('{row[column]}').")
+        values.append(value)
+    return np.array(values)

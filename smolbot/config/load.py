@@ -1,0 +1,34 @@
+"""Reads a mission of either kind: one that steers a robot along a path, or one that only looks."""
+
+from __future__ import annotations
+
+from smolbot.config import mission as missionfile
+from smolbot.config.mission import Mission
+from smolbot.config.mission_base import open_document
+from smolbot.config.observation import Observation, load_observation, observes
+
+AnyMission = Mission | Observation
+
+
+def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> AnyMission:
+    """Read a shipped mission by name, or a user's by path, with the rig and robot that it names.
+
+    A file with a section ``[observe]`` is an `Observation`; every other is a `Mission`.
+
+    Parameters
+    ----------
+    rig : str, optional
+        A rig to use instead of the mission's own.
+    settings : dict, optional
+        ``{"cycle.half_periods": "6"}``: settings laid over the mission file; keys that begin with
+        ``rig.`` are laid over the rig file.
+
+    Raises
+    ------
+    ConfigError
+        With a line for every fault of the files, before anything moves.
+    """
+    settings = settings or {}
+    if observes(open_document(name, settings)):
+        return load_observation(name, rig, settings)
+    return missionfile.load_mission(name, rig, settings)

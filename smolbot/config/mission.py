@@ -1,0 +1,229 @@
+"""The mission file: which robot follows which path, on which rig, by which law, and what counts as done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from pydantic import Field
+
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.mission_base import MissionBase, MissionBaseFile, Positive, load_parts, open_document, raise_all
+from smolbot.config.path_section import PathSection, read_path
+from smolbot.config.plugins import load, names
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.motion.controller import HelixSetup, Setup, gain_fault
+from smolbot.motion.helix import Helix
+from smolbot.motion.robot import Robot
+from smolbot.paths.curve import Curve
+
+Point = tuple[float, float]
+
+
+class StartSection(FileModel):
+    """Where the robot is put down, from the path's start."""
+
+    offset_mm: Point = (0.0, 0.0)
+
+
+class ControllerSection(FileModel):
+    """The law, when a goal counts as reached, and gains that differ from the law's defaults."""
+
+    law: str
+    tolerance_mm: Positive = 0.8
+    gains: dict[str, float] = Field(default_factory=dict)
+
+
+class VerdictSection(FileModel):
+    """What a completed mission must also keep to, where the truth is known."""
+
+    mean_tracking_mm: Positive | None = None
+    mean_localization_mm: Positive | None = None
+
+
+class MissionFile(MissionBaseFile):
+    """Everything the file of a mission says that steers a robot."""
+
+    path: PathSection
+    start: StartSection = StartSection()
+    controller: ControllerSection
+    verdict: VerdictSection = VerdictSection()
+
+
+class Mission(MissionBase):
+    """A mission that steers, whose files hold together: path, rig, robot and law fit each other."""
+
+    def __init__(
+        self,
+        document: Document,
+        sections: MissionFile,
+        rig: RigConfig,
+        robot: RobotConfig,
+        path: Curve,
+        path_remarks: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(document, sections, rig, robot)
+        self.sections = sections
+        self.path = path
+        self.path_remarks = path_remarks
+
+    @property
+    def tolerance(self) -> float:
+        """In m."""
+        return self.sections.controller.tolerance_mm * 1e-3
+
+    @property
+    def law(self) -> str:
+        return self.sections.controller.law
+
+    @property
+    def gains(self) -> Mapping[str, float]:
+        return self.sections.controller.gains
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """Where the robot is put down (x, y), in m."""
+        offset = self.sections.start.offset_mm
+        return self.path.points[0, 0] + offset[0] * 1e-3, self.path.points[0, 1] + offset[1] * 1e-3
+
+    @property
+    def put_down(self) -> tuple[float, ...]:
+        """Start (x, y) in m; with the heading, in rad, in which a helix is pushed into its gel: along the path."""
+        if self.robot.kind != "helical":
+            return self.start
+        ahead = self.path.tangent(np.zeros(1))[0]
+        return (*self.start, float(np.arctan2(ahead[1], ahead[0])))
+
+    def helix_setup(self) -> HelixSetup:
+        """What the controller of a helical robot may know."""
+        helix, device, medium, magnet = self.robot.helix, self.robot.device, self.rig.sections.medium, self.rig.magnet
+        box, center = self.rig.sections.container, 1e-3 * np.array(magnet.center_mm)
+        return HelixSetup(
+            helix=Helix.in_gel(
+                pitch=1e-3 * helix.pitch_mm,
+                slip=helix.slip,
+                diameter=self.robot.size[0],
+                length=self.robot.size[2],
+                center_ahead=self.robot.center[2],
+                moment=device.moment,
+                l0=device.l0,
+                theta_max=device.theta_max,
+                frequency=device.frequency,
+                yield_stress=medium.yield_stress_pa,
+                viscosity=medium.viscosity_pa_s,
+                magnet=(float(center[0]), float(center[1]), float(center[2])),
+                field=1e-3 * magnet.field_mt,
+                distance=1e-3 * magnet.distance_mm,
+                steering_rate=self.rig.limits.max_steering_rate,
+                floor=1e-3 * box.floor_z_mm,
+                plate=1e-3 * box.surface_z_mm,
+                steering=helix.steering,
+                drift=1e-3 * helix.drift_mm,
+            ),
+            limits=self.rig.limits,
+            device=device,
+            cycle=self.cycle,
+            move=magnet.move_s,
+            tolerance=self.tolerance,
+        )
+
+    def setup(self) -> Setup:
+        """What the controller of a robot that coils pull may know."""
+        medium = self.rig.sections.medium
+        device = self.robot.device
+        return Setup(
+            table=self.rig.table(),
+            limits=self.rig.limits,
+            device=device,
+            robot=Robot.in_liquid(
+                device.moment,
+                self.robot.drag_radius,
+                medium.viscosity_pa_s,
+                frequency=device.frequency,
+                l0=device.l0,
+                theta_max=device.theta_max,
+                center_ahead=self.robot.center[2],
+            ),
+            cycle=self.cycle,
+            tolerance=self.tolerance,
+        )
+
+
+def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Mission:
+    """Read a mission that steers, shipped or a user's own by path, with the rig and robot that it names.
+
+    Parameters
+    ----------
+    rig : str, optional
+        A rig to fly on instead of the mission's own.
+    settings : dict, optional
+        ``{"controller.tolerance_mm": "0.5"}``: settings laid over the mission file; keys that begin
+        with ``rig.`` are laid over the rig file.
+
+    Raises
+    ------
+    ConfigError
+        With a line for every fault of the files, before anything moves.
+    """
+    settings = settings or {}
+    document = open_document(name, settings)
+    if "observe" in document.data:
+        message = "this mission only looks, and steers nothing; smolbot run and smolbot simulate carry it out."
+        raise document.error([Fault(("observe",), message)])
+    sections, faults = document.validate(MissionFile)
+    messages = [document.error(faults)] if faults else []
+    rig_config, robot_config, found = load_parts(document, rig, settings)
+    messages += found + [document.error(faults) for faults in [_law_faults(document)] if faults]
+    raise_all(messages)
+    assert sections is not None
+    assert rig_config is not None
+    assert robot_config is not None
+    if robot_config.kind == "device":
+        message = f"'{robot_config.name}' is of kind 'device', which nothing moves; a path needs a robot that swims."
+        raise document.error([Fault(("robot",), message)])
+    _check_kind(document, sections, rig_config, robot_config)
+    under = 0.5 * robot_config.size[0] if robot_config.kind == "helical" else 0.0  # a helix is pulled up to the plate
+    path, remarks = read_path(document, sections.path, rig_config.surface_z - under)
+    mission = Mission(document, sections, rig_config, robot_config, path, remarks)
+    from smolbot.config.feasibility import fitness_faults
+
+    unfit = fitness_faults(mission)
+    if unfit:
+        raise document.error(unfit)
+    return mission
+
+
+def _check_kind(document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig) -> None:
+    """A law is made for a kind of robot, and a helix needs a magnet that turns and a gel to bite into."""
+    kinds = getattr(load("controllers", sections.controller.law), "kinds", ("gradient",))
+    faults = []
+    if robot.kind not in kinds:
+        message = (
+            f"'{sections.controller.law}' drives robots of kind {', '.join(kinds)}; '{robot.name}' is {robot.kind}."
+        )
+        faults.append(Fault(("controller", "law"), message))
+    if robot.kind == "helical" and rig.sections.magnet is None:
+        faults.append(Fault(("rig",), f"'{rig.name}' has no [magnet], which a helical robot needs."))
+    if robot.kind == "helical" and rig.sections.medium.yield_stress_pa == 0:
+        faults.append(Fault(("rig",), f"the medium of '{rig.name}' has no yield_stress_pa: a helix needs a gel."))
+    if faults:
+        raise document.error(faults)
+
+
+def _law_faults(document: Document) -> list[Fault]:
+    section = document.data.get("controller")
+    law = section.get("law") if isinstance(section, dict) else None
+    if not isinstance(law, str):
+        return []
+    known = names("controllers")
+    if law not in known:
+        return [Fault(("controller", "law"), f"no controller is named '{law}'; installed: {', '.join(known)}.")]
+    gains = load("controllers", law).gains
+    given = section.get("gains", {}) if isinstance(section, dict) else {}
+    faults = [
+        (name, gain_fault(gains, name, value, law))
+        for name, value in (given.items() if isinstance(given, dict) else ())
+        if isinstance(value, int | float)
+    ]
+    return [Fault(("controller", "gains", name), message) for name, message in faults if message]

@@ -1,0 +1,115 @@
+"""What every mission file says, whether a robot is steered or only localized: rig, device, cycle, when to give up."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.library import find_file
+from smolbot.config.rig import RigConfig, load_rig
+from smolbot.config.robot import RobotConfig, load_robot
+from smolbot.errors import ConfigError, SmolbotError
+from smolbot.motion.controller import Cycle
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class CycleSection(FileModel):
+    """The localization part of a cycle."""
+
+    excite_cycles: Annotated[int, Field(ge=1, le=100)] = 5
+    ring_down_ms: Positive = 20.0
+    half_periods: Annotated[int, Field(ge=1, le=400)] = 2
+    excite_current_a: Positive | None = None
+
+
+class LocalizationSection(FileModel):
+    """How poses are found."""
+
+    estimator: Literal["whitened", "paper"] = "whitened"
+    quiet_s: Annotated[float, Field(ge=0)] = 10.0
+    learn_ring_down: bool = False
+
+
+class StopSection(FileModel):
+    """When to give up."""
+
+    max_duration_s: Positive = 600.0
+    lost_shots: Annotated[int, Field(ge=1)] = 20
+
+
+class MissionBaseFile(FileModel):
+    """The sections that every mission file has."""
+
+    name: str
+    description: str = ""
+    rig: str
+    robot: str
+    cycle: CycleSection = CycleSection()
+    localization: LocalizationSection = LocalizationSection()
+    stop: StopSection = StopSection()
+
+
+class MissionBase:
+    """A mission file with the rig and the robot that it names."""
+
+    def __init__(self, document: Document, base: MissionBaseFile, rig: RigConfig, robot: RobotConfig) -> None:
+        self.document = document
+        self.base = base
+        self.rig = rig
+        self.robot = robot
+        self.name = base.name
+
+    @property
+    def cycle(self) -> Cycle:
+        section = self.base.cycle
+        current = section.excite_current_a or self.rig.limits.max_excitation_current
+        return Cycle(section.excite_cycles, section.ring_down_ms * 1e-3, section.half_periods, current)
+
+
+def open_document(name: str, settings: dict[str, str]) -> Document:
+    """A shipped mission by name, or a user's by path, with settings laid over it; those of the rig are left out."""
+    document = Document.read(find_file(name, "missions"))
+    return document.override({k: v for k, v in settings.items() if not k.startswith("rig.")})
+
+
+def load_parts(
+    document: Document, rig: str | None, settings: dict[str, str]
+) -> tuple[RigConfig | None, RobotConfig | None, list[ConfigError]]:
+    """Rig and robot that a mission file names, and what is wrong with them; `rig` takes the place of its own."""
+    messages: list[ConfigError] = []
+    folder = document.path.parent
+    rig_name = rig or _text(document, "rig")
+    rig_config = robot_config = None
+    try:
+        if rig_name:
+            rig_settings = {k.removeprefix("rig."): v for k, v in settings.items() if k.startswith("rig.")}
+            beside = str(folder / rig_name) if (rig is None and (folder / rig_name).is_file()) else rig_name
+            rig_config = load_rig(beside, rig_settings)
+    except SmolbotError as error:
+        messages.append(_as_config(document, ("rig",), error))
+    try:
+        robot_name = _text(document, "robot")
+        if robot_name:
+            robot_config = load_robot(robot_name, beside=folder)
+    except SmolbotError as error:
+        messages.append(_as_config(document, ("robot",), error))
+    return rig_config, robot_config, messages
+
+
+def raise_all(messages: list[ConfigError]) -> None:
+    """Raise one error with every line of `messages` once; nothing where there is none."""
+    if messages:
+        raise ConfigError("\n".join(dict.fromkeys("\n".join(str(m) for m in messages).splitlines())))
+
+
+def _text(document: Document, key: str) -> str | None:
+    value = document.data.get(key)
+    return value if isinstance(value, str) else None
+
+
+def _as_config(document: Document, key: tuple[str, ...], error: SmolbotError) -> ConfigError:
+    """Faults of another file keep their own place; a file that is missing is a fault of the key that names it."""
+    return error if isinstance(error, ConfigError) else document.error([Fault(key, str(error))])

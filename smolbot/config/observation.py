@@ -1,0 +1,127 @@
+"""The mission file of those that only look: a device that something else moves or holds, and how it is observed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.mission_base import (
+    MissionBase,
+    MissionBaseFile,
+    Positive,
+    load_parts,
+    open_document,
+    raise_all,
+)
+from smolbot.config.plugins import load_world
+from smolbot.config.rig import RigConfig
+from smolbot.config.robot import RobotConfig
+from smolbot.motion.led import Motion
+
+STEERING = ("path", "start", "controller")
+"""Sections of a mission that steers; none of them goes with [observe]."""
+
+_OF_MOTION = ("speed_mm_s", "turn_deg_s", "change_s")
+
+
+class ObserveSection(FileModel):
+    """One of: for how long a moving device is tracked, or how many independent measurements a resting one gets."""
+
+    duration_s: Positive | None = None
+    measurements: Annotated[int, Field(ge=2)] | None = None
+    speed_mm_s: Positive | None = None
+    turn_deg_s: Positive | None = None
+    change_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> ObserveSection:
+        if (self.duration_s is None) == (self.measurements is None):
+            raise ValueError("give one of duration_s, to track a device, or measurements, of one that rests.")
+        given = [key for key in _OF_MOTION if getattr(self, key) is not None]
+        if self.measurements is not None and given:
+            raise ValueError(f"independent measurements know of no motion; leave {', '.join(given)} away.")
+        if given and len(given) < len(_OF_MOTION):
+            missing = [key for key in _OF_MOTION if key not in given]
+            raise ValueError(f"a moving device needs {', '.join(_OF_MOTION)}; missing: {', '.join(missing)}.")
+        return self
+
+
+class ObservationVerdict(FileModel):
+    """What a finished observation must also keep to; the error where the truth is known."""
+
+    mean_localization_mm: Positive | None = None
+    min_rate_hz: Positive | None = None
+    max_sigma_mm: Positive | None = None
+
+
+class ObservationFile(MissionBaseFile):
+    """Everything the file of a mission says that only looks."""
+
+    observe: ObserveSection
+    verdict: ObservationVerdict = ObservationVerdict()
+
+
+class Observation(MissionBase):
+    """A mission that only localizes: nothing here knows where the device is, or where it will go."""
+
+    def __init__(self, document: Document, sections: ObservationFile, rig: RigConfig, robot: RobotConfig) -> None:
+        super().__init__(document, sections, rig, robot)
+        self.sections = sections
+
+    @property
+    def motion(self) -> Motion | None:
+        """How the device is believed to move; None of one that rests."""
+        section = self.sections.observe
+        if section.speed_mm_s is None or section.turn_deg_s is None or section.change_s is None:
+            return None
+        return Motion(1e-3 * section.speed_mm_s, float(np.radians(section.turn_deg_s)), section.change_s)
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """Middle of the container (x, y), in m: nobody puts this device down."""
+        x, y = self.rig.sections.container.center_mm
+        return 1e-3 * x, 1e-3 * y
+
+
+def observes(document: Document) -> bool:
+    """Whether a mission file is one of those that only look."""
+    return "observe" in document.data
+
+
+def load_observation(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Observation:
+    """Read a mission that only looks, with its rig and device; arguments and errors as for `load_mission`."""
+    settings = settings or {}
+    document = open_document(name, settings)
+    both = [section for section in STEERING if section in document.data]
+    if both and observes(document):
+        message = f"[observe] only looks, and [{both[0]}] steers: a mission has one or the other."
+        raise document.error([Fault((both[0],), message)])
+    sections, faults = document.validate(ObservationFile)
+    messages = [document.error(faults)] if faults else []
+    rig_config, robot_config, found = load_parts(document, rig, settings)
+    raise_all(messages + found)
+    assert sections is not None
+    assert rig_config is not None
+    assert robot_config is not None
+    unfit = _unfit(rig_config, robot_config)
+    if unfit:
+        raise document.error(unfit)
+    observation = Observation(document, sections, rig_config, robot_config)
+    from smolbot.config.feasibility import listening_faults
+
+    unfit = listening_faults(observation)
+    if unfit:
+        raise document.error(unfit)
+    return observation
+
+
+def _unfit(rig: RigConfig, robot: RobotConfig) -> list[Fault]:
+    """Faults of device and world together."""
+    if robot.kind != "device":
+        message = f"'{robot.name}' is of kind '{robot.kind}', which swims; [observe] needs a bare device."
+        return [Fault(("robot",), message)]
+    reason = load_world(rig.world, rig.document).unfit(rig, robot)
+    return [] if reason is None else [Fault(("rig",), reason)]

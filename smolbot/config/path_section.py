@@ -1,0 +1,136 @@
+"""The ``[path]`` section of a mission file, and the curve that it asks for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.mission_base import Positive
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.paths.corners import rounded
+from smolbot.paths.curve import Curve, read_csv
+from smolbot.paths.glyphs import drawn_glyph, glyph_fault
+from smolbot.paths.outline import Outline
+from smolbot.paths.speed_profile import speed_profile
+
+Point = tuple[float, float]
+
+
+class PathSection(FileModel):
+    """One of: a glyph of a size, points, or a file, SVG or CSV; in mm, in the horizontal plane.
+
+    Attributes
+    ----------
+    width_mm, height_mm : float
+        Of a glyph, which fills them; and of an SVG, which keeps its aspect where one is given, its size where none is.
+    element : str
+        Id of the shape of an SVG that is meant.
+    center_mm : tuple of float
+        Where the middle of a glyph or an SVG comes to lie, and the origin of points and of a CSV.
+    corner_radius_mm : float
+        0: corners are kept.
+    speed_mm_s : float
+        Wanted along the path, listening included; without it the law goes as fast as it can.
+    lateral_mm_s2, acceleration_mm_s2 : float
+        Limits that slow it in bends: of v² times curvature, and of the change of speed along the path.
+    """
+
+    glyph: str | None = None
+    width_mm: Positive | None = None
+    height_mm: Positive | None = None
+    points_mm: list[Point] | None = None
+    file: str | None = None
+    element: str | None = None
+    center_mm: Point = (0.0, 0.0)
+    corner_radius_mm: Annotated[float, Field(ge=0)] = 0.0
+    speed_mm_s: Positive | None = None
+    lateral_mm_s2: Positive | None = None
+    acceleration_mm_s2: Positive | None = None
+
+    @field_validator("glyph")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        fault = glyph_fault(name) if name is not None else None
+        if fault:
+            raise ValueError(fault)
+        return name
+
+    @field_validator("points_mm")
+    @classmethod
+    def _enough(cls, points: list[Point] | None) -> list[Point] | None:
+        if points is not None and len(points) < 2:
+            raise ValueError("points_mm needs at least two points.")
+        return points
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> PathSection:
+        given = [name for name in ("glyph", "points_mm", "file") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"give one of glyph, points_mm or file; got {', '.join(given) or 'none'}.")
+        if self.glyph is not None and (self.width_mm is None or self.height_mm is None):
+            raise ValueError("a glyph needs width_mm and height_mm.")
+        if self.glyph is None and not self.is_svg and (self.width_mm is not None or self.height_mm is not None):
+            raise ValueError(
+                "width_mm and height_mm belong to a glyph or an SVG; points and a CSV have their size in mm."
+            )
+        if self.element is not None and not self.is_svg:
+            raise ValueError("element names a shape of an SVG file; there is none.")
+        if self.lateral_mm_s2 is not None and self.speed_mm_s is None:
+            raise ValueError("lateral_mm_s2 slows a path's speed in bends; give speed_mm_s too.")
+        if self.acceleration_mm_s2 is not None and self.lateral_mm_s2 is None:
+            raise ValueError("acceleration_mm_s2 limits how a speed changes before bends; give lateral_mm_s2 too.")
+        return self
+
+    @property
+    def is_svg(self) -> bool:
+        return self.file is not None and self.file.lower().endswith(".svg")
+
+
+def read_path(document: Document, section: PathSection, height: float) -> tuple[Curve, tuple[str, ...]]:
+    """The curve in the world frame, at `height` in m, and remarks on how it came about.
+
+    Raises
+    ------
+    ConfigError
+        With the key at fault, and the place in the file that it names.
+    """
+    key = next(name for name in ("glyph", "file", "points_mm") if getattr(section, name) is not None)
+    try:
+        outline = _outline(document, section)
+        curve = Curve(_in_world(outline, section.center_mm, height))  # points that coincide are told as they were given
+        remarks = outline.remarks
+        if section.corner_radius_mm > 0.0:
+            moved = rounded(outline.points + np.array(section.center_mm), section.corner_radius_mm)
+            curve, remarks = Curve(_in_world(moved, (0.0, 0.0), height)), (*remarks, *moved.remarks)
+        if section.speed_mm_s is not None:
+            limits = (None if v is None else v * 1e-3 for v in (section.lateral_mm_s2, section.acceleration_mm_s2))
+            curve = replace(curve, speed=speed_profile(curve.points, section.speed_mm_s * 1e-3, *limits))
+        return curve, remarks
+    except InputError as error:
+        raise document.error([Fault(("path", key), str(error))]) from error
+
+
+def _outline(document: Document, section: PathSection) -> Outline:
+    if section.glyph is not None:
+        assert section.width_mm is not None
+        assert section.height_mm is not None
+        return drawn_glyph(section.glyph, section.width_mm, section.height_mm)
+    if section.file is None:
+        return Outline(np.array(section.points_mm))
+    path = document.path.parent / section.file
+    if not section.is_svg:
+        return Outline(read_csv(path))
+    from smolbot.paths.drawing.svg import read_svg
+
+    return Outline(read_svg(path, section.element, section.width_mm, section.height_mm))
+
+
+def _in_world(outline: Outline, center_mm: Point, height: float) -> FloatArray:
+    """Points (n, 3) in m."""
+    flat = (outline.points + np.array(center_mm)) * 1e-3
+    return np.column_stack([flat, np.full(len(flat), height)])

@@ -1,0 +1,90 @@
+"""Controllers, rigs and commands are entry points: a lab adds its own without touching ours."""
+
+from __future__ import annotations
+
+import difflib
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, Protocol
+
+from smolbot.errors import PluginError
+
+if TYPE_CHECKING:
+    from smolbot.config.document import Document, Fault
+    from smolbot.config.rig import RigConfig
+    from smolbot.config.robot import RobotConfig
+    from smolbot.core.rig import Rig
+
+_OURS = {"controllers", "sim", "lookup_tables"}
+
+
+class World(Protocol):
+    """What an entry point of ``smolbot.rigs`` names: how one kind of rig is checked and opened."""
+
+    @staticmethod
+    def check(document: Document) -> list[Fault]:
+        """Faults of the world's own section of a rig file."""
+
+    @staticmethod
+    def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:
+        """Why this rig cannot hold a bare device; None if it can, or if that is not the world's to know."""
+
+    @staticmethod
+    def open(rig: RigConfig, robot: RobotConfig, start: Any, seed: int, **options: Any) -> Rig:
+        """Open the rig with the robot at `start` (x, y in m), ready to play shots.
+
+        `options` are `gui` and `operator` (see `smolbot.core.operator`); a world passes over what it has no need of.
+        """
+
+
+def names(group: str) -> list[str]:
+    """Names of the installed entry points of ``smolbot.<group>``."""
+    return sorted({point.name for point in entry_points(group=f"smolbot.{group}")})
+
+
+def load(group: str, name: str) -> Any:
+    """Load the entry point `name` of ``smolbot.<group>``.
+
+    Raises
+    ------
+    PluginError
+        If none has that name, or if a foreign package shadows the one that it lives in.
+    """
+    found = [point for point in entry_points(group=f"smolbot.{group}") if point.name == name]
+    if not found:
+        known = names(group)
+        close = difflib.get_close_matches(name, known, 1)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise PluginError(f"No {group[:-1]} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
+    return _load(found[0])
+
+
+def load_world(name: str, document: Document) -> World:
+    """The world that a rig file names; an unknown one is a fault of that file."""
+    if name not in names("rigs"):
+        from smolbot.config.document import Fault
+
+        raise document.error([Fault(("world",), f"no world is named '{name}'; installed: {', '.join(names('rigs'))}.")])
+    world: World = load("rigs", name)
+    return world
+
+
+def _load(point: EntryPoint) -> Any:
+    try:
+        return point.load()
+    except (ImportError, AttributeError) as error:
+        package = point.value.split(":")[0].split(".")[0]
+        raise PluginError(_explain(package, point, error)) from error
+
+
+def _explain(package: str, point: EntryPoint, error: Exception) -> str:
+    from importlib.util import find_spec
+
+    message = f"'{point.name}' ({point.value}) cannot be loaded: {error}."
+    if package not in _OURS:
+        return message
+    found = find_spec(package)
+    where = found.origin if found is not None else "not there"
+    return (
+        f"{message} The package '{package}' that Python finds is {where}; if it is not smolbot's, "
+        "it shadows ours: run from another directory, or rename it."
+    )

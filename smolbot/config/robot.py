@@ -1,0 +1,190 @@
+"""The robot file: body and resonant device of one robot, as they are believed to be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.library import find_file
+from smolbot.core.sensing import Device
+
+Positive = Annotated[float, Field(gt=0)]
+Vector = tuple[float, float, float]
+
+
+class BodySection(FileModel):
+    """The housing: a box with sides along the body axes."""
+
+    size_mm: tuple[Positive, Positive, Positive]
+    center_mm: Vector = (0.0, 0.0, 0.0)
+    mass_mg: Positive
+    drag_radius_mm: Positive | None = None
+    urdf: str | None = None
+
+
+class HelixSection(FileModel):
+    """The thread on a helical robot's housing, right-handed, and what was measured of its way through this gel.
+
+    `slip` is a share of the pitch, `steering` the turn of the axis in a bend over what theory says, `drift_mm` goes to
+    the left with each turn.
+    """
+
+    pitch_mm: Positive
+    core_diameter_mm: Positive
+    slip: Annotated[float, Field(ge=0, lt=1)]
+    steering: Positive = 1.0
+    drift_mm: float = 0.0
+
+
+class DeviceSection(FileModel):
+    """The SMOL device, as calibrated in the medium that the robot swims in.
+
+    The tolerances, one standard deviation, count where a flight learns the sensors: what it cannot tell from a device
+    that is not quite as stated, it does not blame on them.
+    """
+
+    moment_tolerance_percent: Annotated[float, Field(ge=0)] = 0.0
+    l0_tolerance_percent: Annotated[float, Field(ge=0)] = 0.0
+    moment_ma_m2: Positive
+    moment_in_body: Vector
+    l0_mm: Positive
+    theta_max_deg: Annotated[float, Field(gt=0, le=60)]
+    frequency_hz: Positive
+    damping_per_s: Annotated[float, Field(ge=0)]
+    damping_model: Literal["linear", "exponential"]
+
+    @field_validator("moment_in_body")
+    @classmethod
+    def _in_the_plane_of_swing(cls, value: Vector) -> Vector:
+        if value[1] != 0 or not any(value):
+            raise ValueError(f"must point somewhere in the plane of oscillation (body x, z); got {list(value)}.")
+        return value
+
+
+class RobotFile(FileModel):
+    """Everything a robot file says."""
+
+    name: str
+    kind: Literal["gradient", "helical", "device"]
+    description: str = ""
+    body: BodySection | None = None
+    helix: HelixSection | None = None
+    device: DeviceSection
+
+    @model_validator(mode="after")
+    def _body_of_a_swimmer(self) -> RobotFile:
+        if self.kind != "device" and self.body is None:
+            raise ValueError(f"a robot of kind '{self.kind}' needs a [body] section.")
+        if self.kind == "gradient" and self.body is not None:
+            missing = [key for key in ("drag_radius_mm", "urdf") if getattr(self.body, key) is None]
+            if missing:
+                raise ValueError(f"a robot of kind 'gradient' needs {' and '.join(missing)} in [body].")
+        if (self.kind == "helical") != (self.helix is not None):
+            raise ValueError("a [helix] section belongs to a robot of kind 'helical', which needs one.")
+        if self.kind == "helical" and self.device.moment_in_body[2] != 0:
+            raise ValueError("the moment of a helical robot lies across its axis: moment_in_body along body x.")
+        if self.kind == "device" and self.body is not None:
+            raise ValueError("kind 'device' is a bare device in a tool or tissue: leave [body] away.")
+        return self
+
+
+class RobotConfig:
+    """A robot file that holds together, in SI.
+
+    Attributes
+    ----------
+    calibrated : Device or None
+        Believed in place of the file's own device, where it is given.
+    """
+
+    def __init__(self, document: Document, sections: RobotFile) -> None:
+        self.document = document
+        self.sections = sections
+        self.name = sections.name
+        self.kind = sections.kind
+        self.calibrated: Device | None = None
+
+    @property
+    def device_tolerances(self) -> tuple[float, float]:
+        """One standard deviation of the moment, relative, and of l0, in m."""
+        section = self.sections.device
+        return 1e-2 * section.moment_tolerance_percent, 1e-5 * section.l0_tolerance_percent * section.l0_mm
+
+    @property
+    def device(self) -> Device:
+        """The device as it is believed to be."""
+        if self.calibrated is not None:
+            return self.calibrated
+        section = self.sections.device
+        return Device(
+            moment=section.moment_ma_m2 * 1e-3,
+            moment_in_body=np.array(section.moment_in_body),
+            l0=section.l0_mm * 1e-3,
+            theta_max=float(np.radians(section.theta_max_deg)),
+            frequency=section.frequency_hz,
+            damping=section.damping_per_s,
+            damping_model=section.damping_model,
+        )
+
+    @property
+    def body(self) -> BodySection:
+        """The housing of a robot that moves by itself.
+
+        Raises
+        ------
+        ConfigError
+            If it has none.
+        """
+        if self.sections.body is None:
+            raise self.document.error([Fault(("body",), f"kind '{self.kind}' has no housing, and one is needed here.")])
+        return self.sections.body
+
+    @property
+    def mass(self) -> float:
+        """In kg."""
+        return self.body.mass_mg * 1e-6
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Sides along the body axes, in m."""
+        x, y, z = self.body.size_mm
+        return x * 1e-3, y * 1e-3, z * 1e-3
+
+    @property
+    def center(self) -> tuple[float, float, float]:
+        """Centre of the housing seen from the cantilever's rotation centre, body frame, in m; 0 without one."""
+        x, y, z = (0.0, 0.0, 0.0) if self.sections.body is None else self.body.center_mm
+        return x * 1e-3, y * 1e-3, z * 1e-3
+
+    @property
+    def drag_radius(self) -> float:
+        """Radius of the sphere with the same Stokes drag, in m."""
+        if self.body.drag_radius_mm is None:
+            raise self.document.error([Fault(("body", "drag_radius_mm"), "is needed here, and not given.")])
+        return self.body.drag_radius_mm * 1e-3
+
+    @property
+    def helix(self) -> HelixSection:
+        """The thread of a helical robot.
+
+        Raises
+        ------
+        ConfigError
+            If it is none.
+        """
+        if self.sections.helix is None:
+            raise self.document.error([Fault(("helix",), f"kind '{self.kind}' has no thread, and one is needed here.")])
+        return self.sections.helix
+
+
+def load_robot(name: str, beside: Path | None = None) -> RobotConfig:
+    """Read a shipped robot by name, or a user's by path."""
+    document = Document.read(find_file(name, "robots", beside))
+    sections, faults = document.validate(RobotFile)
+    if sections is None:
+        raise document.error(faults)
+    return RobotConfig(document, sections)

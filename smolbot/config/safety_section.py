@@ -1,0 +1,53 @@
+"""The section ``[safety]`` of a rig file: what ends a run, and what coils are made of."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from smolbot.config.document import FileModel
+from smolbot.config.sensors import NotNegative, Positive
+from smolbot.core.coil_heat import Coil
+
+
+class CoilSafety(FileModel):
+    """Thermal constants of each of a kind of coil."""
+
+    heat_capacity_j_per_k: Positive | None = None
+    thermal_resistance_k_per_w: Positive | None = None
+    max_temperature_c: Positive = 90.0
+
+
+class ExcitationSafety(CoilSafety):
+    """Of excitation coils, whose heat is reckoned only where all of it is said."""
+
+    resistance_ohm: Positive | None = None
+
+    def thermal(self, name: str) -> Coil | None:
+        """Thermal constants of the coil of that name; None where one is not said."""
+        ohm, capacity, resistance = self.resistance_ohm, self.heat_capacity_j_per_k, self.thermal_resistance_k_per_w
+        if ohm is None or capacity is None or resistance is None:
+            return None
+        return Coil(name, ohm, capacity, resistance, self.max_temperature_c)
+
+
+class SafetySection(FileModel):
+    """What ends a run. Every key has a default, so that a rig file may leave all of it out.
+
+    Without constants, an actuation coil's heat is reckoned from its geometry and resistance, see `heat.wound_capacity`,
+    and from its bare surface in still air.
+    """
+
+    ambient_c: float = 25.0
+    max_duty: Annotated[float, Field(gt=0, le=1)] = 0.9
+    duty_window_s: Positive = 10.0
+    max_sigma_mm: Positive = 5.0
+    uncertain_shots: Annotated[int, Field(ge=1)] = 5
+    reach_margin_mm: NotNegative = 3.0
+    stale_shots: Annotated[int, Field(ge=2)] = 3
+    max_age_ms: Positive = 1000.0
+    sensor_shots: Annotated[int, Field(ge=1)] = 5
+    broken_sensors: list[Annotated[int, Field(ge=0)]] = Field(default_factory=list)
+    coils: CoilSafety = CoilSafety()
+    excitation: ExcitationSafety = ExcitationSafety()

@@ -1,0 +1,100 @@
+"""Whether samples can be volts of a rig, and which of its channels are of no use in a shot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.errors import InputError
+from smolbot.localization.problem import MIN_OUTPUTS
+
+if TYPE_CHECKING:
+    from smolbot.config.rig import RigConfig
+
+FULL = 0.999
+"""Share of the range beyond which a sample counts as saturated."""
+
+FAINT = 0.1
+"""Share of a step of the converter: a whole file that moves by less does not hold volts."""
+
+STILL = 3e-4
+"""A channel that moves stands still for at most so long, in s, or as long as the crest of a slow wave lasts."""
+
+LEAST_STEPS = 30.0
+"""A channel that moves by fewer of its least steps may well stand still."""
+
+JUMP = 8.0
+"""Steps at once by which a channel comes unstuck."""
+
+CREST = (2.5, 100.0)
+"""So many times as long as a sine of this frequency, in Hz, stays within a step of the converter at its crest."""
+
+
+def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
+    """Refuse a file with too few channels within range, all of them dead, or none that moves by a converter's step.
+
+    Raises
+    ------
+    InputError
+        With the channel, its value, and what units it looks like.
+    """
+    section = rig.sections.sensors
+    full = _full(rig)
+    largest, swing = np.abs(volts).max(axis=2), np.ptp(volts, axis=2)
+    told = f"{path}: volts must be in V, at {section.sensitivity_v_per_ut:g} V/µT as rig '{rig.name}' says"
+    free = np.sum(largest < full, axis=1)
+    if np.all(free < MIN_OUTPUTS):
+        typical = int(np.argsort(largest.min(axis=0))[largest.shape[1] // 2])
+        raise InputError(
+            f"{told}: at most {free.max()} of {largest.shape[1]} channels are not saturated; channel {typical} reaches "
+            f"{largest[:, typical].min():.4g}, the range is {full / FULL:.4g}. "
+            "Are they in mV, nT or counts, or is the constant field not nulled?"
+        )
+    if volts.shape[2] < 2:
+        return
+    if not swing.any():
+        raise InputError(f"{path}: every channel is dead: constant, channel 0 at {volts[0, 0, 0]:g} V.")
+    step = 2.0 * section.adc_range_v / 2.0**section.adc_bits
+    if swing.max() < FAINT * step:
+        channel = int(np.argmax(swing.max(axis=0)))
+        raise InputError(
+            f"{told}: channel {channel} moves most, by {swing.max():.2g}, less than a step of the converter, "
+            f"{step:.2g} V. Are they in T?"
+        )
+
+
+def unsound_channels(volts: FloatArray, rate: float, rig: RigConfig) -> dict[str, BoolArray]:
+    """Why channels of one shot (n_channels, n) at `rate` Hz are of no use, and which, each (n_channels,)."""
+    saturated: BoolArray = np.max(np.abs(volts), axis=1) >= _full(rig)
+    dead: BoolArray = ~saturated & (np.ptp(volts, axis=1) == 0.0)
+    stuck = np.array([_sticks(values, rate) for values in volts]) & ~saturated & ~dead
+    return {"saturated": saturated, "dead (constant)": dead, "stuck (constant for a while)": stuck}
+
+
+def _full(rig: RigConfig) -> float:
+    section = rig.sections.sensors
+    return FULL * min(section.range_ut * section.sensitivity_v_per_ut, section.adc_range_v)
+
+
+def _sticks(values: FloatArray, rate: float) -> bool:
+    """Whether a channel that moves holds one value for too long, at the edge of what it reaches or between jumps.
+
+    A swing that has died away stands still too, but in the middle, and comes there step by step.
+    """
+    change = np.abs(np.diff(values))
+    moves = np.flatnonzero(change)
+    steps = float(np.ptp(values)) / float(change[moves].min()) if len(moves) else 0.0
+    if steps < LEAST_STEPS:
+        return False
+    edges = np.concatenate([[-1], moves, [len(change)]])
+    first = int(np.argmax(np.diff(edges)))
+    begin, end = int(edges[first]), int(edges[first + 1])  # the changes before and after the longest stand
+    crest = np.sqrt(4.0 / steps) / (np.pi * CREST[1])
+    if end - begin <= rate * max(STILL, CREST[0] * crest):
+        return False
+    jump = max(change[begin] if begin >= 0 else 0.0, change[end] if end < len(change) else 0.0)
+    at_edge = values[end] in (values.min(), values.max())
+    return bool(at_edge or jump > JUMP * change[moves].min())

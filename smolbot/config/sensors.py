@@ -1,0 +1,282 @@
+"""Sensors of a rig: the ``[sensors]`` section, and the file of an array as it was calibrated."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.core.arrays import FloatArray, frozen
+from smolbot.core.sensing import SensorArray
+from smolbot.errors import InputError
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Vector = tuple[float, float, float]
+
+SAME = ("bandwidth_hz", "sensitivity_v_per_ut")
+"""What a calibration takes for granted, so that it holds for no other array."""
+
+
+def _points_somewhere(value: Vector) -> Vector:
+    if not any(value):
+        raise ValueError("must have a direction; got three zeros.")
+    return value
+
+
+Direction = Annotated[Vector, AfterValidator(_points_somewhere)]
+
+
+class SensorsSection(FileModel):
+    """Single-axis magnetometers and the converter behind them.
+
+    `gains` are those of the single sensors relative to the sensitivity; `calibrated` names a sensors file
+    whose places, axes and gains are believed instead of those that stand here. The tolerances say how far
+    sensors may be from what stands here, one standard deviation; where they are given, flights learn what they are off.
+    """
+
+    positions_mm: Annotated[list[Vector], Field(min_length=1)]
+    axes: list[Literal["x", "y", "z"] | Direction]
+    gains: list[Positive] | None = None
+    calibrated: str | None = None
+    place_tolerance_mm: NotNegative = 0.0
+    gain_tolerance_percent: NotNegative = 0.0
+    axis_tolerance_deg: NotNegative = 0.0
+    sample_rate_hz: Positive = 50_000.0
+    bandwidth_hz: Positive = 1000.0
+    range_ut: Positive = 10.0
+    sensitivity_v_per_ut: Positive = 1.0
+    adc_bits: Annotated[int, Field(ge=8, le=32)] = 16
+    adc_range_v: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> SensorsSection:
+        count = len(self.positions_mm)
+        if len(self.axes) != count:
+            raise ValueError(f"{count} positions_mm but {len(self.axes)} axes; each sensor needs both.")
+        if self.gains is not None and len(self.gains) != count:
+            raise ValueError(
+                f"{count} positions_mm but {len(self.gains)} gains; each sensor needs one, or leave it out."
+            )
+        return self
+
+    @property
+    def array(self) -> SensorArray:
+        """The array that stands here, in SI."""
+        axes = [np.eye(3)["xyz".index(a)] if isinstance(a, str) else np.array(a) for a in self.axes]
+        return SensorArray(np.array(self.positions_mm) * 1e-3, np.array(axes), self.bandwidth_hz)
+
+    @property
+    def gain_of_each(self) -> FloatArray:
+        """Gains that stand here, shape (n_sensors,); ones if none are given."""
+        return np.ones(len(self.positions_mm)) if self.gains is None else np.array(self.gains)
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Of all sensors' deviations by the tolerances, shape (6 n, 6 n): ln gain, two tilts, place; None without."""
+        tilt = np.radians(self.axis_tolerance_deg)
+        one = np.array([1e-2 * self.gain_tolerance_percent, tilt, tilt, *[1e-3 * self.place_tolerance_mm] * 3])
+        return np.diag(np.tile(one, len(self.positions_mm)) ** 2) if one.any() else None
+
+
+class UncertaintySection(FileModel):
+    """One standard deviation of every value, and what is known of it.
+
+    A calibration says what held-out poses said (rms per axis, before and after); a flight from how many recordings it
+    learned, and the `correlations` between all values: a lower triangle, in the order gain, two tilts, place of
+    each sensor.
+    """
+
+    positions_mm: list[tuple[NotNegative, NotNegative, NotNegative]]
+    axes_deg: list[tuple[NotNegative, NotNegative]]
+    gains: list[NotNegative]
+    held_out: int | None = None
+    position_mm: tuple[float, float] | None = None
+    orientation_deg: tuple[float, float] | None = None
+    recordings: int | None = None
+    correlations: list[list[float]] | None = None
+
+    @model_validator(mode="after")
+    def _whole_triangle(self) -> UncertaintySection:
+        n, rows = len(self.positions_mm), self.correlations
+        if len(self.axes_deg) != n or len(self.gains) != n:
+            counts = f"{n} positions_mm, {len(self.axes_deg)} axes_deg and {len(self.gains)} gains"
+            raise ValueError(f"{counts}; each sensor needs all three.")
+        if rows is not None and [len(row) for row in rows] != list(range(1, 6 * n + 1)):
+            raise ValueError(f"correlations must be {6 * n} rows of 1, 2, … {6 * n} numbers: six values a sensor.")
+        return self
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Of all values, shape (6 n, 6 n): ln gain, two tilts (rad), place (m) of each sensor.
+
+        None without correlations: the values of a calibration hang together far more closely than each by itself is
+        known, and a flight that did not know that would take them apart again.
+        """
+        if self.correlations is None:
+            return None
+        tilts, places = np.radians(np.array(self.axes_deg)), 1e-3 * np.array(self.positions_mm)
+        deviations = np.column_stack([self.gains, tilts, places]).ravel()
+        n = len(deviations)
+        full = np.zeros((n, n))
+        full[np.tril_indices(n)] = np.concatenate([np.array(row) for row in self.correlations])
+        full += np.tril(full, -1).T
+        values, vectors = np.linalg.eigh(full)  # rounded numbers need not make a positive matrix
+        full = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        covariance: FloatArray = full * np.outer(deviations, deviations)
+        return covariance
+
+    @classmethod
+    def of(cls, covariance: FloatArray, recordings: int) -> UncertaintySection:
+        """As a flight learned it."""
+        deviations = np.sqrt(np.diag(covariance))
+        full = covariance / np.maximum(np.outer(deviations, deviations), 1e-300)
+        by_sensor = deviations.reshape(-1, 6)
+        return cls(
+            positions_mm=[(float(x), float(y), float(z)) for x, y, z in 1e3 * by_sensor[:, 3:]],
+            axes_deg=[(float(a), float(b)) for a, b in np.degrees(by_sensor[:, 1:3])],
+            gains=by_sensor[:, 0].tolist(),
+            recordings=recordings,
+            correlations=[full[i, : i + 1].tolist() for i in range(len(full))],
+        )
+
+
+class SensorsFile(FileModel):
+    """Everything a sensors file says."""
+
+    rig: str
+    date: datetime.date
+    description: str = ""
+    sensors: SensorsSection
+    uncertainty: UncertaintySection | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedSensors:
+    """An array as it was calibrated: places and axes, and the gain of each sensor, shape (n_sensors,).
+
+    `covariance` (6 n, 6 n) is of what is left: ln gain, two tilts (rad) and place (m) of each; None if nobody
+    says, correlations included.
+    """
+
+    array: SensorArray
+    gains: FloatArray
+    covariance: FloatArray | None = None
+
+
+def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSensors:
+    """Read a sensors file that must have been made for the rig of that name, with the array `believed`.
+
+    Raises
+    ------
+    ConfigError
+        With ``file:line: key`` for every fault, and if the file is another rig's.
+    MissingFileError
+        If there is no such file.
+    """
+    document = Document.read(path)
+    sections, faults = document.validate(SensorsFile)
+    if sections is None:
+        raise document.error(faults)
+    found = sections.sensors
+    if sections.rig != rig:
+        faults.append(Fault(("rig",), f"these sensors were calibrated on rig '{sections.rig}'; asked for is '{rig}'."))
+    if len(found.positions_mm) != len(believed.positions_mm):
+        counts = f"holds {len(found.positions_mm)} sensors; rig '{rig}' has {len(believed.positions_mm)}."
+        faults.append(Fault(("sensors", "positions_mm"), counts))
+    if found.calibrated is not None:
+        faults.append(Fault(("sensors", "calibrated"), "a sensors file cannot name another one."))
+    for key in SAME:
+        if getattr(found, key) != getattr(believed, key):
+            differ = f"was {getattr(found, key):g} in the calibration; rig '{rig}' has {getattr(believed, key):g}."
+            faults.append(Fault(("sensors", key), f"{differ} Calibrate anew."))
+    if faults:
+        raise document.error(faults)
+    left = sections.uncertainty
+    if left is not None and len(left.positions_mm) != len(found.positions_mm):
+        counts = f"holds {len(left.positions_mm)} sensors; [sensors] holds {len(found.positions_mm)}."
+        raise document.error([Fault(("uncertainty", "positions_mm"), counts)])
+    return CalibratedSensors(found.array, frozen(found.gain_of_each), None if left is None else left.covariance)
+
+
+def write_sensors(path: str | Path, config: SensorsFile) -> None:
+    """Write a sensors file that `load_sensors` reads back.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    s, u = config.sensors, config.uncertainty
+    lines = [
+        "# Sensors as found on a known track (smolbot calibrate-array) or in flight (smolbot run, in its run folder).",
+        '# Believe them: name this file in the [sensors] section of a rig file, calibrated = "this_file.toml",',
+        "# or paste the section over a real bench's own. A tank is built around what stands there: only name the file.",
+        f"rig = {_text(config.rig)}",
+        f"date = {config.date.isoformat()}",
+        *([f"description = {_text(config.description)}"] if config.description else []),
+        "",
+        "[sensors]",
+        *_rows("positions_mm", s.positions_mm),
+        *_rows("axes", s.axes),
+        *([] if s.gains is None else _rows("gains", s.gains)),
+        f"sample_rate_hz = {_number(s.sample_rate_hz)}",
+        f"bandwidth_hz = {_number(s.bandwidth_hz)}",
+        f"range_ut = {_number(s.range_ut)}",
+        f"sensitivity_v_per_ut = {_number(s.sensitivity_v_per_ut)}",
+        f"adc_bits = {s.adc_bits}",
+        f"adc_range_v = {_number(s.adc_range_v)}",
+    ]
+    if u is not None:
+        lines += [
+            "",
+            "[uncertainty]                     # one standard deviation; axes about two directions across each",
+            *_rows("positions_mm", u.positions_mm),
+            *_rows("axes_deg", u.axes_deg),
+            *_rows("gains", u.gains),
+        ]
+        if u.held_out is not None and u.position_mm is not None and u.orientation_deg is not None:
+            lines += [
+                f"held_out = {u.held_out}  # recordings that took no part; errors (rms per axis) before and after:",
+                f"position_mm = {_cell(u.position_mm)}",
+                f"orientation_deg = {_cell(u.orientation_deg)}",
+            ]
+        if u.recordings is not None:
+            lines.append(f"recordings = {u.recordings}  # of one flight, from which this was learned")
+        if u.correlations is not None:
+            rows = [f"    [{', '.join(f'{value:.5f}' for value in row)}]," for row in u.correlations]
+            lines += ["correlations = [               # gain, two tilts, place of each sensor", *rows, "]"]
+    try:
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}.") from error
+
+
+def _rows(key: str, values: Sequence[str | float | tuple[float, ...]]) -> list[str]:
+    """A list with an entry per line, so that each sensor has its own."""
+    return [f"{key} = [", *(f"    {_cell(value)}," for value in values), "]"]
+
+
+def _cell(value: str | float | tuple[float, ...]) -> str:
+    if isinstance(value, str):
+        return _text(value)
+    return f"[{', '.join(map(_number, value))}]" if isinstance(value, tuple) else _number(value)
+
+
+def _number(value: float) -> str:
+    """A TOML float of seven digits: a nanometre of a place, a microradian of an axis."""
+    text = f"{value:.7g}"
+    return text if any(c in text for c in ".e") else f"{text}.0"
+
+
+def _text(value: str) -> str:
+    """A TOML basic string."""
+    import json
+
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,77 @@
+"""How hard, and through which coil, to drive the device: enough to reach its stops, not more.
+
+Driving on against the stops spends heat and loses amplitude: each impact shifts the oscillation
+against the drive, and the free amplitude that is left falls well below the stop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Device
+
+WEAKEST = 0.02
+"""Least share of the greatest current that a burst is made with."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Signed peak currents (n_exc,) in A, and the amplitude in rad that they should leave."""
+
+    currents: FloatArray
+    amplitude: float
+
+
+def drive(
+    fields: FloatArray,
+    pose: Pose,
+    device: Device,
+    inertia: float,
+    cycles: int,
+    max_current: float,
+    left: float = 0.0,
+) -> Drive:
+    """Currents that bring a device of known orientation to its stops by the end of a burst.
+
+    Only the torque about body y drives the oscillation, so the field along y x m counts (Eq. S1); the
+    mix that gives most of it for the least heat has each coil in proportion to its own. The amplitude
+    grows as A' = m B / (2 I w) - eta A.
+
+    Parameters
+    ----------
+    fields : ndarray, shape (n_exc, 3), in T per A
+        Of each excitation coil at the device, world frame.
+    inertia : float, in kg·m²
+        Of the magnet about the cantilever's rotation centre.
+    cycles : int
+        Length of the burst, in periods of the device.
+    max_current : float, in A
+        Peak, per coil.
+    left : float
+        Share of the stops by which the device may still swing, in any phase; the burst first undoes that, at worst.
+    """
+    x, y, z = (pose.rotation @ device.drive_direction_in_body).tolist()
+    useful = [bx * x + by * y + bz * z for bx, by, bz in fields.tolist()]
+    largest = max(abs(field) for field in useful)
+    if largest < 1e-12:
+        return Drive(max_current * np.eye(len(fields))[0], 0.0)
+    mix = [field / largest for field in useful]
+    per_ampere = sum(field * part for field, part in zip(useful, mix, strict=True))
+    full = amplitude_after(max_current * per_ampere, device, inertia, cycles)
+    share = min(max((1.0 + left) * device.theta_max / full, WEAKEST), 1.0)
+    return Drive(max_current * share * np.array(mix), min(full, device.theta_max))
+
+
+def amplitude_after(field: float, device: Device, inertia: float, cycles: int) -> float:
+    """Amplitude, in rad, that a resonant field of `field` T along y x m builds up in a burst, stops aside."""
+    omega = 2.0 * math.pi * device.frequency
+    growth = device.moment * field / (2.0 * inertia * omega)
+    time = cycles / device.frequency
+    if device.damping_model == "linear" or device.damping * time < 1e-6:
+        return growth * time
+    return growth / device.damping * -math.expm1(-device.damping * time)

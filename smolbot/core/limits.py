@@ -1,0 +1,145 @@
+"""Limits of a rig, and the one check that every rig applies to a shot before it plays any of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rotate, Shot
+from smolbot.errors import InterlockError
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a rig may be asked to do. SI units.
+
+    Attributes
+    ----------
+    coils : tuple of str
+        Names of the actuation coils, in the order of every current vector; empty without such coils.
+    max_current : float, in A
+        Per actuation coil.
+    unipolar : bool
+        True where a coil's supply cannot reverse.
+    max_actuation : float, in s
+        Longest single actuation window.
+    max_excitation_current : float, in A
+        Peak, per excitation coil.
+    max_excitation : float, in s
+        Longest burst.
+    min_ring_down : float, in s
+        Between the end of an excitation and the start of listening.
+    max_listen : float, in s
+    max_rotation_frequency : float, in Hz
+        Of the rotating magnet; 0 without one.
+    max_steering_rate : float, in rad/s
+        Of the stage that turns the magnet's axis about the vertical, while the magnet is near.
+    """
+
+    coils: tuple[str, ...]
+    max_current: float
+    unipolar: bool = True
+    max_actuation: float = 0.2
+    max_excitation_current: float = 10.0
+    max_excitation: float = 0.5
+    min_ring_down: float = 0.0
+    max_listen: float = 3.0
+    max_rotation_frequency: float = 0.0
+    max_steering_rate: float = 0.0
+
+    def faults(self, shot: Shot, *, magnet_near: bool = False) -> list[str]:
+        """Every limit that the shot breaks, a sentence each; empty if it may be played.
+
+        `magnet_near` says where the actuation magnet stands when the shot begins.
+        """
+        found: list[str] = []
+        quiet_since = float("inf")
+        axis: tuple[float, float, float] | None = None
+        for at, window in shot.timed():
+            if magnet_near and isinstance(window, Actuate | Excite | Listen):
+                found.append(
+                    f"{type(window).__name__} at {at * 1e3:.1f} ms needs the actuation magnet away: near, it saturates "
+                    "the sensors and holds the swing; move it away first."
+                )
+            if isinstance(window, Actuate):
+                found += self._actuation_faults(window)
+                quiet_since = 0.0
+            elif isinstance(window, Excite):
+                found += self._excitation_faults(window)
+                quiet_since = 0.0
+            elif isinstance(window, Listen):
+                if quiet_since < self.min_ring_down - 1e-9:
+                    found.append(
+                        f"Listening at {at * 1e3:.1f} ms follows a drive after {quiet_since * 1e3:.1f} ms; "
+                        f"the coils need {self.min_ring_down * 1e3:.1f} ms of ring-down."
+                    )
+                if window.duration > self.max_listen + 1e-9:
+                    found.append(f"Listen window must last at most {self.max_listen:g} s; got {window.duration:.3f} s.")
+            elif isinstance(window, Rotate | MoveMagnet):
+                found += self._mechanical_faults(window, axis, near=magnet_near)
+                axis = window.axis if isinstance(window, Rotate) else None
+                magnet_near = window.to == "near" if isinstance(window, MoveMagnet) else magnet_near
+            if not isinstance(window, Actuate | Excite):
+                quiet_since += window.duration
+        return found
+
+    def check(self, shot: Shot, *, magnet_near: bool = False) -> None:
+        """Raise `InterlockError`, naming every broken limit, unless the shot may be played."""
+        found = self.faults(shot, magnet_near=magnet_near)
+        if found:
+            raise InterlockError(" ".join([*found, "Nothing was played."]))
+
+    def _actuation_faults(self, window: Actuate) -> list[str]:
+        if len(window.currents) != len(self.coils):
+            coils = f"{len(self.coils)} coils ({', '.join(self.coils)})"
+            return [f"Actuate has {len(window.currents)} currents; this rig has {coils}."]
+        low = 0.0 if self.unipolar else -self.max_current
+        found = [
+            f"Coil '{name}' current must lie within {low:g} to {self.max_current:g} A; got {current:.2f} A."
+            for name, current in zip(self.coils, window.currents, strict=True)
+            if not low - 1e-9 <= current <= self.max_current + 1e-9
+        ]
+        if window.duration > self.max_actuation + 1e-9:
+            found.append(
+                f"Actuate must last at most {self.max_actuation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
+            )
+        return found
+
+    def _excitation_faults(self, window: Excite) -> list[str]:
+        found = [
+            f"Excitation coil '{name}' current must lie within ±{self.max_excitation_current:g} A; got {current:.2f} A."
+            for name, current in zip("xy", window.currents, strict=True)
+            if not abs(current) <= self.max_excitation_current + 1e-9
+        ]
+        if window.duration > self.max_excitation + 1e-9:
+            found.append(
+                f"Excite must last at most {self.max_excitation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
+            )
+        return found
+
+    def _mechanical_faults(
+        self, window: Rotate | MoveMagnet, before: tuple[float, float, float] | None, *, near: bool
+    ) -> list[str]:
+        """Faults of a move of the magnet; `before` is the axis about which it turned just now, near the sample."""
+        if self.max_rotation_frequency <= 0:
+            return ["This rig has no rotating magnet; Rotate and MoveMagnet cannot be played."]
+        if isinstance(window, MoveMagnet):
+            return []
+        found = []
+        if not near:
+            found.append("Rotate needs the actuation magnet near; it is away.")
+        if not 0 < window.frequency <= self.max_rotation_frequency + 1e-9:
+            found.append(f"Rotate must stay within {self.max_rotation_frequency:g} Hz; got {window.frequency:g} Hz.")
+        length = math.sqrt(sum(a * a for a in window.axis))
+        if not length > 0 or abs(window.axis[2]) > 1e-6 * length:
+            found.append(f"The stage's axis lies in the horizontal plane; got {window.axis}.")
+        elif before is not None:
+            along = abs(sum(a * b for a, b in zip(window.axis, before, strict=True)))
+            change = math.acos(min(along / length / math.sqrt(sum(a * a for a in before)), 1.0))
+            most = self.max_steering_rate * window.duration
+            if change > most + 1e-6:
+                found.append(
+                    f"The stage steers at most {math.degrees(most):.1f}° within {window.duration:g} s; "
+                    f"got {math.degrees(change):.1f}°."
+                )
+        return found

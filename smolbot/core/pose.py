@@ -1,0 +1,66 @@
+"""Where the device is: one estimate of its six degrees of freedom, and how far to believe it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.core.rotations import matrix_from_quaternion
+from smolbot.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """One estimate of the device's position and orientation.
+
+    Attributes
+    ----------
+    time : float, in s
+        Middle of the listening window, on the rig's clock.
+    position : ndarray, shape (3,), in m, world frame
+        The cantilever's rotation centre (origin of Eq. S7); the magnet is ``l0`` away from it.
+    orientation : ndarray, shape (4,)
+        Unit quaternion, scalar first, takes body vectors to world vectors.
+    covariance : ndarray, shape (6, 6)
+        Of (position in m, rotation error e in rad), world frame, with R_estimate = exp(e) R_true.
+    r_squared : float
+        Coefficient of determination of the fit (Eq. S23).
+    flip_margin : float
+        Residual of the worse over that of the better member of the two-fold ambiguity, at least 1.
+    trusted : bool
+        False means: do not act on this pose.
+    """
+
+    time: float
+    position: FloatArray
+    orientation: FloatArray
+    covariance: FloatArray
+    r_squared: float = 1.0
+    flip_margin: float = 1.0
+    trusted: bool = True
+
+    def __post_init__(self) -> None:
+        position = as_floats(self.position, (3,), "Pose position")
+        orientation = as_floats(self.orientation, (4,), "Pose orientation")
+        length = math.sqrt(orientation @ orientation)
+        if not 0.99 < length < 1.01:
+            raise InputError(f"Pose orientation must be a unit quaternion; got length {length:.4g}.")
+        object.__setattr__(self, "position", frozen(position))
+        object.__setattr__(self, "orientation", frozen(orientation / length))
+        covariance = as_floats(self.covariance, (6, 6), "Pose covariance", finite=False)
+        object.__setattr__(self, "covariance", frozen(covariance))
+
+    @cached_property
+    def rotation(self) -> FloatArray:
+        """Rotation matrix (3, 3) that takes body vectors to world vectors."""
+        return matrix_from_quaternion(self.orientation)
+
+    def body_axis(self, axis: str) -> FloatArray:
+        """World direction (3,) of body axis ``x``, ``y`` or ``z``."""
+        return self.rotation[:, "xyz".index(axis)]
+
+    def at(self, time: float) -> Pose:
+        """The same estimate with another time stamp."""
+        return replace(self, time=time)

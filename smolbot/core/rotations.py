@@ -1,0 +1,136 @@
+"""Rotations: unit quaternions, scalar first, that take body vectors to world vectors.
+
+Compiled, since a cycle of the loop makes dozens of them.
+"""
+
+# mypy: disable-error-code="untyped-decorator"
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from smolbot.core.arrays import FloatArray
+
+
+@njit(cache=True)
+def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrix of a unit quaternion (Eq. S18).
+
+    Parameters
+    ----------
+    quaternion : ndarray, shape (4,)
+        Scalar first, of unit length.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Takes body vectors to world vectors.
+    """
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@njit(cache=True)
+def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
+    """Unit quaternion (4,) with non-negative scalar part of a rotation matrix (3, 3)."""
+    m = matrix
+    xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
+    # the largest component is computed by a root, the others by division with it
+    if xx + yy + zz >= max(xx, yy, zz):
+        q = np.array([1.0 + xx + yy + zz, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    elif xx >= max(yy, zz):
+        q = np.array([m[2, 1] - m[1, 2], 1.0 + xx - yy - zz, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
+    elif yy >= zz:
+        q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1.0 - xx + yy - zz, m[1, 2] + m[2, 1]])
+    else:
+        q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1.0 - xx - yy + zz])
+    q /= np.sqrt(np.sum(q * q))
+    return -q if q[0] < 0 else q
+
+
+@njit(cache=True)
+def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Hamilton product: the rotation `b` followed by the rotation `a`; both shape (4,)."""
+    aw, ax, ay, az = a[0], a[1], a[2], a[3]
+    bw, bx, by, bz = b[0], b[1], b[2], b[3]
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+@njit(cache=True)
+def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
+    """Unit quaternion exp(e) of a rotation vector `e`, shape (3,), in rad."""
+    angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    half = 0.5 * angle
+    scale = 0.5 if angle < 1e-12 else np.sin(half) / angle
+    return np.array([np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2]])
+
+
+@njit(cache=True)
+def rotation_vector(quaternion: FloatArray) -> FloatArray:
+    """Rotation vector (3,), in rad, of at most pi, of a unit quaternion (4,)."""
+    q = -quaternion if quaternion[0] < 0 else 1.0 * quaternion
+    sine = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    scale = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, q[0]) / sine
+    return scale * q[1:]
+
+
+@njit(cache=True)
+def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
+    """World-frame error e (3,), in rad, with R_estimate = exp(e) R_true; both quaternions (4,)."""
+    inverse = np.array([truth[0], -truth[1], -truth[2], -truth[3]])
+    return rotation_vector(quaternion_product(estimate, inverse))
+
+
+def half_turned(quaternion: FloatArray) -> FloatArray:
+    """The same orientation (4,) turned by half about body z: to sensors a moment along z sounds alike in both."""
+    w, x, y, z = quaternion
+    return np.array([-z, y, -x, w])
+
+
+def nearer_twin(quaternion: FloatArray, other: FloatArray | None) -> FloatArray:
+    """Of an orientation (4,) and the one turned by half about body z, that nearer to `other`; with none, the first."""
+    if other is None:
+        return quaternion
+    twin = half_turned(quaternion)
+    return twin if abs(twin @ other) > abs(quaternion @ other) else quaternion
+
+
+def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> FloatArray:
+    """Orientation whose body axes point along two world directions.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (3,)
+        World directions; `second` is made orthogonal to `first`.
+    order : str
+        Two of ``x``, ``y``, ``z``: the body axes that they are, for instance ``"zx"``.
+    """
+    index = ["xyz".index(letter) for letter in order]
+    matrix = np.zeros((3, 3))
+    matrix[:, index[0]] = first / np.linalg.norm(first)
+    rest = second - (second @ matrix[:, index[0]]) * matrix[:, index[0]]
+    matrix[:, index[1]] = rest / np.linalg.norm(rest)
+    third = 3 - index[0] - index[1]
+    sign = 1.0 if (index[1] - index[0]) % 3 == 1 else -1.0
+    matrix[:, third] = sign * np.cross(matrix[:, index[0]], matrix[:, index[1]])
+    return quaternion_from_matrix(matrix)
+
+
+def mean_rotation(quaternions: FloatArray) -> FloatArray:
+    """The rotation (4,) nearest in the mean square to all of `quaternions` (n, 4) (Markley 2007)."""
+    values, vectors = np.linalg.eigh(quaternions.T @ quaternions)
+    mean = vectors[:, int(np.argmax(values))]
+    return np.asarray(mean if mean[0] >= 0 else -mean)

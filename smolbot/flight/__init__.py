@@ -1,0 +1,1 @@
+"""The loop that flies a mission, and everything that it asks."""

@@ -1,0 +1,160 @@
+"""The parts of a flight, each made from the mission's files and put together to a loop."""
+
+from __future__ import annotations
+
+from datetime import date
+
+import numpy as np
+
+from smolbot.config.load import AnyMission
+from smolbot.config.mission import Mission
+from smolbot.config.mission_base import MissionBase
+from smolbot.config.observation import Observation
+from smolbot.config.plugins import load
+from smolbot.config.sensors import SensorsFile, UncertaintySection
+from smolbot.core.coil_heat import CoilHeat
+from smolbot.core.rig import Rig
+from smolbot.flight.loop import Loop, StopRules
+from smolbot.flight.pause import Pause
+from smolbot.flight.pilots import Follower, Measurer, Pilot, Watcher
+from smolbot.flight.preparation import Quiet
+from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.safety.heat_store import HeatMemory
+from smolbot.flight.safety.sensor_monitor import SoundWatch
+from smolbot.flight.safety.stop_latch import Latch
+from smolbot.flight.safety.supervisor import Rules, Safety
+from smolbot.flight.scheduler import Scheduler
+from smolbot.flight.tracking.passive_trackers import Glimpse, LedTracker
+from smolbot.flight.tracking.tracker import Tracker
+from smolbot.localization.array.filter import ArrayBelief, ArrayFilter, tilt_frames
+from smolbot.localization.array.terms import OF_DEVICE
+from smolbot.localization.cold_start import SearchVolume
+from smolbot.localization.localizer import Localizer
+from smolbot.localization.synthetic import SightingRig
+from smolbot.motion.robot import magnet_inertia
+from smolbot.runs.run import Listener, Tape
+
+
+def make_loop(
+    rig: Rig,
+    mission: AnyMission,
+    listeners: tuple[Listener, ...] = (),
+    latch: Latch | None = None,
+    memory: HeatMemory | None = None,
+    tape: Tape | None = None,
+    pause: Pause | None = None,
+) -> Loop:
+    """The loop of a mission on an open rig, every part made from the mission's files."""
+    device, cycle = mission.robot.device, mission.cycle
+    tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
+    inertia = magnet_inertia(device.moment, device.l0)
+    scheduler = Scheduler(cycle, rig.limits, device, rig.excitation_field, rig.now, inertia)
+    listening = mission.base.localization
+    localizer = Localizer(rig.sensors, device, estimator=listening.estimator, volume=search_volume(mission))
+    whitened = listening.estimator == "whitened"
+    quiet = Quiet(
+        listening.quiet_s if whitened else 0.0, mission.rig.sample_rate, whitened and listening.learn_ring_down
+    )
+    stop = mission.base.stop
+    rules = StopRules(stop.max_duration_s, stop.lost_shots)
+    locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
+    return Loop(
+        rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
+        independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
+        array_filter=None if isinstance(tracker, Glimpse) else make_array_filter(mission, locator),
+        safety=make_safety(rig, mission, latch, memory), tape=tape, pause=pause,
+    )  # fmt: skip
+
+
+def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memory: HeatMemory | None = None) -> Safety:
+    """The safety of a mission's run, as its rig file says."""
+    section = mission.rig.sections.safety
+    rules = Rules(
+        max_duty=section.max_duty,
+        max_sigma=1e-3 * section.max_sigma_mm,
+        uncertain_shots=section.uncertain_shots,
+        stale_shots=section.stale_shots,
+        max_age=1e-3 * section.max_age_ms + mission.rig.turnaround,
+        reach=None if isinstance(mission, Observation) else _reach(mission, 1e-3 * section.reach_margin_mm),
+    )
+    names = (*mission.rig.coil_names, *(f"excitation {coil.name}" for coil in mission.rig.sections.excitation))
+    return Safety(
+        rig.limits,
+        rules,
+        Duty(names, section.duty_window_s),
+        CoilHeat(mission.rig.thermal, section.ambient_c),
+        SoundWatch(len(rig.sensors), section.sensor_shots, section.broken_sensors),
+        latch,
+        memory,
+    )
+
+
+def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """The container, from its floor to the surface, and `margin` m more on every side."""
+    box = mission.rig.sections.container
+    center, half = 1e-3 * np.array(box.center_mm), 0.5e-3 * np.array(box.size_mm) + margin
+    (x, y), (right, back) = center - half, center + half
+    return (x, y, 1e-3 * box.floor_z_mm - margin), (right, back, 1e-3 * box.surface_z_mm + margin)
+
+
+def make_array_filter(mission: MissionBase, locator: object) -> ArrayFilter | None:
+    """What learns the sensors in flight, where the rig file says how far they may be off; None where it does not."""
+    covariance = mission.rig.sensor_covariance
+    if covariance is None or not isinstance(locator, Localizer) or locator.estimator != "whitened":
+        return None
+    n = len(covariance)
+    deviations = np.zeros((n + OF_DEVICE, n + OF_DEVICE))
+    deviations[:n, :n] = covariance
+    deviations[n:, n:] = np.diag(np.array(mission.robot.device_tolerances) ** 2)
+    frames = tilt_frames(mission.rig.sections.sensors.array)
+    return ArrayFilter(ArrayBelief(locator.sensors, locator.device, deviations, frames))
+
+
+def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
+    """The array as a flight learned it, for the next one to start from."""
+    rig, array = mission.rig, learned.belief.array(learned.deviations)
+    gains = rig.sensor_gains * (1.0 if array.gains is None else array.gains)
+    section = rig.sections.sensors.model_copy(
+        update={
+            "positions_mm": [(x, y, z) for x, y, z in (1e3 * array.positions).tolist()],
+            "axes": [(x, y, z) for x, y, z in array.axes.tolist()],
+            "gains": gains.tolist(),
+            "calibrated": None,
+        }
+    )
+    left = UncertaintySection.of(learned.covariance[:-OF_DEVICE, :-OF_DEVICE], learned.recordings)
+    return SensorsFile(
+        rig=rig.name, date=date.today(), description="learned in flight", sensors=section, uncertainty=left
+    )
+
+
+def _steer(mission: Mission) -> tuple[Tracker, Pilot]:
+    """Who believes and who decides where a robot is steered along a path."""
+    make = load("controllers", mission.law)
+    if mission.robot.kind == "helical":
+        screwed = mission.helix_setup()
+        return Tracker(screwed.helix, screwed.device, None), Follower(mission.path, make(screwed, mission.gains))
+    setup = mission.setup()
+    controller = make(setup, mission.gains)
+    return Tracker(setup.robot, setup.device, setup.table), Follower(mission.path, controller)
+
+
+def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
+    """The same where a device is only watched."""
+    section = mission.sections.observe
+    if section.measurements is not None:
+        glimpse = Glimpse(mission.robot.device)
+        return glimpse, Measurer(glimpse, section.measurements)
+    assert section.duration_s is not None
+    device, motion = mission.robot.device, mission.motion
+    tracker = Tracker(None, device, None) if motion is None else LedTracker(device, motion)
+    return tracker, Watcher(section.duration_s)
+
+
+def search_volume(mission: MissionBase) -> SearchVolume:
+    """Where the robot can be: inside the container, between its floor and a little above the surface."""
+    box = mission.rig.sections.container
+    center, half = np.array(box.center_mm) * 1e-3, 0.5e-3 * np.array(box.size_mm)
+    low = (*(center - half), box.floor_z_mm * 1e-3)
+    high = (*(center + half), box.surface_z_mm * 1e-3 + 0.01)
+    return SearchVolume(low, high, spacing=5e-3)

@@ -1,0 +1,1 @@
+"""Missions timed and flown on paper."""

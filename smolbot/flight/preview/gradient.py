@@ -1,0 +1,191 @@
+"""A mission timed and flown on paper: what a cycle looks like, how long it takes, where it would stall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smolbot.config.feasibility import expected_errors
+from smolbot.config.mission import Mission
+from smolbot.config.plugins import load
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot
+from smolbot.motion.controller import Controller, Reach
+from smolbot.motion.gradient import advance
+from smolbot.paths.corners import corner_indices, curvature
+
+_UP = np.array([0.0, 0.0, 1.0])
+STALL_CYCLES = 150
+"""Cycles without progress after which a rolled-out mission counts as stalled."""
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What can be said of a mission before it is flown. SI units.
+
+    Attributes
+    ----------
+    shot : Shot
+        A typical cycle.
+    rate_limit : float, in Hz
+        Of the timeline alone; `rate` has the turnaround in it.
+    corners : int
+        Of the path that are kept.
+    tightest : float, in m
+        Radius of the tightest bend between corners; infinite where all is straight.
+    remarks : tuple of str
+        On how the path came about.
+    duration : float, in s
+        Expected, search and approach included; nan where the end is not reached.
+    path_time : float, in s
+        From the path's start to its end alone.
+    wanted_time : float, in s, or None
+        The same by the speed that the path asks for; None where it asks for none.
+    trail : ndarray, shape (n, 3), in m
+        Where the robot is expected to go.
+    localization_error : ndarray, shape (n,), in m
+        Horizontal rms error of one pose, along the path.
+    coil_energy : float, in J
+    reasons : list of str
+        Why not to fly; empty means go.
+    """
+
+    shot: Shot
+    rate_limit: float
+    rate: float
+    length: float
+    corners: int
+    tightest: float
+    remarks: tuple[str, ...]
+    duration: float
+    path_time: float
+    wanted_time: float | None
+    cycles: int
+    trail: FloatArray
+    reach: Reach
+    localization_error: FloatArray
+    coil_energy: float
+    reasons: list[str] = field(default_factory=list)
+
+    @property
+    def go(self) -> bool:
+        return not self.reasons
+
+
+class _Rollout:
+    """A mission flown on the controller's own model, without noise."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.setup = mission.setup()
+        self.controller: Controller = load("controllers", mission.law)(self.setup, mission.gains)
+        self.rest = self.setup.cycle.duration(self.setup.device.frequency) + mission.rig.turnaround
+        self.position = np.array([*mission.start, mission.rig.surface_z])
+        first = mission.path.points[0] - self.position
+        self.heading = float(np.arctan2(first[1], first[0]))
+        listening = mission.sections.localization
+        self.quiet = listening.quiet_s if listening.estimator == "whitened" else 0.0
+        self.clock = self.quiet + 2.0 * self.rest  # one shot to find the signal, one to confirm it
+        self.begun = self.clock
+        self.cycles = 2
+        self.windows: list[Actuate] = []
+        self.trail = [self.position.copy()]
+        self.energy = 0.0
+
+    def fly(self) -> str | None:
+        """Go on until the path's end; otherwise the reason why it is not reached."""
+        self.controller.reset(self.mission.path, self._pose())
+        best, nearest, since = 0.0, np.inf, 0
+        while True:
+            if not self.setup.table.contains(self.position[None, :])[0]:
+                return f"the robot would leave the field table near {_mm(self.position)}."
+            command = self.controller.command(self._pose())
+            if command.done:
+                return None
+            windows = command.mechanical or ((command.window,) if isinstance(command.window, Actuate) else ())
+            broken = self.setup.limits.faults(Shot(windows)) if windows else []
+            if broken:
+                return f"{self.mission.law} would break a limit near {_mm(self.position)}: {' '.join(broken)}"
+            self._act(command.window)
+            if command.phase == "approach":
+                self.begun = self.clock
+            goal = self.mission.path.at(command.progress)
+            away = float(np.linalg.norm(goal[:2] - self.position[:2]))
+            approached = command.phase == "approach" and away < nearest - 1e-5
+            if command.progress > best + 1e-6 or approached:
+                best, nearest, since = max(best, command.progress), away, 0
+            else:
+                since += 1
+            done = f"{best * 1e3:.1f} of {self.mission.path.length * 1e3:.1f} mm"
+            if since > STALL_CYCLES:
+                return (
+                    f"the robot would stall near {_mm(self.position)}, {done} along the path: "
+                    f"the force of {self.mission.law} does not point where it should there."
+                )
+            limit = self.mission.sections.stop.max_duration_s
+            if self.clock - self.quiet > limit:
+                return f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
+
+    def _act(self, window: object) -> None:
+        if isinstance(window, Actuate) and any(window.currents):
+            field_, gradient = self.setup.table.field_and_gradient(self.position[None, :])
+            currents = np.array(window.currents)
+            step, self.heading = advance(
+                self.setup.robot, field_[:, 0], gradient[:, 0], currents, self.heading, window.duration
+            )
+            self.position = self.position + np.array([step[0], step[1], 0.0])
+            self.energy += float(np.sum(self.mission.rig.coil_resistances * currents**2)) * window.duration
+            self.clock += window.duration
+            self.windows.append(window)
+        self.clock += self.rest
+        self.cycles += 1
+        self.trail.append(self.position.copy())
+
+    def _pose(self) -> Pose:
+        ahead = np.array([np.cos(self.heading), np.sin(self.heading), 0.0])
+        return Pose(self.clock, self.position, quaternion_from_axes(ahead, _UP, "zy"), np.zeros((6, 6)))
+
+    def typical_shot(self) -> Shot:
+        """A cycle with the actuation of median length."""
+        cycle, frequency = self.setup.cycle, self.setup.device.frequency
+        windows = sorted(self.windows, key=lambda w: w.duration)
+        listening = (
+            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
+            RingDown(cycle.ring_down),
+            Listen(cycle.half_periods, frequency),
+        )
+        return Shot((windows[len(windows) // 2], *listening) if windows else listening)
+
+
+def preview(mission: Mission) -> Preview:
+    """Time a mission on paper and fly it once on the controller's own model, without noise."""
+    rollout = _Rollout(mission)
+    reason = rollout.fly()
+    cycling = rollout.clock - rollout.quiet
+    played = cycling - rollout.cycles * mission.rig.turnaround
+    bend = np.max(curvature(mission.path.points))
+    return Preview(
+        shot=rollout.typical_shot(),
+        rate_limit=rollout.cycles / played,
+        rate=rollout.cycles / cycling,
+        length=mission.path.length,
+        corners=len(corner_indices(mission.path.points)),
+        tightest=float(1.0 / bend) if bend > 0.0 else float("inf"),
+        remarks=mission.path_remarks,
+        duration=float("nan") if reason else rollout.clock,
+        path_time=float("nan") if reason else rollout.clock - rollout.begun,
+        wanted_time=None if mission.path.speed is None else mission.path.speed.duration,
+        cycles=rollout.cycles,
+        trail=np.array(rollout.trail),
+        reach=rollout.controller.reach(mission.path),
+        localization_error=expected_errors(mission, np.linspace(0.0, mission.path.length, 9)),
+        coil_energy=rollout.energy,
+        reasons=[reason] if reason else [],
+    )
+
+
+def _mm(position: FloatArray) -> str:
+    return f"({position[0] * 1e3:.1f}, {position[1] * 1e3:.1f}) mm"

@@ -1,0 +1,172 @@
+"""A helical robot's mission on paper: turns and pauses, bends it can make, torque to spare, go or no-go."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smolbot.config.feasibility import expected_errors
+from smolbot.config.mission import Mission
+from smolbot.config.plugins import load
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.shots import Excite, Listen, RingDown, Rotate, Shot, magnet_near_after
+from smolbot.motion.controller import Controller, HelixSetup
+from smolbot.paths.curve import Curve
+
+BEND_OVER = 4e-3
+"""Length, in m, over which a path's bend is measured: a robot of 7 mm does not feel a corner that it rounds off."""
+
+OFF_PATH = 1.5e-3
+"""Distance from the path, in m, beyond which a mission on paper counts as one that cannot be followed."""
+
+KNOWN = np.diag([1e-4] * 3 + [math.radians(1.0)] * 3) ** 2
+"""Covariance of a pose after a pause."""
+
+
+@dataclass(frozen=True)
+class HelixPreview:
+    """What can be said of a helical robot's mission before it is flown. SI units.
+
+    Attributes
+    ----------
+    maneuver, listening : Shot
+        A typical mechanical shot, and the one that is listened to.
+    turns : tuple of float
+        Of the magnet, before each pause.
+    duration : float, in s
+        Expected; nan where the end is not reached.
+    trail : ndarray, shape (n, 3), in m
+        Where the robot is expected to be in the pauses.
+    radius, bend : float, in m
+        Of the tightest bend that it can make, and of the tightest in the path.
+    torque_margin : ndarray, shape (n,)
+        Least torque of the field over what the gel asks for, along the path; under 1 the robot steps out.
+    localization_error : ndarray, shape (n,), in m
+    reasons : list of str
+        Why not to fly; empty means go.
+    """
+
+    maneuver: Shot
+    listening: Shot
+    turns: tuple[float, ...]
+    length: float
+    duration: float
+    trail: FloatArray
+    radius: float
+    bend: float
+    torque_margin: FloatArray
+    localization_error: FloatArray
+    reasons: list[str] = field(default_factory=list)
+
+    @property
+    def go(self) -> bool:
+        return not self.reasons
+
+
+def preview_helix(mission: Mission) -> HelixPreview:
+    """Time a mission on paper and fly it once on the controller's own model, without noise."""
+    setup = mission.helix_setup()
+    controller = load("controllers", mission.law)(setup, mission.gains)
+    frequency = setup.limits.max_rotation_frequency
+    arc = np.linspace(0.0, mission.path.length, 25)
+    margin = np.array([setup.helix.torque_margin(p, frequency) for p in mission.path.at(arc)])
+    radius, bend = setup.helix.tightest(frequency, math.radians(controller.most_tilt_deg)), tightest_bend(mission.path)
+    shots, clock, trail, reasons = _fly(mission, setup, controller)
+    worst = int(np.argmin(margin))
+    if margin[worst] < 1.0:
+        reasons.append(
+            f"the field would lose the robot near {_mm(mission.path.at(arc[worst]))}: "
+            f"its torque is {margin[worst]:.2f} of what the gel asks for at {frequency:g} Hz."
+        )
+    if bend < radius:
+        reasons.insert(
+            0,
+            f"the path bends with a radius of {bend * 1e3:.1f} mm; "
+            f"this robot turns with {radius * 1e3:.1f} mm at least.",
+        )
+    turns = [sum(w.turns for w in shot.windows if isinstance(w, Rotate)) for shot in shots]
+    listening = _listening(setup)
+    return HelixPreview(
+        maneuver=shots[len(shots) // 2] if shots else listening,
+        listening=listening,
+        turns=tuple(turns),
+        length=mission.path.length,
+        duration=float("nan") if reasons else clock,
+        trail=trail,
+        radius=radius,
+        bend=bend,
+        torque_margin=margin,
+        localization_error=expected_errors(mission, np.linspace(0.0, mission.path.length, 9)),
+        reasons=reasons,
+    )
+
+
+def tightest_bend(path: Curve) -> float:
+    """Radius, in m, of the tightest bend of a path, measured over `BEND_OVER`."""
+    span = min(BEND_OVER, 0.5 * path.length)
+    arc = np.arange(0.0, path.length - span, 0.25e-3)
+    first, last = path.tangent(arc), path.tangent(arc + span)
+    turned = np.arccos(np.clip(np.sum(first * last, axis=1), -1.0, 1.0))
+    most = float(np.max(turned, initial=0.0))
+    return span / most if most > 0 else math.inf
+
+
+def _listening(setup: HelixSetup) -> Shot:
+    cycle, frequency = setup.cycle, setup.device.frequency
+    return Shot(
+        (
+            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
+            RingDown(cycle.ring_down),
+            Listen(cycle.half_periods, frequency),
+        )
+    )
+
+
+def _fly(
+    mission: Mission, setup: HelixSetup, controller: Controller
+) -> tuple[list[Shot], float, FloatArray, list[str]]:
+    """Mechanical shots, time in s, places of the pauses, and why the path's end is not reached."""
+    x, y, heading = mission.put_down
+    position = np.array([x, y, setup.helix.high])
+    orientation = quaternion_from_axes(
+        np.array([math.cos(heading), math.sin(heading), 0.0]), np.array([0, 0, 1.0]), "zx"
+    )
+    rest = setup.cycle.duration(setup.device.frequency) + mission.rig.turnaround
+    listened = mission.sections.localization
+    clock = (listened.quiet_s if listened.estimator == "whitened" else 0.0) + 2.0 * rest
+    quiet, limit = clock, mission.sections.stop.max_duration_s
+    controller.reset(mission.path, Pose(clock, position, orientation, KNOWN))
+    shots: list[Shot] = []
+    trail = [position]
+    while True:
+        command = controller.command(Pose(clock, position, orientation, KNOWN))
+        if command.done:
+            return shots, clock, np.array(trail), []
+        if command.stuck:
+            return shots, clock, np.array(trail), [command.note]
+        if command.mechanical:
+            shot = Shot(command.mechanical)
+            broken = setup.limits.faults(shot)
+            if broken:
+                return shots, clock, np.array(trail), [" ".join(broken)]
+            assert not magnet_near_after(shot, near=False)
+            position, orientation, _, _ = setup.helix.carry(shot.windows, position, orientation)
+            clock += shot.duration
+            shots.append(shot)
+            trail.append(position)
+            off = float(mission.path.project(position[None, :])[1][0])
+            if command.phase == "follow" and off > OFF_PATH:
+                return shots, clock, np.array(trail), [f"the robot would leave the path near {_mm(position)}."]
+        clock += rest
+        if clock - quiet > limit:
+            done = f"{command.progress * 1e3:.1f} of {mission.path.length * 1e3:.1f} mm"
+            reason = f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
+            return shots, clock, np.array(trail), [reason]
+
+
+def _mm(position: FloatArray) -> str:
+    return f"({position[0] * 1e3:.1f}, {position[1] * 1e3:.1f}) mm"

@@ -1,0 +1,90 @@
+"""An observation timed on paper: what a cycle looks like, how often one fits, how sharply it should see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smolbot.config.feasibility import expected_covariances
+from smolbot.config.observation import Observation
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.shots import Excite, Listen, RingDown, Shot
+
+SEARCHES = 2.0
+"""Shots that a search takes on average before the signal suffices."""
+
+PER_AXIS = 3
+
+
+@dataclass(frozen=True)
+class ObservationPreview:
+    """What can be said of an observation beforehand. SI units.
+
+    Attributes
+    ----------
+    shot : Shot
+        A typical cycle.
+    rate_limit : float, in Hz
+        Of the timeline alone; `rate` has the turnaround in it.
+    duration : float, in s
+        Quiet and search included.
+    noise_error : ndarray, shape (n,), in m
+        Root mean square error in space that noise alone leaves of one pose, over the container, headings all round.
+    reasons : list of str
+        Why not to begin; empty means go.
+    """
+
+    shot: Shot
+    rate_limit: float
+    rate: float
+    duration: float
+    cycles: int
+    noise_error: FloatArray
+    reasons: list[str] = field(default_factory=list)
+
+    @property
+    def go(self) -> bool:
+        return not self.reasons
+
+
+def preview_observation(mission: Observation) -> ObservationPreview:
+    """Time an observation on paper, and look up what noise would leave of its poses."""
+    cycle, frequency = mission.cycle, mission.robot.device.frequency
+    shot = Shot(
+        (
+            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
+            RingDown(cycle.ring_down),
+            Listen(cycle.half_periods, frequency),
+        )
+    )
+    whole = shot.duration + mission.rig.turnaround
+    section, listening = mission.sections.observe, mission.sections.localization
+    quiet = listening.quiet_s if listening.estimator == "whitened" else 0.0
+    if section.measurements is not None:
+        cycles = round(section.measurements * (1.0 + SEARCHES))
+    else:
+        cycles = round(SEARCHES + (section.duration_s or 0.0) / whole)
+    rate, duration = 1.0 / whole, quiet + cycles * whole
+    wanted, limit = mission.sections.verdict.min_rate_hz, mission.sections.stop.max_duration_s
+    reasons = []
+    if wanted is not None and rate < wanted:
+        reasons.append(f"{rate:.2f} cycles a second fit, fewer than min_rate_hz = {wanted:g}.")
+    if duration - quiet > limit:
+        reasons.append(f"it would not end within max_duration_s = {limit:g} s.")
+    return ObservationPreview(shot, 1.0 / shot.duration, rate, duration, cycles, _noise_errors(mission), reasons)
+
+
+def _noise_errors(mission: Observation) -> FloatArray:
+    box = mission.rig.sections.container
+    center, half = np.array(box.center_mm), 0.4 * np.array(box.size_mm)
+    spans = [(center[0] - half[0], center[0] + half[0]), (center[1] - half[1], center[1] + half[1]),
+             (box.floor_z_mm, box.surface_z_mm)]  # fmt: skip
+    lines = [1e-3 * np.linspace(low, high, PER_AXIS) for low, high in spans]
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    up = np.array([0.0, 0.0, 1.0])
+    turns = 2.0 * np.pi * np.arange(len(points)) * 0.381966  # evenly spread, and no two neighbours alike
+    headings = [quaternion_from_axes(np.array([np.cos(a), np.sin(a), 0.0]), up, "zx") for a in turns]
+    covariances = expected_covariances(mission, points, headings)
+    return np.asarray(np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2)))

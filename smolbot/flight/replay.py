@@ -1,0 +1,190 @@
+"""Plays a recorded run to the loop again: the same poses, bit for bit, or those that other settings had given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import smolbot
+from smolbot.config.load import AnyMission
+from smolbot.config.mission_base import MissionBase
+from smolbot.core.blas_threads import kernel
+from smolbot.core.pose import Pose
+from smolbot.flight.assembly import make_loop
+from smolbot.flight.loop import Loop, StopRules
+from smolbot.flight.playback import PlayedPilot, PlayedRig, PlayedScheduler, require_windows
+from smolbot.flight.safety.supervisor import Rules
+from smolbot.runs.folder import packages
+from smolbot.runs.recording.reader import RecordedRun, read_run
+from smolbot.runs.run import CycleRecord
+from smolbot.runs.summary import against_truth
+from smolbot.runs.trace import Moment
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A recorded run and what came of playing it again.
+
+    Attributes
+    ----------
+    record : RecordedRun
+    mission : Mission or Observation
+        With the settings of the replay.
+    changed : dict
+        What was set otherwise than in flight; empty for the same settings.
+    cycles : list of CycleRecord
+        As replayed, one for each of the record as far as it went.
+    stop_reason : str
+        Why it ended before the record did; empty if it did not.
+    """
+
+    record: RecordedRun
+    mission: AnyMission
+    changed: dict[str, str]
+    cycles: list[CycleRecord]
+    stop_reason: str = ""
+
+    @property
+    def moments(self) -> list[Moment]:
+        """The replayed cycles with the truth that was recorded.
+
+        A shorter window has its middle earlier than the recorded one, by which the truth was asked: at most half the
+        difference of the two, in which a robot hardly moves.
+        """
+        return [replace(m, cycle=c) for m, c in zip(self.record.moments, self.cycles, strict=False)]
+
+    def first_difference(self) -> str | None:
+        """Where a replay first differs from the record, in words; None if it is the same, bit for bit."""
+        recorded = self.record.moments
+        for index, (moment, cycle) in enumerate(zip(recorded, self.cycles, strict=False)):
+            for name in ("pose", "tracked"):
+                what = _difference(getattr(moment.cycle, name), getattr(cycle, name))
+                if what:
+                    return f"cycle {index}, {name} pose: {what}{self._elsewhere()}"
+        if len(self.cycles) < len(recorded):
+            return f"the replay ended after {len(self.cycles)} of {len(recorded)} cycles: {self.stop_reason}"
+        return None
+
+    def _elsewhere(self) -> str:
+        """That the record comes from another kind of machine, where it does: last bits may differ then."""
+        there = {name: self.record.provenance.get(name) for name in ("linear_algebra", "packages", "smolbot")}
+        here = {"linear_algebra": kernel(), "packages": packages(), "smolbot": smolbot.__version__}
+        other = [name.replace("_", " ") for name, value in here.items() if there[name] != value]
+        return f" (recorded with other {', '.join(other)})" if other else ""
+
+
+def replay(
+    run: str | Path | RecordedRun,
+    *,
+    estimator: str | None = None,
+    half_periods: int | None = None,
+    device: str | Path | None = None,
+) -> Replay:
+    """Locate again in everything that a run heard, with the learning in flight, as the loop did.
+
+    Parameters
+    ----------
+    run : path or RecordedRun
+        Run folder, or the record.
+    estimator : {"whitened", "paper"}, optional
+    half_periods : int, optional
+        How much of each window to use.
+    device : path, optional
+        Device file to believe in, in place of the robot's.
+
+    Raises
+    ------
+    InputError
+        Where the record holds no windows, or less of them than is asked for.
+    """
+    record = run if isinstance(run, RecordedRun) else read_run(run)
+    require_windows(record, half_periods)
+    changed = {}
+    if estimator is not None:
+        changed["estimator"] = estimator
+    if half_periods is not None:
+        changed["half_periods"] = str(half_periods)
+    mission = record.mission({} if estimator is None else {"localization.estimator": estimator})
+    if device is not None:
+        from smolbot.config.device import load_device
+
+        mission.robot.calibrated = load_device(device, mission.robot.name).device
+        changed["device"] = str(device)
+    flown = make_replay_loop(record, mission, half_periods, bool(changed)).fly()
+    return Replay(record, mission, changed, flown.cycles, "" if flown.status == "completed" else flown.stop_reason)
+
+
+def make_replay_loop(record: RecordedRun, mission: Any, half_periods: int | None = None, changed: bool = False) -> Loop:
+    """The loop of a flight with the record in place of its world, scheduler and pilot.
+
+    `changed`: the mission's settings are not those of the flight.
+    """
+    rig = PlayedRig(record, mission.rig.sensors, mission.rig.limits, half_periods)
+    loop = make_loop(rig, mission)
+    loop.scheduler = PlayedScheduler(record, rig, loop.scheduler.cycle, rig.limits, mission.robot.device)  # type: ignore[assignment]
+    loop.pilot = PlayedPilot(record)
+    loop.rules = StopRules(float("inf"), len(record.moments) + 1)
+    learned = [p for p in record.played if p.shot.mode == "quiet"]
+    if not learned:  # the mission's own settings learned nothing, others would
+        loop.quiet = replace(loop.quiet, duration=0.0, learn_ring_down=False)
+    if changed:  # poses that others would have given steer nothing, so that no pose of theirs can do harm
+        loop.safety.rules = Rules(stale_shots=len(record.played) + 1)
+    return loop
+
+
+def _difference(recorded: Pose | None, found: Pose | None) -> str:
+    """In what two poses differ; empty if in no bit."""
+    if recorded is None or found is None:
+        return "" if recorded is found else f"{'none' if recorded is None else 'one'} was recorded"
+    for name in ("time", "position", "orientation", "covariance", "r_squared", "flip_margin", "trusted"):
+        was, now = np.asarray(getattr(recorded, name)), np.asarray(getattr(found, name))
+        if not np.array_equal(was, now, equal_nan=was.dtype.kind == "f"):
+            most = float(np.nanmax(np.abs(now.astype(float) - was.astype(float))))
+            return f"{name} differs by up to {most:.3g}"
+    return ""
+
+
+def figures(replayed: Replay) -> dict[str, dict[str, Any]]:
+    """Figures of the record and of the replay, of the cycles that both have."""
+    moments = replayed.moments
+    both = {"recorded": replayed.record.moments[: len(moments)], "replayed": moments}
+    return {name: _figures(replayed.mission, of) for name, of in both.items()}
+
+
+def _figures(mission: MissionBase, moments: Sequence[Moment]) -> dict[str, Any]:
+    poses = [m.cycle.pose for m in moments if m.cycle.pose is not None]
+    trusted = [p for p in poses if p.trusted]
+    sigma = [1e3 * float(np.sqrt(p.covariance[:3, :3].trace() / 3.0)) for p in trusted]
+    out: dict[str, Any] = {
+        "windows": sum(m.cycle.shot.listen is not None for m in moments),
+        "poses_trusted": len(trusted),
+        "r_squared_median": float(np.median([p.r_squared for p in trusted])) if trusted else None,
+        "sigma_mm_median": float(np.median(sigma)) if sigma else None,
+    }
+    return out | against_truth(mission, list(moments))
+
+
+def apart(replayed: Replay) -> dict[str, Any]:
+    """How far replayed poses lie from recorded ones, where both are trusted: distance in mm, angle in deg."""
+    from smolbot.core.rotations import nearer_twin, rotation_error
+    from smolbot.runs.summary import statistics
+
+    pairs = [
+        (m.cycle.pose, c.pose)
+        for m, c in zip(replayed.record.moments, replayed.cycles, strict=False)
+        if m.cycle.pose is not None and c.pose is not None and m.cycle.pose.trusted and c.pose.trusted
+    ]
+    if not pairs:
+        return {}
+    distance = np.array([np.linalg.norm(b.position - a.position) for a, b in pairs])
+    turned = [rotation_error(nearer_twin(b.orientation, a.orientation), a.orientation) for a, b in pairs]
+    angle = np.degrees(np.linalg.norm(np.array(turned), axis=1))
+    return {
+        "poses": len(pairs),
+        "distance_mm": statistics(distance * 1e3, "mean", "rms", "p95", "max"),
+        "angle_deg": statistics(angle, "mean", "rms", "p95", "max"),
+    }

@@ -1,0 +1,1 @@
+"""What ends a run before harm is done."""

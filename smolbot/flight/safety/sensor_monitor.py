@@ -1,0 +1,45 @@
+"""Sensors that say nothing, or nothing of use, for several listening windows in a row."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from smolbot.core.sensing import Recording
+
+DEAD, SATURATED = "dead", "saturated"
+
+
+class SoundWatch:
+    """Counts, for each sensor, the windows in a row in which it was constant, or saturated.
+
+    Parameters
+    ----------
+    n_sensors : int
+    patience : int
+        Windows in a row from which it counts.
+    left_out : collection of int
+        Sensors, from 0, that are known to be broken.
+    """
+
+    def __init__(self, n_sensors: int, patience: int, left_out: Collection[int] = ()) -> None:
+        self.patience = patience
+        self._watched = np.array([i not in left_out for i in range(n_sensors)], dtype=np.bool_)
+        self._runs = {kind: np.zeros(n_sensors, dtype=np.int64) for kind in (DEAD, SATURATED)}
+
+    def hear(self, recording: Recording) -> tuple[str, list[int], int] | None:
+        """Take in a window; what is wrong, with which sensors, and for how many windows, once it is too many."""
+        field = recording.field
+        if field.shape[1] < 2:  # a world that makes no samples
+            return None
+        constant = (field[:, 0] == field[:, -1]) & (field[:, 0] == field[:, field.shape[1] // 2])
+        if constant.any():
+            constant[constant] = np.all(field[constant] == field[constant, :1], axis=1)
+        for kind, now in ((DEAD, constant & ~recording.saturated), (SATURATED, recording.saturated)):
+            runs = self._runs[kind]
+            runs += 1
+            runs[~(now & self._watched)] = 0
+            if runs.max() >= self.patience:
+                return kind, [int(i) for i in np.flatnonzero(runs >= self.patience)], int(runs.max())
+        return None

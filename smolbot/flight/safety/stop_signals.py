@@ -1,0 +1,46 @@
+"""Ctrl-C and SIGTERM end a run once; what then brings outputs to zero and writes the folder is not interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from smolbot.flight.safety.stop_latch import Latch
+
+CTRL_C = "stopped by the operator (Ctrl-C)"
+TERMINATED = "stopped by a signal (SIGTERM)"
+
+
+@contextmanager
+def stop_signals(latch: Latch) -> Iterator[None]:
+    """While the block runs, the first SIGINT or SIGTERM raises ``KeyboardInterrupt`` with its reason; later ones wait.
+
+    Once one has, or the run is over (`latch`), a signal raises nothing. Signals belong to the main thread: in any
+    other, the block just runs.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    raised = False
+
+    def hear(number: int, _: FrameType | None) -> None:
+        nonlocal raised
+        if latch.over or raised:
+            os.write(2, b"already stopping: outputs go to zero and the run folder is written\n")
+            return
+        raised = True
+        reason = TERMINATED if number == signal.SIGTERM else CTRL_C
+        latch.shut(reason, "stopped", halt=False)  # halting is left to who catches this: it may be what was interrupted
+        raise KeyboardInterrupt(reason)
+
+    before = {number: signal.signal(number, hear) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

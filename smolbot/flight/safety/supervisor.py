@@ -1,0 +1,246 @@
+"""The safety of a run: asked before every shot, told of every recording; once it says stop, nothing more is played."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from smolbot.core.coil_heat import CoilHeat, mean_squares
+from smolbot.core.limits import Limits
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Excite, Listen, Rotate, Shot, magnet_near_after
+from smolbot.errors import SafetyError
+from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.safety.heat_store import HeatMemory
+from smolbot.flight.safety.sensor_monitor import SoundWatch
+from smolbot.flight.safety.stop_latch import Latch
+
+LOST_WINDOWS = "lost_windows"
+"""Name, among what was recovered from, of listening windows that gave nothing."""
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+_SIGMAS = 3.0  # by which a pose must lie outside what is allowed before it is believed
+_EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one heard is earlier by a whole shot
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What ends a run, besides limits, duty and heat. SI units.
+
+    Attributes
+    ----------
+    max_duty : float
+        Share of the time.
+    max_sigma : float, in m
+        Standard deviation of the believed position along its worst axis.
+    uncertain_shots : int
+        Shots in a row that may drive the robot with a pose less sure than that.
+    stale_shots : int
+        Listening windows in a row without a recording.
+    max_age : float, in s
+        A recording that comes later than this after it was made counts as none.
+    reach : (low (3,), high (3,)), in m, or None
+        Where a robot that is steered may be; None where nothing is steered.
+    """
+
+    max_duty: float = 1.0
+    max_sigma: float = math.inf
+    uncertain_shots: int = 5
+    stale_shots: int = 3
+    max_age: float = math.inf
+    reach: Box | None = None
+
+
+class Safety:
+    """Ends a run before harm is done. Every stop has a reason, and latches.
+
+    Duty and heat are those of commanded currents: each shot is reckoned to its end before it is played. With a
+    `memory`, coils begin as hot as the run before has left them.
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        rules: Rules,
+        duty: Duty,
+        heat: CoilHeat,
+        sound: SoundWatch,
+        latch: Latch | None = None,
+        memory: HeatMemory | None = None,
+    ) -> None:
+        self.limits = limits
+        self.rules = rules
+        self.duty = duty
+        self.heat = heat
+        self.latch = latch if latch is not None else Latch()
+        self.recovered = {LOST_WINDOWS: 0}
+        self._memory = memory
+        if memory is not None:
+            memory.recall(heat)
+        self._begin = list(heat.temperatures)
+        self._sound = sound
+        self._time = 0.0
+        self._near = False
+        self._unsure = 0
+        self._missing = 0
+
+    def before(self, shot: Shot, now: float, pose: Pose | None) -> None:
+        """Let a shot pass that begins at `now` s at the earliest, with `pose` believed in.
+
+        Raises
+        ------
+        SafetyError
+            With the reason; nothing of the shot may be played.
+        """
+        if self.latch.is_shut:
+            raise SafetyError(self.latch.reason)
+        if self.latch.over:
+            raise SafetyError("This run is over; nothing was played. Begin a new one.")
+        faults = self.limits.faults(shot, magnet_near=self._near)
+        if faults:
+            self._stop(" ".join([*faults, "Nothing was played."]))
+        self._near = magnet_near_after(shot, near=self._near)
+        self._watch_pose(shot, pose)
+        self._reckon(shot, now)
+
+    def after(self, shot: Shot, recording: Recording | None, now: float) -> Recording | None:
+        """What was heard, once a shot was played; None where a window was lost, or is too old to be of use.
+
+        Raises
+        ------
+        SafetyError
+            When too many windows in a row were lost, or a sensor is dead or saturated for too long.
+        """
+        listen = shot.listen
+        if listen is None:
+            return recording
+        late = ""
+        if recording is not None:
+            late = self._late(shot, recording, now)
+            recording = None if late else recording
+        if recording is None:
+            self._missing += 1
+            if self._missing >= self.rules.stale_shots:
+                why = late or f"the shot at {shot.start:.3f} s listened and gave no recording"
+                self._stop(
+                    f"Stale data: {self._missing} listening windows in a row were lost (stale_shots = "
+                    f"{self.rules.stale_shots}); of the last one, {why}."
+                )
+            return None
+        self.recovered[LOST_WINDOWS] += self._missing
+        self._missing = 0
+        probes = shot.mode == "quiet" and any(isinstance(w, Actuate | Excite) for w in shot.windows)
+        if not probes:  # what is left of a drive is listened to on purpose, and may be too loud
+            wrong = self._sound.hear(recording)
+            if wrong is not None:
+                kind, which, windows = wrong
+                sensors = f"Sensor{'s' if len(which) > 1 else ''} {', '.join(map(str, which))}"
+                what = "constant (dead, or a broken wire)" if kind == "dead" else "saturated"
+                self._stop(
+                    f"{sensors} (counted from 0) {'were' if len(which) > 1 else 'was'} {what} in {windows} listening "
+                    f"windows in a row (sensor_shots = {self._sound.patience})."
+                )
+        return recording
+
+    def end(self) -> None:
+        """The run is over: nothing more is played."""
+        self.latch.end()
+        if self._memory is not None:
+            self._memory.keep(self.heat, now=True)
+
+    def figures(self) -> dict[str, object]:
+        """Peak duty and, where thermal constants are known, peak temperature in degrees Celsius, by coil."""
+        known = [(i, c) for i, c in enumerate(self.heat.coils) if c is not None]
+        return {
+            "duty_peak": dict(zip(self.duty.names, self.duty.peaks, strict=True)),
+            "coil_temperature_begin_c": {c.name: self._begin[i] for i, c in known},
+            "coil_temperature_peak_c": {c.name: self.heat.peaks[i] for i, c in known},
+            "coil_temperature_limit_c": {c.name: c.limit for _, c in known},
+        }
+
+    def _stop(self, reason: str) -> None:
+        self.latch.shut(reason)
+        raise SafetyError(self.latch.reason)
+
+    def _watch_pose(self, shot: Shot, pose: Pose | None) -> None:
+        """The robot must be where it may be, and be known to be there before it is driven."""
+        rules = self.rules
+        if pose is not None and pose.trusted and rules.reach is not None:
+            self._watch_reach(pose, rules.reach)
+        if shot.mode == "quiet" or not any(isinstance(w, Actuate | Rotate) for w in shot.windows):
+            return
+        if pose is None:
+            self._stop("Lost pose: a shot would drive the robot before it was ever seen. Nothing was played.")
+            return
+        sigma = math.sqrt(max(float(pose.covariance[i, i]) for i in range(3)))
+        self._unsure = self._unsure + 1 if sigma > rules.max_sigma else 0
+        if self._unsure >= rules.uncertain_shots:
+            self._stop(
+                f"Uncertain pose: its standard deviation was above {1e3 * rules.max_sigma:g} mm (max_sigma_mm) in "
+                f"{self._unsure} shots in a row that drive the robot; now {1e3 * sigma:.1f} mm. Nothing was played."
+            )
+
+    def _watch_reach(self, pose: Pose, reach: Box) -> None:
+        for axis, low, high in zip(range(3), *reach, strict=True):
+            at, sure = float(pose.position[axis]), _SIGMAS * math.sqrt(float(pose.covariance[axis, axis]))
+            if at + sure < low or at - sure > high:
+                self._stop(
+                    f"Out of reach: the robot's {'xyz'[axis]} is {1e3 * at:.1f} ± {1e3 * sure:.1f} mm; it may be from "
+                    f"{1e3 * low:.1f} to {1e3 * high:.1f} mm (container and reach_margin_mm). Nothing was played."
+                )
+
+    def _reckon(self, shot: Shot, now: float) -> None:
+        """Carry duty and heat on to the end of a shot."""
+        self.heat.advance((), now - self._time)
+        at, n_coils = now, len(self.limits.coils)
+        for window in shot.windows:
+            end = at + window.duration
+            squares = mean_squares(window, n_coils, len(self.duty.names) - n_coils)
+            self.heat.advance(squares, window.duration)
+            for coil, square in enumerate(squares):
+                if square:
+                    self._watch_duty(coil, at, end)
+            if squares:
+                self._watch_heat()
+            at = end
+        self._time = max(at, self._time)
+        if self._memory is not None:
+            self._memory.keep(self.heat)
+
+    def _watch_duty(self, coil: int, start: float, end: float) -> None:
+        share = self.duty.drive(coil, start, end)
+        if share > self.rules.max_duty:
+            self._stop(
+                f"Coil '{self.duty.names[coil]}' would be driven for {100 * share:.0f} % of {self.duty.window:g} s; "
+                f"at most {100 * self.rules.max_duty:.0f} % (max_duty). Nothing was played."
+            )
+
+    def _watch_heat(self) -> None:
+        hot = self.heat.too_hot()
+        if hot is not None:
+            coil, temperature = hot
+            self._stop(
+                f"Coil '{coil.name}' would reach {temperature:.1f} °C by the end of the next shot; at most "
+                f"{coil.limit:g} °C (max_temperature_c). Nothing was played."
+            )
+
+    def _late(self, shot: Shot, recording: Recording, now: float) -> str:
+        """Why a recording is none of this shot, or too old; empty if it is neither."""
+        asked = next(at for at, window in shot.timed() if isinstance(window, Listen))
+        early = shot.start + asked - recording.clock
+        listened = 0.0 if shot.listen is None else shot.listen.duration  # a world without samples says when it began
+        age = now - recording.clock - listened
+        if early > max(_EARLY, 0.5 * shot.duration):
+            return f"the recording began {early:.3f} s before it was asked for"
+        if age > self.rules.max_age:
+            return f"the recording was {age:.2f} s old when it came (max_age_ms = {1e3 * self.rules.max_age:g})"
+        return ""
+
+
+def unbounded(limits: Limits, n_sensors: int) -> Safety:
+    """A safety that knows a rig's limits and nothing else of it."""
+    names = (*limits.coils, "excitation x", "excitation y")
+    sound = SoundWatch(n_sensors, patience=1 << 62)
+    return Safety(limits, Rules(), Duty(names, 1.0), CoilHeat((None,) * len(names), 20.0), sound)

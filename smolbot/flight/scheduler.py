@@ -1,0 +1,188 @@
+"""Makes each shot: interleaves actuation with localization, finds a lost signal, holds still on demand.
+
+Where a magnet has to come and go, actuation is a shot of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.drive import drive
+from smolbot.core.limits import Limits
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Device
+from smolbot.core.shots import Actuate, Excite, Listen, Mode, RingDown, Shot, Window
+from smolbot.localization.forward import envelope
+from smolbot.motion.controller import Command, Cycle
+
+PROBE_HALF_PERIODS = 8
+"""Length of the recordings from which the coils' ring-down is learned."""
+
+TAIL_CURRENTS = (0.025, 0.006, 0.0015)
+"""Shares of the highest current with which a coil pulls so that its decay can be heard: the next where sensors were
+saturated. None of them moves a robot by more than some micrometres."""
+
+TAIL_PULL = 15e-3
+"""Length of such a pull, in s."""
+
+TAIL_PAUSE = 8e-3
+"""Between it and listening, in s."""
+
+AUDIBLE_LEFT = 0.2
+"""Share of a swing below which it is not minded when the next burst is made. A device in a capsule swings on for a
+second, and a burst against that swing would leave little of either; strong damping leaves nothing to mind."""
+
+SEARCH_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
+"""Excitation mixes (x, y) tried in turn while the orientation is unknown."""
+
+
+def stretched_actuation(turn: float, t_min: float, t_max: float, sharp: float) -> float:
+    """Actuation time for a turn of `turn` rad, in s: longer for sharp turns, so that the magnet aligns (Eq. S17).
+
+    Examples
+    --------
+    >>> [round(stretched_actuation(np.radians(a), 0.03, 0.08, np.radians(30)), 4) for a in (0, 29, 90, 180)]
+    [0.03, 0.03, 0.055, 0.08]
+    """
+    if abs(turn) <= sharp:
+        return t_min
+    return t_min + (t_max - t_min) * abs(float(turn)) / math.pi
+
+
+class Believed(Protocol):
+    """What the scheduler asks of the tracker: the pose it believes in, and how it came by it."""
+
+    @property
+    def pose(self) -> Pose | None: ...
+
+    @property
+    def misses(self) -> int: ...
+
+    @property
+    def confirmed(self) -> bool: ...
+
+    def pose_at(self, time: float) -> Pose: ...
+
+
+class Scheduler:
+    """Decides the mode of the next shot and lays out its windows.
+
+    Modes: ``search`` without a pose; ``hold`` to listen without actuating; ``track`` to act and
+    listen; ``lost`` after `patience` windows without a pose that can be believed.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    limits : Limits
+    device : Device
+        Replaced when its resonance is learned anew.
+    excitation_field : callable
+        Position (3,) in m to field (2, 3) in T per A of the excitation coils, as believed.
+    clock : callable
+        Earliest start of the next shot, in s.
+    inertia : float, in kg·m²
+        Of the magnet about the cantilever's rotation centre.
+    patience : int
+        Misses in a row that are borne before actuation stops.
+    """
+
+    def __init__(
+        self,
+        cycle: Cycle,
+        limits: Limits,
+        device: Device,
+        excitation_field: Callable[[FloatArray], FloatArray],
+        clock: Callable[[], float],
+        inertia: float,
+        patience: int = 3,
+    ) -> None:
+        self.cycle = cycle
+        self.limits = limits
+        self.device = device
+        self.patience = patience
+        self.paused = False
+        self.searched = 0
+        self._excitation_field = excitation_field
+        self._clock = clock
+        self._inertia = inertia
+        self._driven: float | None = None  # end of the last burst, in s
+
+    def quiet_shots(self, duration: float) -> Iterator[Shot]:
+        """Shots of about a second that only listen, `duration` s in all."""
+        frequency = self.device.frequency
+        longest = min(1.0, self.limits.max_listen)
+        count = max(round(duration / longest), 1)
+        half_periods = max(int(2.0 * frequency * min(duration / count, longest)), 1)
+        for _ in range(count):
+            yield Shot((Listen(half_periods, frequency),), "quiet", self._clock())
+
+    def probe_shots(self) -> Iterator[Shot]:
+        """One shot for each excitation coil that drives off resonance and listens as soon as it may."""
+        frequency = 1.37 * self.device.frequency
+        ring_down = max(self.limits.min_ring_down, 1e-3)
+        for currents in ((self.cycle.excite_current, 0.0), (0.0, self.cycle.excite_current)):
+            excite = Excite(currents, frequency, self.cycle.excite_cycles)
+            listen = Listen(PROBE_HALF_PERIODS, self.device.frequency)
+            yield Shot((excite, RingDown(ring_down), listen), "quiet", self._clock())
+
+    def tail_shots(self, coil: int) -> Iterator[Shot]:
+        """Faint pulls of one actuation coil, fainter each time, that are listened to as soon as sensors can bear it."""
+        for share in TAIL_CURRENTS:
+            currents = [0.0] * len(self.limits.coils)
+            currents[coil] = share * self.limits.max_current
+            pull = Actuate(tuple(currents), min(TAIL_PULL, self.limits.max_actuation))
+            ring_down = RingDown(max(self.limits.min_ring_down, TAIL_PAUSE))
+            yield Shot((pull, ring_down, Listen(PROBE_HALF_PERIODS, self.device.frequency)), "quiet", self._clock())
+
+    def next(self, command: Command, tracker: Believed) -> Shot:
+        """The next shot, for a command and what the tracker believes."""
+        mode = self._mode(tracker)
+        windows: list[Window] = []
+        if mode == "track" and command.mechanical:
+            return Shot(command.mechanical, mode, self._clock())
+        if mode == "track" and isinstance(command.window, Actuate):
+            windows.append(command.window)
+        self.searched = self.searched + 1 if mode in ("search", "lost") else 0
+        start = self._clock() + sum(window.duration for window in windows)
+        excite = self._excite(mode, None if tracker.pose is None else tracker.pose_at(start), start)
+        self._driven = start + excite.duration
+        windows.append(excite)
+        windows.append(RingDown(self.cycle.ring_down))
+        windows.append(Listen(self.cycle.half_periods, self.device.frequency))
+        return Shot(tuple(windows), mode, self._clock())
+
+    def _mode(self, tracker: Believed) -> Mode:
+        if tracker.pose is None:
+            return "search"
+        if tracker.misses >= self.patience:
+            return "lost"
+        return "hold" if self.paused or not tracker.confirmed else "track"
+
+    def _excite(self, mode: Mode, pose: Pose | None, start: float) -> Excite:
+        """Excitation for the pose expected at `start` s; in a search, each direction in turn, then for longer."""
+        turn = (self.searched - 1) % (len(SEARCH_DIRECTIONS) + 1) if mode in ("search", "lost") else 0
+        rounds = max(self.searched - 1, 0) // (len(SEARCH_DIRECTIONS) + 1)
+        if mode == "search":
+            turn = (self.searched - 1) % len(SEARCH_DIRECTIONS) + 1
+            rounds = max(self.searched - 1, 0) // len(SEARCH_DIRECTIONS)
+        longest = int(self.limits.max_excitation * self.device.frequency)
+        cycles = min(self.cycle.excite_cycles * 2 ** min(rounds, 4), longest) if rounds else self.cycle.excite_cycles
+        most = self.cycle.excite_current
+        if turn == 0 and pose is not None:
+            fields = self._excitation_field(np.asarray(pose.position))
+            currents = drive(fields, pose, self.device, self._inertia, cycles, most, self._left(start)).currents
+        else:
+            currents = most * np.array(SEARCH_DIRECTIONS[turn - 1])
+        return Excite((float(currents[0]), float(currents[1])), self.device.frequency, cycles)
+
+    def _left(self, start: float) -> float:
+        """Share of the stops by which the device may still swing at `start` s, where that is worth minding."""
+        if self._driven is None:
+            return 0.0
+        left = float(envelope(self.device, np.array([max(start - self._driven, 0.0)]))[0])
+        return left if left > AUDIBLE_LEFT else 0.0

@@ -1,0 +1,276 @@
+"""Flies a mission: opens the rig, makes the parts, runs the loop, leaves a run folder."""
+
+from __future__ import annotations
+
+import gc
+import re
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from smolbot.config.load import AnyMission, load_mission
+from smolbot.config.mission_base import MissionBase
+from smolbot.config.observation import Observation
+from smolbot.config.plugins import load_world
+from smolbot.config.sensors import write_sensors
+from smolbot.core.operator import Operator, SilentOperator, TerminalOperator
+from smolbot.core.rig import Rig
+from smolbot.core.thread_switching import short_turns
+from smolbot.errors import InputError
+from smolbot.flight.assembly import learned_sensors, make_loop
+from smolbot.flight.loop import Loop
+from smolbot.flight.pause import Pause
+from smolbot.flight.safety.heat_store import HeatMemory
+from smolbot.flight.safety.stop_latch import Latch
+from smolbot.flight.safety.stop_signals import stop_signals
+from smolbot.runs.folder import PICTURE, RunFolder, provenance
+from smolbot.runs.outcome import draw, sum_up
+from smolbot.runs.recording.converter import Converter
+from smolbot.runs.recording.files import RunFiles
+from smolbot.runs.recording.pump import Pump, Tapes
+from smolbot.runs.recording.recorder import Recorder, begin_message, end_message
+from smolbot.runs.run import CycleRecord, Listener, Run
+from smolbot.runs.trace import Trace
+
+LEARNED = "sensors_learned.toml"
+"""File of a run folder with the sensors as the flight learned them."""
+
+
+def run(
+    mission: str | AnyMission,
+    rig: str | None = None,
+    seed: int = 0,
+    *,
+    out: str | Path | None = None,
+    gui: bool = False,
+    witness: bool = True,
+    operator: Operator | None = None,
+    report: bool = True,
+    **overrides: Any,
+) -> Run:
+    """Fly a mission, or carry out an observation; the same from a notebook as from the command line.
+
+    Parameters
+    ----------
+    mission : str or Mission
+        Shipped name, path of a mission file, or a mission that was loaded.
+    rig : str, optional
+        A rig to fly on instead of the mission's own.
+    seed : int
+        The same seed gives the same run, bit for bit.
+    out : path, optional
+        Run folder to write; none is written without it.
+    gui : bool
+        Show the simulated world in a window, where there is a display.
+    witness : bool
+        Ask the simulated world for the truth; without it, poses and commands are the same.
+    operator : Operator, optional
+        Who moves what only a hand can move; by default, whoever sits at the terminal.
+    report : bool
+        Whether to write ``report.html`` into the run folder, once nothing moves any more.
+    **overrides
+        Settings laid over the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
+
+    Returns
+    -------
+    Run
+        Status, every cycle, and the summary.
+
+    Raises
+    ------
+    ConfigError, InputError
+        For every fault of the files, before anything moves.
+    """
+    settings = {name.replace("__", "."): _spell(value) for name, value in overrides.items()}
+    if isinstance(mission, str):
+        mission = load_mission(mission, rig, settings)
+    elif rig is not None or settings:
+        raise InputError("rig and overrides belong to loading: pass the mission's name, or load it with them.")
+    folder = None if out is None else RunFolder(Path(out))
+    latch = Latch()
+    with stop_signals(latch):
+        return fly(
+            mission, seed, folder=folder, settings=settings, gui=gui, witness=witness,
+            operator=operator or TerminalOperator(), latch=latch, report=report,
+        )  # fmt: skip
+
+
+def fly(
+    mission: AnyMission,
+    seed: int = 0,
+    *,
+    folder: RunFolder | None = None,
+    settings: Mapping[str, str] | None = None,
+    gui: bool = False,
+    witness: bool = True,
+    listeners: Callable[[AnyMission], tuple[Listener, ...]] | None = None,
+    opener: Callable[[AnyMission, int], Rig] | None = None,
+    operator: Operator | None = None,
+    latch: Latch | None = None,
+    pause: Pause | None = None,
+    live: Callable[[Converter], Pump] | None = None,
+    flushed: Callable[[int], None] | None = None,
+    report: bool = False,
+) -> Run:
+    """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar.
+
+    Where there is a `folder`, the run is recorded in it; `flushed` is told of every message count that is safe there.
+    `live` makes one more hearer of all that goes into a record: a pump to a page that shows the run. The `pause` is
+    held and ended by whoever else has it.
+
+    `opener` opens another rig than the world that the rig file names, from mission and seed; for example
+    ``sim.reduced.rig.open_reduced``. `operator` is handed to the world. Whoever holds the `latch` may end the run.
+
+    With `report`, the page of the run is written into the folder once the rig is closed. One that fails costs the page
+    alone: `Run.report` says why.
+
+    An error that nobody foresaw is raised once every output is at zero and the folder is written.
+    """
+    latch = latch if latch is not None else Latch()
+    if opener is not None:
+        rig = opener(mission, seed)
+    else:
+        world = load_world(mission.rig.world, mission.rig.document)
+        place = mission.start if isinstance(mission, Observation) else mission.put_down
+        asked = operator if operator is not None else SilentOperator()
+        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=asked)
+    try:
+        latch.bind(rig.stop)
+        flight = _Flight(mission, seed, folder, settings or {}, latch, pause)
+        flown = flight.fly(rig, witness, listeners, live, flushed)
+    finally:
+        rig.close()
+    if report and folder is not None:
+        flown.report = _report(mission, folder.path)
+    return flown
+
+
+def _report(mission: AnyMission, folder: Path) -> str:
+    """Write the page of a run that is over; whatever goes wrong with it is said, and costs nothing else."""
+    from smolbot.runs.report.flight import Flight
+    from smolbot.runs.report.page import save_report
+
+    try:
+        return str(save_report(Flight.read(folder, mission)))
+    except Exception as error:
+        return f"could not be written: {type(error).__name__}: {error}"
+
+
+class _Flight:
+    """One flight on an open rig: what hears of it, and what it leaves."""
+
+    def __init__(
+        self,
+        mission: AnyMission,
+        seed: int,
+        folder: RunFolder | None,
+        settings: Mapping[str, str],
+        latch: Latch,
+        pause: Pause | None,
+    ) -> None:
+        self.mission = mission
+        self.seed = seed
+        self.folder = folder
+        self.settings = settings
+        self.latch = latch
+        self.pause = pause
+        self.drawn: dict[str, Any] = {}
+        self.trace = Trace(None)
+        self.told = 0
+        self.tapes: Tapes = Tapes(())
+
+    def fly(
+        self,
+        rig: Rig,
+        witness: bool,
+        listeners: Callable[[AnyMission], tuple[Listener, ...]] | None,
+        live: Callable[[Converter], Pump] | None,
+        flushed: Callable[[int], None] | None,
+    ) -> Run:
+        mission = self.mission
+        self.drawn = getattr(rig, "provenance", dict)()
+        self.trace = Trace(rig.witness if witness else None)
+        real = rig.witness is None  # coils of a world that tells the truth are made anew each time
+        memory = HeatMemory.of(mission.rig.name) if real else None
+        extra = listeners(mission) if listeners else ()
+        self.tapes = self._begin(live, flushed)
+        try:
+            loop = make_loop(rig, mission, (self._hear, *extra), self.latch, memory, self.tapes, self.pause)
+            gc.freeze()  # what is there by now is not looked through again while the robot waits
+            try:
+                with short_turns():
+                    loop.fly()
+            finally:
+                gc.unfreeze()
+                self._settle(loop)
+        finally:
+            self.tapes.close()
+        return loop.run
+
+    def _begin(self, live: Callable[[Converter], Pump] | None, flushed: Callable[[int], None] | None) -> Tapes:
+        """Write what the run starts from, and tell it to whoever records or shows the run."""
+        converter = Converter.of(self.mission.rig.sections.sensors, self.mission.rig.sensor_gains)
+        pumps = [] if live is None else [live(converter)]
+        if self.folder is None and not pumps:
+            return Tapes(())
+        files = RunFiles.of(self.mission)
+        where = provenance(self.seed, self.settings, self.drawn)
+        if self.folder is not None:
+            self.folder.begin(files.contents, where)
+            pumps.insert(0, Recorder(self.folder.path, converter, flushed))
+        tapes = Tapes(tuple(pumps))
+        tapes.tell("/run/begin", 0.0, begin_message(files, where, converter))
+        return tapes
+
+    def _hear(self, record: CycleRecord) -> None:
+        self.trace(record)
+        moment = self.trace.moments[-1]
+        if self.folder is not None:
+            self.folder.record(moment)
+        self.tapes.cycle(len(self.trace.moments) - 1, moment)
+        self.told = len(self.trace.moments)
+
+    def _settle(self, loop: Loop) -> None:
+        """Sum up a flight, however it ended, and complete its folder."""
+        flown, folder, trace = loop.run, self.folder, self.trace
+        if flown.status == "stopped":  # perhaps between a cycle and its record
+            for record in flown.cycles[len(trace.moments) :]:
+                trace(record)
+            if folder is not None:
+                for moment in trace.moments[folder.rows :]:
+                    folder.record(moment)
+            for number in range(self.told, len(trace.moments)):
+                self.tapes.cycle(number, trace.moments[number])
+        flown.true_trail = trace.true_positions() if trace.knows_truth else None
+        flown.folder = str(folder.path) if folder is not None else None
+        self.tapes.tell("/run/end", flown.duration, end_message(flown), wait=True)
+        self.tapes.close()
+        flown.summary = sum_up(self.mission, flown, trace, self.seed, self.drawn)
+        if folder is not None:
+            figures = self.tapes.figures()
+            flown.summary["recording"] = {**figures, "error": figures["error"] or folder.error}
+            try:
+                if loop.array_filter is not None and loop.array_filter.recordings:
+                    write_sensors(folder.path / LEARNED, learned_sensors(self.mission, loop.array_filter))
+                folder.end(flown.summary)
+                draw(self.mission, flown, trace, folder.path / PICTURE)
+            except OSError as error:
+                raise InputError(f"{folder.path}: the run's folder cannot be completed: {error}.") from error
+
+
+def new_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) -> RunFolder:
+    """A fresh run folder, named by mission, seed and local time."""
+    stem = re.sub(r"[^A-Za-z0-9_-]", "_", mission.name)
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    name = f"{stem}-{stamp}-seed{seed}"
+    path, number = base / name, 2
+    while path.exists():
+        path, number = base / f"{name}-{number}", number + 1
+    return RunFolder(path)
+
+
+def _spell(value: Any) -> str:
+    import json
+
+    return value if isinstance(value, str) else json.dumps(value)

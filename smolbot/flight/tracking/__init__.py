@@ -1,0 +1,1 @@
+"""What is believed between two shots: trackers, and filters of resonance and noise."""

@@ -1,0 +1,132 @@
+"""Trackers of devices that nobody steers: one that a hand leads, one that is measured anew from nothing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
+from smolbot.core.sensing import Device
+from smolbot.core.shots import Shot
+from smolbot.flight.tracking.tracker import AMPLITUDE_WANDER, WANDER, Oscillation, State, Tracker
+from smolbot.motion.led import Motion
+
+_P, _E, _A, _V, _W = slice(0, 3), slice(3, 6), 6, slice(7, 10), slice(10, 13)
+_SIZE = 13
+_EYE = np.eye(3)
+
+
+@dataclass(frozen=True)
+class LedState(State):
+    """With the turn rate (3,), in rad/s, world frame, whose covariance comes last."""
+
+    turning: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+
+class LedTracker(Tracker):
+    """Follows a device that something else moves: the filter of `Tracker` with a turn rate, and no windows."""
+
+    _state: LedState | None
+
+    def __init__(self, device: Device, motion: Motion) -> None:
+        super().__init__(None, device, None)
+        self._motion = motion
+
+    @property
+    def turning(self) -> FloatArray:
+        """Turn rate (3,), in rad/s, world frame."""
+        return np.zeros(3) if self._state is None else self._state.turning.copy()
+
+    def pose_at(self, time: float) -> Pose:
+        """The tracked pose carried on to `time` s at its velocity and turn rate.
+
+        Raises
+        ------
+        ValueError
+            Before the first pose.
+        """
+        if self._last is None or self._state is None:
+            raise ValueError("There is no pose yet to carry on.")
+        wait = max(time - self._state.time, 0.0)
+        state = self._carried(self._state, wait)
+        covariance = state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
+        return replace(
+            self._last, time=time, position=state.position, orientation=state.orientation, covariance=covariance
+        )
+
+    def _begin(self, pose: Pose) -> None:
+        super()._begin(pose)
+        state = self._state
+        assert state is not None
+        covariance = np.zeros((_SIZE, _SIZE))
+        covariance[:7, :7] = state.covariance[:7, :7]
+        covariance[_V, _V] = self._motion.speed**2 * _EYE
+        covariance[_W, _W] = self._motion.turn**2 * _EYE
+        self._state = LedState(state.time, state.position, state.orientation, state.amplitude, np.zeros(3), covariance)
+
+    def _predict(self, shot: Shot, time: float) -> None:
+        state = self._state
+        assert state is not None
+        wait = max(time - state.time, 0.0)
+        noise = np.zeros(_SIZE)
+        noise[:6] = WANDER**2 * wait
+        noise[_A] = AMPLITUDE_WANDER**2
+        led = self._carried(state, wait)
+        turned = rotation_error(led.orientation, state.orientation)
+        path = self._motion.spread(wait)[0] * np.repeat([self._motion.speed, self._motion.turn], 3) ** 2
+        self.motion = led.position - state.position, turned, noise[:6] + path
+        self._state = replace(led, time=time, covariance=led.covariance + np.diag(noise))
+
+    def _learn(self, change: FloatArray) -> None:
+        assert self._state is not None
+        self._state = replace(self._state, turning=self._state.turning + change[_W])
+
+    def _carried(self, state: LedState, wait: float) -> LedState:
+        """The state carried on by `wait` s at its velocity and turn rate, with what the motion adds in doubt."""
+        kept, carried = self._motion.carry(wait)
+        turned = quaternion_product(quaternion_from_rotation_vector(carried * state.turning), state.orientation)
+        path, crossed, rate = self._motion.spread(wait)
+        through, noise = np.eye(_SIZE), np.zeros((_SIZE, _SIZE))
+        for place, speed, size in ((_P, _V, self._motion.speed), (_E, _W, self._motion.turn)):
+            through[place, speed], through[speed, speed] = carried * _EYE, kept * _EYE
+            noise[place, place], noise[speed, speed] = path * size**2 * _EYE, rate * size**2 * _EYE
+            noise[place, speed] = noise[speed, place] = crossed * size**2 * _EYE
+        return replace(
+            state,
+            position=state.position + carried * state.drift,
+            orientation=turned / math.sqrt(turned @ turned),
+            drift=kept * state.drift,
+            turning=kept * state.turning,
+            covariance=through @ state.covariance @ through.T + noise,
+        )
+
+
+class Glimpse(Tracker):
+    """Stands where a tracker would when measurements are to be independent: remembers a pose for one shot.
+
+    A search ends with a pose, by which the next excitation is aimed; what that shot gives is a measurement, and
+    everything is forgotten.
+    """
+
+    def __init__(self, device: Device) -> None:
+        super().__init__(None, device, None)
+        self.measured = 0
+
+    def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
+        """Keep the pose of a search; after a measurement, forget it. A measurement without a trusted pose is a miss."""
+        if self._state is None:
+            misses = self.misses
+            found = super().update(shot, pose, swing)
+            self.misses = misses if found is not None else self.misses  # a search alone is no success
+            return found
+        self._state = self._last = None
+        if pose is None or not pose.trusted:
+            self.misses += 1
+            return None
+        self.misses = 0
+        self.measured += 1
+        return pose

@@ -1,0 +1,83 @@
+"""Follows resonance and damping of the device while the mission runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Device
+
+START = np.array([0.3, 3.0])
+"""How far frequency (Hz) and damping (1/s) may be off at the start."""
+
+WANDER = np.array([0.01, 0.15])
+"""How far they may change in the square root of a second: temperature, liquid, fields."""
+
+FLOOR = np.array([0.05, 0.5])
+"""What a model that is slightly off leaves in every single estimate."""
+
+WORTHWHILE = np.array([0.08, 0.06])
+"""Change of frequency (Hz) and relative change of damping from which a new device is worth its making."""
+
+SURE = 4.0
+"""Standard deviations that a change must stand out by."""
+
+
+class Resonance:
+    """A Kalman filter on the differences of frequency and damping from the device that is believed in.
+
+    Every recording says a little of both, along with its pose. When enough has come together, the
+    device is replaced by one that has learned.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._off = np.zeros(2)
+        self._covariance = np.diag(START**2)
+        self._time: float | None = None
+
+    @property
+    def off(self) -> FloatArray:
+        """Difference of frequency (Hz) and damping (1/s) from the device's, as believed."""
+        return self._off.copy()
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations of `off`."""
+        return np.sqrt(np.diag(self._covariance))
+
+    def update(self, time: float, seen: FloatArray, covariance: FloatArray) -> Device | None:
+        """Take in what one recording at `time` s says; return a new device if the old one should be replaced.
+
+        Parameters
+        ----------
+        seen : ndarray, shape (2,)
+            Difference of frequency (Hz) and damping (1/s) from the device's.
+        covariance : ndarray, shape (2, 2)
+        """
+        if not np.isfinite(covariance).all():
+            return None
+        if self._time is not None:
+            self._covariance = self._covariance + np.diag(WANDER**2 * max(time - self._time, 0.0))
+        self._time = time
+        total = self._covariance + covariance + np.diag(FLOOR**2)
+        innovation = seen - self._off
+        inverse = np.linalg.inv(total)
+        if innovation @ inverse @ innovation > 25.0:
+            return None
+        gain = self._covariance @ inverse
+        self._off = self._off + gain @ innovation
+        self._covariance = (np.eye(2) - gain) @ self._covariance
+        worthwhile = np.array([WORTHWHILE[0], WORTHWHILE[1] * max(self.device.damping, 1.0)])
+        sure = (np.abs(self._off) > worthwhile) & (np.abs(self._off) > SURE * self.sigma)
+        if not sure.any():
+            return None
+        self.device = replace(
+            self.device,
+            frequency=self.device.frequency + float(self._off[0]),
+            damping=max(self.device.damping + float(self._off[1]), 0.0),
+        )
+        self._off = np.zeros(2)
+        return self.device

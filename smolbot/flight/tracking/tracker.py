@@ -1,0 +1,339 @@
+"""Tracks the robot: fuses poses with the motion that the windows should have caused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from lookup_tables.errors import OutsideTableError
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import (
+    matrix_from_quaternion,
+    nearer_twin,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rotation_error,
+)
+from smolbot.core.sensing import Device
+from smolbot.core.shots import Actuate, Rotate, Shot
+from smolbot.flight.tracking.kalman import carried_on, corrected
+from smolbot.motion.gradient import advance, stray_turn
+from smolbot.motion.helix import Helix
+from smolbot.motion.robot import Robot
+
+if TYPE_CHECKING:
+    from lookup_tables import FieldTable
+GATE = 33.1
+"""Squared Mahalanobis distance beyond which a pose is an outlier: chi-square of 6 degrees at 1e-5."""
+
+MOTION_ERROR = 0.3
+"""Share of a believed motion that is taken as its standard deviation: drag, gain, alignment."""
+
+MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
+"""What sensors slightly out of place leave in every pose, per axis (m, rad, share of the amplitude)."""
+
+WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
+"""Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
+
+SCREWED = np.array([0.35, 0.1, 0.1])
+"""Standard deviation of a believed advance, as shares of it, along, across and above the axis: step-out, drift."""
+
+RESEATED = 1e-3
+"""How far a helix may screw on or back while the magnet comes and goes (m): half a pitch."""
+
+STRAYED = np.array([np.radians(180.0), np.radians(6.0), np.radians(5.0), 0.3])
+"""After turns of a helix (rad): its roll is anything; its axis has strayed up or down, aside, and by this share of what
+it should have turned."""
+
+VAGUE = 0.6
+"""An orientation less sure than this (rad) is no start for a fit."""
+
+AMPLITUDE_WANDER = 0.02
+"""Share by which the amplitude of the drive varies from one shot to the next."""
+
+DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
+"""Steady drift that is thought likely (m/s), and how fast it may change (m/s per square root of a second)."""
+
+_P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
+_SIZE = 10
+_MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
+
+
+@dataclass(frozen=True)
+class State:
+    """What is believed at one time, in SI; covariance of (position, rotation e, amplitude, drift)."""
+
+    time: float
+    position: FloatArray
+    orientation: FloatArray
+    amplitude: float
+    drift: FloatArray
+    covariance: FloatArray
+
+
+class Oscillation(Protocol):
+    """What a recording says of the swing: amplitude in rad, and covariance (7, 7) of (position, rotation e, amplitude).
+
+    That of a fit (`localizer.Swing`), or of a world that skips the signals.
+    """
+
+    @property
+    def amplitude(self) -> float: ...
+
+    @property
+    def covariance(self) -> FloatArray: ...
+
+
+class Tracker:
+    """A Kalman filter on position, orientation, amplitude of the swing, and drift.
+
+    Prediction moves the believed pose through a shot's windows by the controller's motion model.
+    Correction weighs a pose by its covariance, scaled by how surprising poses have been of late,
+    since a fit cannot see mains noise in its own residuals. Outliers are gated; when several in a
+    row agree with each other, they are believed and the track begins anew.
+
+    Parameters
+    ----------
+    robot : Robot, Helix or None
+        A helix rests in its gel, and moves in mechanical shots only.
+    device : Device
+    table : FieldTable or None
+        Field of the actuation coils; without one, or without a robot, windows are taken to cause no motion.
+
+    Attributes
+    ----------
+    motion : tuple of ndarray, or None
+        What the last shot is thought to have caused: step (3,) in m, turn (3,) in rad, and their variances (6,).
+    """
+
+    def __init__(self, robot: Robot | Helix | None, device: Device, table: FieldTable | None) -> None:
+        self._robot = robot
+        self._device = device
+        self._table = table
+        self._state: State | None = None
+        self._candidate: Pose | None = None
+        self._accepted = 0
+        self._surprise = 1.0
+        self._embedded = isinstance(robot, Helix)
+        self._last: Pose | None = None
+        self.motion: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self.misses = 0
+
+    @property
+    def pose(self) -> Pose | None:
+        """The tracked pose as of the last update; None before the first."""
+        return self._last
+
+    @property
+    def vague(self) -> bool:
+        """True where the orientation is too unsure to start a fit from: a helix that was turned has lost its roll."""
+        if self._state is None or not self._embedded:
+            return False
+        return bool(np.max(np.diag(self._state.covariance)[_E]) > VAGUE**2)
+
+    @property
+    def confirmed(self) -> bool:
+        """True once two poses have agreed."""
+        return self._accepted >= 2
+
+    @property
+    def amplitude(self) -> tuple[float, float] | None:
+        """Amplitude at the end of a drive and its standard deviation, in rad; None before it was heard."""
+        if self._state is None or not np.isfinite(self._state.amplitude):
+            return None
+        top = self._device.theta_max
+        return self._state.amplitude * top, math.sqrt(self._state.covariance[_A, _A]) * top
+
+    @property
+    def drift(self) -> FloatArray:
+        """Steady motion (3,), in m/s, that no window explains."""
+        return np.zeros(3) if self._state is None else self._state.drift.copy()
+
+    def pose_at(self, time: float) -> Pose:
+        """The tracked pose carried on to `time` s, with nothing driven in between.
+
+        Raises
+        ------
+        ValueError
+            Before the first pose.
+        """
+        if self._last is None or self._state is None:
+            raise ValueError("There is no pose yet to carry on.")
+        wait = max(time - self._state.time, 0.0)
+        covariance = self._state.covariance[:6, :6] + np.diag(WANDER**2 * wait * (not self._embedded))
+        position = self._state.position + wait * self._state.drift
+        return replace(self._last, time=time, position=position, covariance=covariance)
+
+    def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
+        """Predict through a shot, then correct by the pose that it gave, if any.
+
+        Parameters
+        ----------
+        swing : Oscillation, optional
+            What was learned of the oscillation along with the pose; its amplitude is correlated with the height.
+
+        Returns
+        -------
+        Pose or None
+            The tracked pose at the pose's time (or the shot's end), None before the first pose.
+            A shot that does not listen moves the robot, but is no miss.
+        """
+        if shot.listen is None:
+            if self._state is not None and self._last is not None:
+                self._predict(shot, shot.end)
+                self._publish(self._last, self._last.trusted)
+            return self._last
+        if self._state is None:
+            if pose is not None and pose.trusted:
+                self._begin(pose)
+            else:
+                self.misses += 1
+            return self._last
+        self._predict(shot, shot.end if pose is None else pose.time)
+        if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
+            nearer = nearer_twin(pose.orientation, self._state.orientation)
+            pose = pose if nearer is pose.orientation else replace(pose, orientation=nearer)
+        believed = pose is not None and pose.trusted and self._correct(pose, swing)
+        if believed:
+            self.misses = 0
+            self._accepted += 1
+            self._candidate = None
+        else:
+            self.misses += 1
+            if pose is not None and pose.trusted:
+                self._consider(pose)
+        return self._publish(pose, believed)
+
+    def _begin(self, pose: Pose) -> None:
+        covariance = np.zeros((_SIZE, _SIZE))
+        covariance[:6, :6] = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
+        covariance[_A, _A] = 0.3**2
+        covariance[_V, _V] = DRIFT_START**2 * np.eye(3) * (not self._embedded)
+        place = np.array(pose.position), np.array(pose.orientation)
+        self._state = State(pose.time, *place, 0.75, np.zeros(3), covariance)
+        self._accepted, self.misses, self._candidate = 1, 0, None
+        self._publish(pose, True)
+
+    def _consider(self, pose: Pose) -> None:
+        """Begin anew where two gated poses in a row agree with each other."""
+        other = self._candidate
+        self._candidate = pose
+        if other is None or self.misses < 3:
+            return
+        orientation = pose.orientation
+        if self._device.along_cantilever:
+            orientation = nearer_twin(orientation, other.orientation)
+        near = np.linalg.norm(pose.position - other.position) < 2e-3
+        if near and np.dot(orientation, other.orientation) ** 2 > 0.95:
+            self._begin(pose)
+
+    def _predict(self, shot: Shot, time: float) -> None:
+        state = self._state
+        assert state is not None
+        wait = max(time - state.time, 0.0)
+        position, orientation = state.position + wait * state.drift, state.orientation
+        noise = np.zeros(_SIZE)
+        noise[_A] = AMPLITUDE_WANDER**2
+        if isinstance(self._robot, Helix):
+            self._screw(self._robot, shot, time, noise)
+            return
+        noise[:6] = WANDER**2 * wait
+        noise[_V] = DRIFT_WANDER**2 * wait
+        for window in shot.windows:
+            if not isinstance(window, Actuate) or not any(window.currents):
+                continue
+            if self._table is None or self._robot is None:
+                continue
+            try:
+                field, gradient = self._table.field_and_gradient(position[None, :])
+            except OutsideTableError:
+                continue
+            ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
+            heading = math.atan2(ahead[1], ahead[0])
+            currents = np.array(window.currents)
+            step, after = advance(self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration)
+            turn = after - heading
+            position[:2] += step
+            orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
+            noise[:2] += MOTION_ERROR**2 * (step[0] * step[0] + step[1] * step[1])
+            noise[5] += (MOTION_ERROR * turn) ** 2
+            noise[5] += stray_turn(
+                self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration, state.covariance[5, 5]
+            )
+        self.motion = position - state.position, rotation_error(orientation, state.orientation), noise[:6].copy()
+        covariance = carried_on(state.covariance, wait, noise)
+        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
+
+    def _screw(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
+        """Predict a helix through a shot: it rests, unless the magnet turns."""
+        state = self._state
+        assert state is not None
+        covariance = state.covariance.copy()
+        position, orientation = state.position, state.orientation
+        if any(isinstance(window, Rotate) for window in shot.windows):
+            position, orientation, turns, turned = helix.carry(shot.windows, position, orientation)
+            frame = matrix_from_quaternion(orientation)
+            ahead = frame[:, 2]
+            left = np.array([-ahead[1], ahead[0], 0.0]) / math.hypot(ahead[0], ahead[1])
+            axes = np.column_stack([ahead, left, np.cross(ahead, left)])
+            places = SCREWED * turns * helix.advance
+            places[0] = math.hypot(places[0], RESEATED)
+            turning = np.array([STRAYED[0], STRAYED[1], math.hypot(STRAYED[2], STRAYED[3] * turned)])
+            covariance[_P, _P] += axes @ np.diag(places**2) @ axes.T
+            covariance[_E, _E] += axes @ np.diag(turning**2) @ axes.T
+        covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
+        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
+
+    def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
+        state = self._state
+        assert state is not None
+        turned = rotation_error(pose.orientation, state.orientation)
+        innovation = np.empty(6 if swing is None else 7)
+        innovation[_P], innovation[_E] = pose.position - state.position, turned
+        if swing is None:
+            heard = self._surprise * pose.covariance + _MODEL_FLOOR[:6, :6]
+        else:
+            top = self._device.theta_max
+            innovation[_A] = swing.amplitude / top - state.amplitude
+            heard = self._surprise * swing.covariance
+            heard[_A] /= top
+            heard[:, _A] /= top
+            heard += _MODEL_FLOOR
+        m = len(innovation)
+        distance, change, covariance = corrected(state.covariance, heard, innovation)
+        if not distance <= GATE + 2.0 * (m - 6):
+            return False
+        surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
+        self._surprise = min(max(surprise, 1.0), 25.0)
+        orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
+        self._state = replace(
+            state,
+            position=state.position + change[_P],
+            orientation=orientation / math.sqrt(orientation @ orientation),
+            amplitude=state.amplitude + float(change[_A]),
+            drift=state.drift + change[_V],
+            covariance=covariance,
+        )
+        self._learn(change)
+        return True
+
+    def _learn(self, change: FloatArray) -> None:
+        """What a correction says of more than a resting robot's state; nothing here."""
+
+    def _publish(self, pose: Pose | None, believed: bool) -> Pose:
+        state = self._state
+        assert state is not None
+        self._last = Pose(
+            time=state.time,
+            position=state.position,
+            orientation=state.orientation,
+            covariance=state.covariance[:6, :6],
+            r_squared=pose.r_squared if pose is not None else 0.0,
+            flip_margin=pose.flip_margin if pose is not None else 1.0,
+            trusted=believed,
+        )
+        return self._last

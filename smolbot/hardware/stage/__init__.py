@@ -1,5 +1,0 @@
-"""Driver of the magnet stage: an Arduino Uno behind a serial port. See ``docs/magnet-stage.md``."""
-
-from smolbot.hardware.stage.stage import MagnetStage
-
-__all__ = ["MagnetStage"]

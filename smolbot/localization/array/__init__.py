@@ -1,0 +1,1 @@
+"""The sensors themselves as unknowns of a fit."""

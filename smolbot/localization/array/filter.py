@@ -1,0 +1,246 @@
+"""Learns where the sensors stand while a robot flies: pose and sensors in one filter.
+
+Sensors slightly off bend every pose, and no averaging mends that. But ten sensors hear more than a pose needs, and a
+robot cannot have jumped when it has only turned: over a hundred poses both tell the sensors apart from the robot.
+Since a believed pose is itself bent by the sensors, it must not be counted as something known. So the filter
+carries the pose, with what the robot is thought to have moved, and the sensors together, and what either owes to
+the other stands in the covariance between them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray, frozen
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
+from smolbot.core.sensing import Device, SensorArray
+from smolbot.errors import InputError
+from smolbot.localization.array.fit import across
+from smolbot.localization.array.terms import OF_DEVICE, PER_SENSOR, ArrayTerms
+
+TAKEN_IN_EVERY = 10
+"""Recordings after which what they say of the sensors is taken in, all at once: it costs as much as for one."""
+
+WORTHWHILE = 1.5e-5
+"""Change of a pose, in m, from which a new array is worth its making."""
+
+AMPLITUDE_WANDER = 0.02
+"""Share by which the amplitude of the drive varies from one shot to the next."""
+
+SURE = 4.0
+"""Standard deviations by which chi-square must exceed what noise makes of it before sensors are believed to be off.
+
+Sensors that stand as they should would else be moved by the noise of what was learned."""
+
+VAGUE = np.array([3e-3] * 3 + [0.3] * 3 + [0.3])
+"""Standard deviations that a track begins with: m, rad, share of the amplitude."""
+
+GATE = 60.0
+"""Squared Mahalanobis distance of a pose (7 degrees of freedom) beyond which it is left out."""
+
+PATIENCE = 3
+"""Poses left out in a row after which the track begins anew; what was learned of the sensors stays."""
+
+_POSE = 7
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayBelief:
+    """An array and a device, and how far from them the true ones may be.
+
+    Attributes
+    ----------
+    sensors, device : SensorArray, Device
+        As they are believed to be before anything is learned.
+    covariance : ndarray, shape (PER_SENSOR * n + OF_DEVICE, PER_SENSOR * n + OF_DEVICE)
+        Of the deviations: for each sensor ln gain, two tilts (rad) and place (m); then ln moment, and l0 (m).
+    frames : ndarray, shape (n, 2, 3)
+        Directions of the tilts; across each axis.
+    """
+
+    sensors: SensorArray
+    device: Device
+    covariance: FloatArray
+    frames: FloatArray
+
+    def __post_init__(self) -> None:
+        n = PER_SENSOR * len(self.sensors) + OF_DEVICE
+        if self.covariance.shape != (n, n):
+            raise InputError(f"ArrayBelief covariance must have shape ({n}, {n}); got {self.covariance.shape}.")
+
+    def array(self, deviations: FloatArray) -> SensorArray:
+        """The array whose sensors deviate by so much from the believed one."""
+        by_sensor, s = deviations[:-OF_DEVICE].reshape(-1, PER_SENSOR), self.sensors
+        gains = np.exp(by_sensor[:, 0]) * (1.0 if s.gains is None else s.gains)
+        axes = s.axes + np.einsum("nj,njk->nk", by_sensor[:, 1:3], self.frames)
+        return SensorArray(s.positions + by_sensor[:, 3:], axes, s.bandwidth, gains)
+
+    def moment_and_l0(self, deviations: FloatArray) -> tuple[float, float]:
+        """Moment in A·m² and l0 in m of a device that deviates by so much."""
+        moment, l0 = self.device.moment * np.exp(deviations[-2]), self.device.l0 + deviations[-1]
+        return float(moment), max(float(l0), 0.0)
+
+
+def tilt_frames(sensors: SensorArray) -> FloatArray:
+    """Directions of each sensor's tilts, shape (n, 2, 3)."""
+    return frozen(np.stack([across(axis) for axis in sensors.axes]))
+
+
+class ArrayFilter:
+    """A Kalman filter on position, orientation and amplitude of a device, and on the deviations of sensors and device.
+
+    Feed it what the robot is thought to have moved before every recording (`moved`), then the recording's terms
+    (`update`). When enough was learned, `update` says so: believe `sensors`, `moment`
+    and `l0` from then on; terms that come later must be of fits with those.
+
+    Attributes
+    ----------
+    belief : ArrayBelief
+    deviations : ndarray, shape (n,)
+        Of sensors and device, as learned.
+    sensors, moment, l0 : SensorArray, float in A·m², float in m
+        To be believed, as of the last `update` that said so.
+    recordings : int
+        From which it was learned.
+    """
+
+    def __init__(self, belief: ArrayBelief) -> None:
+        n = len(belief.covariance)
+        self.belief = belief
+        self.deviations = np.zeros(n)
+        self.sensors, self.moment, self.l0 = belief.sensors, belief.device.moment, belief.device.l0
+        self.recordings = 0
+        self._applied = np.zeros(n)
+        self._told = False
+        self._covariance = np.zeros((_POSE + n, _POSE + n))
+        self._covariance[_POSE:, _POSE:] = belief.covariance
+        self._position: FloatArray | None = None
+        self._orientation = np.array([1.0, 0.0, 0.0, 0.0])
+        self._amplitude = 0.0
+        self._left_out = 0
+        self._information, self._right, self._waiting = np.zeros((n, n)), np.zeros(n), 0
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the deviations that are left, shape (n, n)."""
+        return self._covariance[_POSE:, _POSE:].copy()
+
+    def moved(self, step: FloatArray, turn: FloatArray, variance: FloatArray) -> None:
+        """The robot moved by `step` (3,) in m and turned by `turn` (3,) in rad, with `variance` (6,)."""
+        if self._position is None:
+            return
+        self._position = self._position + step
+        self._orientation = quaternion_product(quaternion_from_rotation_vector(turn), self._orientation)
+        index = np.arange(6)
+        self._covariance[index, index] += variance
+
+    def update(self, pose: Pose, terms: ArrayTerms) -> bool:
+        """Take in one recording; say whether the localizer's array and device should be replaced.
+
+        Parameters
+        ----------
+        pose : Pose
+            As the fit found it, the twin decided.
+        terms : ArrayTerms
+            Of the same fit.
+        """
+        if self._position is None:
+            self._begin(pose, terms)
+        self._covariance[6, 6] += (AMPLITUDE_WANDER * self._amplitude) ** 2
+        if not self._correct(pose, terms):
+            self._left_out += 1
+            if self._left_out <= PATIENCE:
+                return False
+            self._begin(pose, terms)
+            self._correct(pose, terms)
+        self._left_out = 0
+        self.recordings += 1
+        self._information += terms.information
+        self._right += terms.right + terms.information @ self._applied
+        self._waiting += 1
+        if self._waiting < TAKEN_IN_EVERY:
+            return False
+        self._take_in()
+        self._told = self._told or surprising(self.deviations, self.covariance, self.belief.covariance)
+        if not self._told:
+            return False
+        change = terms.lean[:3] @ (self.deviations - self._applied)
+        if not float(np.linalg.norm(change)) > WORTHWHILE:
+            return False
+        self._applied = self.deviations.copy()
+        self.sensors = self.belief.array(self._applied)
+        self.moment, self.l0 = self.belief.moment_and_l0(self._applied)
+        return True
+
+    def _begin(self, pose: Pose, terms: ArrayTerms) -> None:
+        self._position, self._orientation = np.array(pose.position), np.array(pose.orientation)
+        self._amplitude = terms.amplitude
+        self._covariance[:_POSE] = 0.0
+        self._covariance[:, :_POSE] = 0.0
+        spread = VAGUE.copy()
+        spread[6] *= self._amplitude
+        self._covariance[np.arange(_POSE), np.arange(_POSE)] = spread**2
+        self._left_out = 0
+
+    def _correct(self, pose: Pose, terms: ArrayTerms) -> bool:
+        """Take in a pose; false, and nothing done, where it does not fit."""
+        assert self._position is not None
+        off = self.deviations - self._applied
+        innovation = terms.pose + terms.lean @ off
+        innovation[:3] += pose.position - self._position
+        innovation[3:6] += rotation_error(pose.orientation, self._orientation)
+        innovation[6] += terms.amplitude - self._amplitude
+        # found = true - lean q: the measurement's matrix is (1, -lean)
+        cross = self._covariance[:, :_POSE] - self._covariance[:, _POSE:] @ terms.lean.T
+        total = cross[:_POSE] - terms.lean @ cross[_POSE:] + terms.covariance
+        gain = np.linalg.solve(total, cross.T).T
+        if not float(innovation @ np.linalg.solve(total, innovation)) < GATE:
+            return False
+        self._shift(gain @ innovation)
+        self._covariance -= gain @ cross.T
+        return True
+
+    def _take_in(self) -> None:
+        """What no pose could explain in the recordings since the last time."""
+        information, right = self._information, self._right
+        n = len(right)
+        toward = self._covariance[:, _POSE:]
+        own = toward[_POSE:]
+        change = np.linalg.solve(np.eye(n) + information @ own, information @ toward.T)
+        self._covariance -= toward @ change
+        self._covariance = 0.5 * (self._covariance + self._covariance.T)
+        self._shift(self._covariance[:, _POSE:] @ (right - information @ self.deviations))
+        self._information[:] = 0.0
+        self._right[:] = 0.0
+        self._waiting = 0
+
+    def _shift(self, change: FloatArray) -> None:
+        assert self._position is not None
+        self._position = self._position + change[:3]
+        self._orientation = quaternion_product(quaternion_from_rotation_vector(change[3:6]), self._orientation)
+        self._orientation /= np.linalg.norm(self._orientation)
+        self._amplitude += float(change[6])
+        self.deviations = self.deviations + change[_POSE:]
+
+
+def surprising(deviations: FloatArray, covariance: FloatArray, prior: FloatArray) -> bool:
+    """Whether learned deviations (n,) are more than noise, where truly none are there.
+
+    Looked at are the directions of which more is known by now (`covariance`, (n, n)) than was before (`prior`): there
+    a true zero would be learned with a variance of v (1 - v), v being what is left of a prior variance of one.
+    """
+    own = np.sqrt(np.diag(prior))
+    free = own > 0.0
+    scale = own[free]
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(scale, scale))
+    known = (values < 0.5) & (values > 0.0)
+    count = int(known.sum())
+    if count == 0:
+        return False
+    seen = vectors[:, known].T @ (deviations[free] / scale)
+    square = float(np.sum(seen**2 / (values[known] * (1.0 - values[known]))))
+    return square > count + SURE * math.sqrt(2.0 * count)

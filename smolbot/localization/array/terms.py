@@ -1,0 +1,232 @@
+"""What one recording says of sensors and device, beside the pose that was found in it.
+
+A recording holds more numbers than a pose has. Near a finished fit its data are
+
+    d = s(x_fit) + J (x - x_fit) + T q + V w + n,
+
+x pose, phase and amplitude, q the deviations of sensors and device from what was believed of them, w what else may be
+off, namely how the device turned while it was listened to, and its resonance; n is white. Seen from x, q shifts what a
+fit finds by -L q; in the directions that no pose can explain, it shows by itself. Both parts are uncorrelated, and are
+handed on apart.
+"""
+
+# mypy: disable-error-code="no-untyped-call,no-untyped-def"
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from smolbot.core.arrays import FloatArray
+from smolbot.localization import kernels as compiled
+from smolbot.localization.problem import Fit, Problem
+
+_kernels: Any = compiled
+
+PER_SENSOR = 6
+"""Deviations of a sensor: ln gain, two tilts (rad), three coordinates (m)."""
+
+OF_DEVICE = 2
+"""Deviations of the device, which come after those of all sensors: ln moment, l0 (m)."""
+
+_STEP = 1e-6  # m: of the difference quotient for l0
+
+TURNING = 2e-3
+"""How far a device turns while it is listened to, one standard deviation, in rad: 0.2 rad/s for ten milliseconds.
+
+It swings no more than its static field changes by that; left out, it would be taken for the sensors'."""
+
+OFF_RESONANCE = (0.08, 0.06)
+"""How far frequency (Hz) and damping (relative) may be off without being learned anew, one standard deviation; see
+`smolbot.flight.tracking.resonance_filter`."""
+
+MAX_MISFIT = 3.0
+"""Variance of what is left, above which something else than sensors is heard."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayTerms:
+    """Of one recording; the pose vector is (position in m, rotation e in rad, amplitude as a share of the reference).
+
+    Attributes
+    ----------
+    pose : ndarray, shape (7,)
+        From the fit's pose to the one found with the device's turning left free.
+    covariance : ndarray, shape (7, 7)
+        Of that pose, for sensors as they are believed.
+    lean : ndarray, shape (7, n)
+        How the pose that is found moves with the sensors' deviations q (n,), negated: true = found + lean q.
+    information : ndarray, shape (n, n)
+    right : ndarray, shape (n,)
+        Of the deviations, from what no pose explains: they seem to be information^-1 right.
+    amplitude : float
+        Of the fit.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    lean: FloatArray
+    information: FloatArray
+    right: FloatArray
+    amplitude: float
+
+
+def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | None:
+    """Terms of a finished whitened fit; None where they cannot be had, or something else is heard.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (n_sensors, 2, 3)
+        Directions of each sensor's tilts; rows of sensors that took no part are left at zero.
+    """
+    model = problem.model
+    matrix, labels, positions, axes, moment, l0, angles, powers = model.constants
+    n, size = len(positions), angles.shape[0]
+    values, slopes, spare = np.empty((4, n, size)), np.empty((n, size, 6)), np.empty((n, size, 6))
+    place = (fit.position, fit.rotation)
+    _kernels.series(positions, axes, moment, l0, angles, powers, *place, values[0], slopes)
+    for k in range(3):
+        along = np.zeros((n, 3))
+        along[:, k] = 1.0
+        _kernels.series(positions, along, moment, l0, angles, powers, *place, values[1 + k], spare)
+    out, jacobian = model.response(*place, fit.phase, fit.amplitude)
+    rows = sensor_slopes(matrix, labels, values, slopes, frames[model.used], float(fit.phase), float(fit.amplitude))
+    longer = np.zeros_like(out)
+    _kernels.model(
+        matrix, labels, positions, axes, moment, l0 + _STEP, angles, powers, *place, fit.phase, fit.amplitude, longer,
+        np.zeros((compiled.N_PARAMETERS, len(out))),
+    )  # fmt: skip
+    turning = TURNING * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of a device at rest
+    spread = OFF_RESONANCE[0], OFF_RESONANCE[1] * model.device.damping
+    retuned = np.stack(
+        [
+            size * model.response(*place, fit.phase, fit.amplitude, slope)[0]
+            for size, slope in zip(spread, model.slopes, strict=True)
+        ]
+    )
+    found, step, covariance, lean, information, right, left = separated(
+        np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _STEP]),
+        np.concatenate([turning, retuned]),
+        problem.data - out,
+    )
+    freedom = max(len(out) - compiled.N_PARAMETERS, 1)
+    misfit = left / freedom
+    if not found or misfit > MAX_MISFIT:
+        return None
+    doubt = misfit if misfit > 1.0 + 4.0 * math.sqrt(2.0 / freedom) else 1.0  # as a pose is doubted
+    if n < len(model.used):
+        kept = np.concatenate([np.repeat(model.used, PER_SENSOR), np.ones(OF_DEVICE, dtype=np.bool_)])
+        count = len(kept)
+        wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
+        wide_lean[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = lean, right, information
+        lean, right, information = wide_lean, wide_right, wide
+    return ArrayTerms(step, doubt * covariance, lean, information / doubt, right / doubt, fit.amplitude)
+
+
+@njit(cache=True, fastmath=True)
+def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
+    """Change of the data vector per deviation of each sensor, shape (PER_SENSOR * n_channels, n_out).
+
+    `values` (4, n_channels, K): the power series along each sensor's axis, and along x, y and z; `slopes` (n_channels,
+    K, 6) its derivatives for the device's place, which are those for the sensor's place with the other sign.
+    """
+    n_functions, n, n_out = matrix.shape
+    out = np.zeros((PER_SENSOR * n, n_out))
+    wave = np.empty(n_out)
+    for j in range(n):
+        first = 0
+        size = 1.0
+        power = 0
+        while first < n_functions:
+            k = labels[first, 0]
+            while power < k:
+                size *= amplitude
+                power += 1
+            last = first
+            wave[:] = 0.0
+            while last < n_functions and labels[last, 0] == k:
+                h = labels[last, 1]
+                c = np.cos(h * phase) if labels[last, 2] == 0 else -np.sin(h * phase)
+                for i in range(n_out):
+                    wave[i] += c * size * matrix[last, j, i]
+                last += 1
+            tilt = np.zeros(2)
+            for q in range(2):
+                for axis in range(3):
+                    tilt[q] += frames[j, q, axis] * values[1 + axis, j, k]
+            v, s0, s1, s2 = values[0, j, k], slopes[j, k, 0], slopes[j, k, 1], slopes[j, k, 2]
+            at = PER_SENSOR * j
+            for i in range(n_out):
+                w = wave[i]
+                out[at, i] += v * w
+                out[at + 1, i] += tilt[0] * w
+                out[at + 2, i] += tilt[1] * w
+                out[at + 3, i] -= s0 * w
+                out[at + 4, i] -= s1 * w
+                out[at + 5, i] -= s2 * w
+            first = last
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def products(a, b):
+    """Inner products (n, m) of the rows of `a` (n, k) with those of `b` (m, k)."""
+    out = np.empty((a.shape[0], b.shape[0]))
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
+            total = 0.0
+            for k in range(a.shape[1]):
+                total += a[i, k] * b[j, k]
+            out[i, j] = total
+    return out
+
+
+@njit(cache=True)
+def separated(rows, strays, residual):
+    """Pose and sensors told apart in one recording's data.
+
+    `rows` (8 + m, n_out): the data's change per pose, phase and amplitude, then per deviation. `strays` (k, n_out) are
+    heard as noise, each of unit size. Returns whether it could be done, the step of the pose (7,) and its covariance,
+    the lean (7, m), information and right of the deviations, and the squared residual that is left of the data.
+    """
+    m = rows.shape[0] - 8
+    data = residual.reshape(1, -1)
+    inner = np.linalg.inv(np.eye(strays.shape[0]) + products(strays, strays))
+    across = products(rows, strays) @ inner
+    rest = rows - across @ strays  # C^-1 times the rows, C = 1 + strays^T strays
+    normal = products(rows, rest)
+    right = products(rest, data)[:, 0].copy()
+    heard = products(strays, data)[:, 0].copy()
+    square = products(data, data)[0, 0] - heard @ inner @ heard
+    pose = np.zeros(7)
+    scale = np.zeros(8)
+    for a in range(8):
+        scale[a] = 1.0 / np.sqrt(max(normal[a, a], 1e-300))
+    scaled = np.empty((8, 8))
+    for a in range(8):
+        for b in range(8):
+            scaled[a, b] = normal[a, b] * scale[a] * scale[b]
+    values = np.linalg.eigvalsh(scaled)
+    lean = np.zeros((7, m))
+    covariance = np.zeros((7, 7))
+    if values[0] < 1e-10:
+        return False, pose, covariance, lean, normal[8:, 8:].copy(), right[8:].copy(), square
+    whole = np.linalg.inv(scaled)
+    for a in range(8):
+        for b in range(8):
+            whole[a, b] *= scale[a] * scale[b]
+    step = whole @ right[:8]
+    mixed = np.ascontiguousarray(normal[:8, 8:])
+    shift = whole @ mixed  # (8, m)
+    kept = np.array([0, 1, 2, 3, 4, 5, 7])
+    for a in range(7):
+        pose[a] = step[kept[a]]
+        for b in range(7):
+            covariance[a, b] = whole[kept[a], kept[b]]
+        for i in range(m):
+            lean[a, i] = -shift[kept[a], i]
+    information = normal[8:, 8:] - mixed.T @ shift
+    return True, pose, covariance, lean, information, right[8:] - mixed.T @ step, square - right[:8] @ step

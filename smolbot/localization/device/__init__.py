@@ -1,0 +1,1 @@
+"""The oscillation measured for its own sake."""

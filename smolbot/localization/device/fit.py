@@ -1,0 +1,190 @@
+"""A device fitted with the full model (Eqs. S2 to S8): pose, amplitude, frequency and damping together.
+
+The height may be held fixed: since B ~ theta / z³, one of amplitude and height must be known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.sensing import Device, Recording, SensorArray
+from smolbot.localization.device.least_squares import minimised
+from smolbot.localization.device.thinning import BLOCK_NOISE, POWERS, Hum, Thinned, thin
+from smolbot.localization.forward import sensor_field
+
+REFERENCE = float(np.radians(30.0))
+"""Deflection, in rad, by which powers are scaled."""
+
+
+@dataclass(frozen=True)
+class DeviceFit:
+    """One recording fitted with the full model.
+
+    Attributes
+    ----------
+    device : Device
+        With the frequency and damping that were fitted; theta_max is as given.
+    position : ndarray, shape (3,), in m
+    orientation : ndarray, shape (4,)
+    amplitude : float, in rad
+        Deflection at the end of the drive.
+    phase : float, in rad
+    std : dict
+        Standard deviations of ``frequency`` (Hz), ``damping`` (1/s), ``amplitude`` (rad), from the residual.
+    sse : float, in T²
+    n_data : int
+    r_squared : float
+        Of the thinned data.
+    """
+
+    device: Device
+    position: FloatArray
+    orientation: FloatArray
+    amplitude: float
+    phase: float
+    std: Mapping[str, float]
+    sse: float
+    n_data: int
+    r_squared: float
+
+
+def power_coefficients(
+    sensors: SensorArray, device: Device, position: FloatArray, orientation: FloatArray
+) -> FloatArray:
+    """Field along each sensor's axis as a power series of theta / `REFERENCE`.
+
+    Returns
+    -------
+    ndarray, shape (n_sensors, POWERS), in T
+        Of the powers 1 to `POWERS`; the constant is not observable. Exact to 1e-6 of the signal within 40 degrees.
+    """
+    nodes, inverse = _series()
+    values = sensor_field(sensors, device, position, orientation, nodes * REFERENCE)
+    coefficients: FloatArray = (values @ inverse.T)[:, 1:]
+    return coefficients
+
+
+def _series() -> tuple[FloatArray, FloatArray]:
+    nodes = 1.3 * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
+    inverse: FloatArray = np.linalg.inv(np.vander(nodes, POWERS + 1, increasing=True)).astype(np.float64)
+    return nodes, inverse
+
+
+@dataclass(frozen=True, eq=False)
+class _FullModel:
+    """Residuals of the full model; parameters (x, y, z, e, phase, ln amplitude, frequency, ln damping)."""
+
+    thinned: Thinned
+    sensors: SensorArray
+    device: Device
+    position: FloatArray
+    orientation: FloatArray
+    free: list[int]
+    start: FloatArray
+    kept: dict[tuple[float, ...], FloatArray] = field(default_factory=dict)
+
+    @cached_property
+    def heard(self) -> SensorArray:
+        used = self.thinned.used
+        gains = None if self.sensors.gains is None else self.sensors.gains[used]
+        return SensorArray(self.sensors.positions[used], self.sensors.axes[used], self.sensors.bandwidth, gains)
+
+    def unpack(self, values: FloatArray) -> tuple[Device, FloatArray, FloatArray, float, float]:
+        full = self.start.copy()
+        full[self.free] = values
+        frequency = np.clip(full[8], 0.5 * self.device.frequency, 2.0 * self.device.frequency)
+        device = replace(self.device, frequency=float(frequency), damping=float(np.exp(np.clip(full[9], -7.0, 7.0))))
+        orientation = quaternion_product(quaternion_from_rotation_vector(full[3:6]), self.orientation)
+        return (
+            device,
+            self.position + full[:3],
+            orientation,
+            float(full[6]),
+            float(np.exp(np.clip(full[7], -12.0, 0.4))),
+        )
+
+    def residual(self, values: FloatArray) -> FloatArray:
+        device, position, orientation, phase, amplitude = self.unpack(values)
+        waves = self._waves(device, phase)
+        sizes = power_coefficients(self.heard, device, position, orientation)
+        sizes = sizes * (amplitude / REFERENCE) ** np.arange(1, POWERS + 1)
+        return np.ravel(self.thinned.data - sizes @ waves) / BLOCK_NOISE
+
+    def _waves(self, device: Device, phase: float) -> FloatArray:
+        """Kept, since most steps of a Jacobian change the pose only."""
+        key = (device.frequency, device.damping, phase)
+        if key not in self.kept:
+            if len(self.kept) > 8:
+                self.kept.clear()
+            self.kept[key] = self.thinned.whiten(self.thinned.power_waves(device, phase))
+        return self.kept[key]
+
+
+def fit_device(
+    recording: Recording,
+    sensors: SensorArray,
+    device: Device,
+    position: FloatArray,
+    orientation: FloatArray,
+    *,
+    fix_height: bool = True,
+    fix_time: bool = False,
+    hum: Hum | None = None,
+    duration: float | None = None,
+) -> DeviceFit:
+    """Fit pose, phase, amplitude, frequency and damping to one recording; the height may be held fixed.
+
+    Parameters
+    ----------
+    device : Device
+        Frequency and damping to begin with; its damping model is the one that is fitted.
+    position : ndarray, shape (3,), in m
+        Of the rotation centre, to begin with; its z is kept where `fix_height`.
+    orientation : ndarray, shape (4,)
+        To begin with, within some 20 degrees, or the fit may end in the other member of the two-fold ambiguity.
+    fix_height : bool
+        Hold z: B ~ theta / z³, so that z and amplitude are not both known well (Calibration protocol).
+    fix_time : bool
+        Hold frequency and damping as given.
+    hum, duration
+        As for `thin`.
+
+    Raises
+    ------
+    InputError
+        As for `thin`.
+    """
+    thinned = thin(recording, sensors, device.frequency, hum, duration)
+    free = [0, 1, *([] if fix_height else [2]), 3, 4, 5, 6, 7, *([] if fix_time else [8, 9])]
+    start = np.zeros(10)
+    start[7:] = [np.log(0.5 * device.theta_max), device.frequency, np.log(max(device.damping, 1e-3))]
+    model = _FullModel(thinned, sensors, device, np.array(position), np.array(orientation), free, start)
+    start[6:8] = _phase_and_amplitude(model)
+    steps = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])[free]
+    values, covariance, cost = minimised(model.residual, start[free], steps)
+    made, place, turned, phase, amplitude = model.unpack(values)
+    n_data = thinned.data.size
+    spread = np.sqrt(np.diag(covariance) * cost / max(n_data - len(free), 1))
+    sse = cost * BLOCK_NOISE**2
+    std = {"amplitude": float(amplitude * spread[free.index(7)]), "frequency": 0.0, "damping": 0.0}
+    if not fix_time:
+        std |= {"frequency": float(spread[free.index(8)]), "damping": float(made.damping * spread[free.index(9)])}
+    total = float(np.sum(thinned.data**2))
+    phase = float(np.angle(np.exp(1j * phase)))
+    return DeviceFit(made, place, turned, amplitude, phase, std, sse, n_data, 1.0 - sse / max(total, 1e-300))
+
+
+def _phase_and_amplitude(model: _FullModel) -> tuple[float, float]:
+    """Best phase and logarithm of the amplitude at the starting pose, from the first harmonic."""
+    wave = model.thinned.waves(model.device, [(1, 1)])[0]
+    columns = model.thinned.whiten(np.stack([wave.real, -wave.imag]))
+    sizes = power_coefficients(model.heard, model.device, model.position, model.orientation)[:, 0] / REFERENCE
+    solved = np.linalg.lstsq(columns.T, model.thinned.data.T @ sizes / max(float(sizes @ sizes), 1e-300), rcond=None)[0]
+    size = float(np.hypot(*solved))
+    return float(np.arctan2(solved[1], solved[0])), float(np.log(min(max(size, 1e-3), 1.2)))

@@ -1,0 +1,43 @@
+"""Least squares over a few parameters and very many data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+
+
+def minimised(
+    residual: Callable[[FloatArray], FloatArray], start: FloatArray, steps: FloatArray, iterations: int = 30
+) -> tuple[FloatArray, FloatArray, float]:
+    """Levenberg-Marquardt with forward differences of `steps`, until a step is below 1 % of a standard deviation.
+
+    scipy's own take a singular value decomposition of the tall Jacobian in each iteration, which is most of the time.
+
+    Returns
+    -------
+    values, covariance : ndarray, shapes (p,) and (p, p)
+        Covariance for residuals of unit variance.
+    cost : float
+        Sum of squares.
+    """
+    values, left = start, residual(start)
+    cost, damping = float(left @ left), 1e-3
+    for _ in range(iterations):
+        jacobian = np.stack([(residual(values + step) - left) / step.sum() for step in np.diag(steps)])
+        normal, gradient = jacobian @ jacobian.T, jacobian @ left
+        size = np.diag(normal)
+        while True:
+            change = -np.linalg.solve(normal + np.diag(damping * size + 1e-30), gradient)
+            tried = residual(values + change)
+            if (lower := float(tried @ tried)) <= cost or damping > 1e8:
+                break
+            damping *= 5.0
+        if lower > cost:
+            break
+        values, left, cost, damping = values + change, tried, lower, 0.2 * damping
+        if change @ normal @ change < 1e-4 * cost / left.size:
+            break
+    return values, np.linalg.pinv(normal), cost

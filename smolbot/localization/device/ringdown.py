@@ -1,0 +1,131 @@
+"""The free oscillation measured for its own sake: frequency and damping.
+
+`measure` knows nothing of pose, sensors or amplitude: each channel has its own size and phase at f and at 2f,
+only f and the damping are common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import DampingModel, Device, Recording, SensorArray
+from smolbot.localization.device.least_squares import minimised
+from smolbot.localization.device.thinning import BLOCK_NOISE, Hum, Thinned, thin
+
+_FIRST_TWO = ((1, 1), (2, 2), (2, 0))
+
+
+@dataclass(frozen=True)
+class RingDownFit:
+    """Frequency and damping of one recording, whatever the pose.
+
+    Attributes
+    ----------
+    frequency, frequency_std : float, in Hz
+    damping, damping_std : float, in 1/s
+    damping_model : {"linear", "exponential"}
+    strength : float, in T
+        Root of the sum of squares over channels of the oscillation's amplitude at the end of the drive.
+    signal_to_noise : float
+        Root of explained over expected sum of squares; below about 10 there is no oscillation worth the name.
+    """
+
+    frequency: float
+    frequency_std: float
+    damping: float
+    damping_std: float
+    damping_model: DampingModel
+    strength: float
+    signal_to_noise: float
+
+
+def measure(
+    recording: Recording,
+    sensors: SensorArray,
+    device: Device,
+    *,
+    hum: Hum | None = None,
+    search: float = 10.0,
+    damping_model: DampingModel | None = None,
+) -> RingDownFit:
+    """Frequency and damping of the free oscillation, from all channels, without a pose.
+
+    Least squares with the channels' sizes and phases at f (D) and at 0 and 2f (D²) projected out.
+
+    Parameters
+    ----------
+    device : Device
+        Where to begin: its frequency and damping as believed.
+    search : float, in Hz
+        How far from the believed frequency the grid looks.
+    damping_model : optional
+        Which envelope to fit; the device's own if not given.
+
+    Returns
+    -------
+    RingDownFit
+        Standard deviations are those of the fit; what repeats scatter by is larger where noise is not white.
+
+    Raises
+    ------
+    InputError
+        As for `thin`.
+    """
+    model = damping_model or device.damping_model
+    base = replace(device, damping_model=model)
+    thinned = thin(recording, sensors, device.frequency, hum)
+
+    def made(values: FloatArray) -> Device:
+        frequency = np.clip(values[0], 0.4 * device.frequency, 2.0 * device.frequency)
+        return replace(base, frequency=float(frequency), damping=float(np.exp(np.clip(values[1], -7.0, 7.0))))
+
+    def residual(values: FloatArray) -> FloatArray:
+        basis = _harmonic_basis(thinned, made(values))
+        return np.ravel(thinned.data - (thinned.data @ basis) @ basis.T) / BLOCK_NOISE
+
+    span = min(search, 0.5 * device.frequency)
+    rates = np.log(max(device.damping, 0.2) * np.array([0.4, 0.7, 1.0, 1.5, 2.5]))
+    grid = [
+        np.array([f, rate])
+        for rate in rates
+        for f in device.frequency + np.linspace(-span, span, 2 * int(span / _resolution(thinned, np.exp(rate))) + 1)
+    ]
+    heard = [float(np.sum((thinned.data @ _harmonic_basis(thinned, made(values))) ** 2)) for values in grid]
+    best = grid[int(np.argmax(heard))]
+    values, covariance, cost = minimised(residual, best, np.array([1e-4, 1e-4]))
+    found = made(values)
+    channels, blocks = thinned.data.shape
+    excess = cost / max(channels * (blocks - 5) - 2, 1)  # over the expected noise
+    spread = np.sqrt(np.diag(covariance) * excess)
+    basis = _harmonic_basis(thinned, found)
+    explained = float(np.sum((thinned.data @ basis) ** 2))
+    wave = thinned.waves(found, [(1, 1)])[0]
+    columns = thinned.whiten(np.stack([wave.real, wave.imag]))
+    sizes = np.linalg.lstsq(columns.T, basis @ (thinned.data @ basis).T, rcond=None)[0]
+    return RingDownFit(
+        found.frequency,
+        float(spread[0]),
+        found.damping,
+        float(found.damping * spread[1]),
+        model,
+        float(np.sqrt(np.sum(sizes**2))),
+        float(np.sqrt(explained / max(5 * channels * excess, 1e-300)) / BLOCK_NOISE),
+    )
+
+
+def _resolution(thinned: Thinned, damping: float) -> float:
+    """Step of a frequency grid that no peak slips through, in Hz."""
+    heard = min(float(thinned.time[-1] - thinned.time[0]), 2.0 / damping)
+    return max(0.25 / heard, 0.1)
+
+
+def _harmonic_basis(thinned: Thinned, device: Device) -> FloatArray:
+    """Orthonormal (n_blocks, 5): the oscillation at f, and at 2f and 0, with any phase, after whitening."""
+    first, second, mean = thinned.waves(device, _FIRST_TWO)
+    rows = thinned.whiten(np.stack([first.real, first.imag, second.real, second.imag, mean.real]))
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    basis, _ = np.linalg.qr((rows / np.maximum(size, 1e-30)).T)
+    return basis

@@ -1,0 +1,1 @@
+"""The noise: learned, described, whitened, and what fits leave of it."""

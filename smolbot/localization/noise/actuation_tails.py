@@ -1,0 +1,107 @@
+"""What the actuation coils still carry while the robot is listened to: learned once, and taken off every recording.
+
+An air coil of milliteslas a few centimetres from a fluxgate is heard for more than ten of its time constants. What is
+left of a pull when listening begins early is a nanotesla that decays within the window; it looks like a device that
+turns, and bends poses always in the same way. Leaving a decay of any size free in every channel would cost half of what
+the window tells. But the decay is the same every time: size and time constant are learned from a faint pull of each
+coil before the flight, and the commands of a shot then say what is left of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Listen, Shot
+from smolbot.errors import InputError
+from smolbot.localization.noise.excitation_transients import decay_sizes, learn_time_constant
+
+INAUDIBLE = 1e-12
+"""Field, in T, below which what is left is not worth taking off: a hundredth of the noise of a window."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tail:
+    """The decay of one actuation coil.
+
+    Attributes
+    ----------
+    time_constant : float, in s
+    size : ndarray, shape (n_sensors,), in T per A
+        As heard when the current is cut: through the sensors with the gains, places and axes that they truly have.
+    """
+
+    time_constant: float
+    size: FloatArray
+
+
+@dataclass(frozen=True)
+class CoilTails:
+    """Tails of all actuation coils, in the order of a window's currents; None for a coil that leaves nothing."""
+
+    tails: tuple[Tail | None, ...] = ()
+
+    def heard(self, shot: Shot, n: int, sample_rate: float) -> FloatArray | None:
+        """Field (n_sensors, n) in T that pulls of `shot` leave in the recording of its `Listen` window; None if none.
+
+        Between shots more than ten time constants pass, so a pull is all that is left of a coil's past.
+        """
+        listens = next((at for at, window in shot.timed() if isinstance(window, Listen)), None)
+        out: FloatArray | None = None
+        for at, window in shot.timed():
+            if listens is None or not isinstance(window, Actuate):
+                continue
+            since = listens - at - window.duration
+            for tail, current in zip(self.tails, window.currents, strict=True):
+                if tail is None or current == 0.0 or since < 0.0:
+                    continue
+                reached = current * -np.expm1(-window.duration / tail.time_constant)
+                sizes = reached * np.exp(-since / tail.time_constant) * tail.size
+                if np.abs(sizes).max() < INAUDIBLE:
+                    continue
+                field = np.outer(sizes, np.exp(-np.arange(n) / (sample_rate * tail.time_constant)))
+                out = field if out is None else out + field
+        return out
+
+    def removed(self, shot: Shot, recording: Recording) -> Recording:
+        """The recording without what pulls of its shot left in it."""
+        if not self.tails:
+            return recording
+        field = self.heard(shot, recording.field.shape[1], recording.sample_rate)
+        return recording if field is None else replace(recording, field=recording.field - field)
+
+
+def learn_tail(shot: Shot, recordings: Sequence[Recording], frequency: float) -> Tail | None:
+    """The tail of the one coil that pulled in `shot`, from what was heard of it; None where nothing is.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of `shot`, or of others like it. Saturated ones are no use: every channel is needed.
+    frequency : float, in Hz
+        The device's resonance: a pull sets it swinging.
+
+    Raises
+    ------
+    InputError
+        If the shot has no `Actuate` before a `Listen`, or more than one coil pulled in it.
+    """
+    ends = [(at, window) for at, window in shot.timed() if isinstance(window, Actuate)]
+    listens = [at for at, window in shot.timed() if isinstance(window, Listen)]
+    driven = [current for _, window in ends for current in window.currents if current]
+    if len(ends) != 1 or len(listens) != 1 or len(driven) != 1 or listens[0] < ends[0][0]:
+        raise InputError("A tail is learned from a shot in which one coil pulls once, and which then listens.")
+    usable = [recording for recording in recordings if not recording.saturated.any()]
+    if not usable:
+        return None
+    try:
+        tau = learn_time_constant(usable, frequency)
+    except InputError:  # nothing decays: a supply that stops at once, or a coil too far to be heard
+        return None
+    at, window = ends[0]
+    reached = driven[0] * -np.expm1(-window.duration / tau) * np.exp(-(listens[0] - at - window.duration) / tau)
+    return Tail(tau, np.mean([decay_sizes(r, tau, frequency) for r in usable], axis=0) / reached)

@@ -1,0 +1,109 @@
+"""The excitation coils' own ring-down, learned so that listening may start before it is over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Recording
+from smolbot.errors import InputError
+
+QUIET_AFTER = 12.0
+"""Time constants after which a learned ring-down can be told from a signal."""
+
+AUDIBLE = 20.0
+"""Time constants after which a ring-down is over for every sensor."""
+
+ALIKE = 0.03
+"""Relative difference below which two time constants are one."""
+
+_RANGE = (1e-4, 2e-2)
+
+
+def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
+    """Time constant, in s, of the decay that a drive leaves in all channels.
+
+    Each channel has its own size of one common exponential, a constant, and oscillations at the
+    device's resonance and at the mains, which are fitted along; only the exponential's time constant
+    enters non-linearly.
+
+    Parameters
+    ----------
+    probes : sequence of Recording
+        Made right after a drive off resonance; saturated stretches are left out.
+    frequency : float, in Hz
+        The device's resonance.
+
+    Raises
+    ------
+    InputError
+        If no channel holds a decay.
+    """
+    if not probes:
+        raise InputError("A ring-down is learned from at least one probe; got none.")
+
+    def misfit(tau: float) -> float:
+        return sum(_left(probe, tau, frequency) for probe in probes)
+
+    grid = np.geomspace(*_RANGE, 60)
+    values = [misfit(t) for t in grid]
+    best = int(np.argmin(values))
+    if not 0 < best < len(grid) - 1 or values[best] > 0.5 * max(values):
+        raise InputError("The probes hold no decay of the excitation coils; nothing was learned of their ring-down.")
+    low, high = np.log(grid[best - 1]), np.log(grid[best + 1])
+    golden = 0.5 * (np.sqrt(5.0) - 1.0)
+    for _ in range(40):
+        a, b = high - golden * (high - low), low + golden * (high - low)
+        if misfit(float(np.exp(a))) < misfit(float(np.exp(b))):
+            high = b
+        else:
+            low = a
+    return float(np.exp(0.5 * (low + high)))
+
+
+def decay_sizes(probe: Recording, tau: float, frequency: float) -> FloatArray:
+    """Size (n_sensors,), in T, of a decay with time constant `tau` in s at the first sample of a recording.
+
+    `frequency` in Hz is that of a device that swings meanwhile, as for `learn_time_constant`.
+    """
+    time, blocks = _blocks(probe)
+    sizes: FloatArray = np.linalg.lstsq(_design(time, tau, frequency), blocks.T, rcond=None)[0][1]
+    return sizes
+
+
+def _left(probe: Recording, tau: float, frequency: float) -> float:
+    """Squared residual of all usable channels for one time constant."""
+    time, blocks = _blocks(probe)
+    design = _design(time, tau, frequency)
+    heard = blocks[~probe.saturated]
+    solution = np.linalg.lstsq(design, heard.T, rcond=None)[0]
+    return float(np.sum((heard.T - design @ solution) ** 2))
+
+
+def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) in s from the first sample, and means (n_sensors, n) over blocks of 0.2 ms."""
+    step = max(int(2e-4 * probe.sample_rate), 1)
+    count = probe.field.shape[1] // step
+    blocks = probe.field[:, : count * step].reshape(len(probe.field), count, step).mean(axis=2)
+    return (np.arange(count) + 0.5) * step / probe.sample_rate, blocks
+
+
+def _design(time: FloatArray, tau: float, frequency: float) -> FloatArray:
+    """Constant, decay, and the oscillations of device and mains, shape (n, 6)."""
+    turns = 2.0 * np.pi * np.outer(time, [frequency, 50.0])
+    return np.column_stack([np.ones(len(time)), np.exp(-time / tau), np.cos(turns), np.sin(turns)])
+
+
+def decay_columns(time: FloatArray, constants: tuple[float, ...]) -> FloatArray:
+    """What decays look like at `time` s after the drive, shape (n, n_different); each begins at one.
+
+    Time constants closer than `ALIKE` count as one: their difference does not show, and a free pair of
+    them would take a signal's place.
+    """
+    different: list[float] = []
+    for tau in sorted(constants):
+        if not different or tau > (1.0 + ALIKE) * different[-1]:
+            different.append(tau)
+    return np.array([np.exp(-(time - time[0]) / tau) for tau in different]).reshape(-1, len(time)).T

@@ -1,0 +1,246 @@
+"""The noise as learned from quiet recordings: coherent lines, and what is left between them.
+
+Mains and other machines make lines that every sensor hears with its own size and phase; what is left is
+smooth in frequency. Both are stationary, so together they give the covariance of any window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.errors import InputError
+
+if TYPE_CHECKING:
+    from smolbot.core.sensing import Recording, SensorArray
+
+ComplexArray = npt.NDArray[np.complex128]
+
+BLOCK_RATE = 5000.0
+"""Rate, in Hz, to which quiet recordings are averaged down before they are looked at."""
+
+MAX_LINES = 16
+LINE_CONTRAST = 12.0
+"""A line stands out from its neighbourhood by this factor in power, summed over the sensors."""
+
+SEGMENT = 0.2
+"""Length, in s, of the pieces that the smooth part is averaged over."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Covariance of the noise in any window.
+
+    Attributes
+    ----------
+    line_frequencies : ndarray, shape (n_lines,), in Hz
+    lines : ndarray of complex, shape (n_lines, n_sensors, n_sensors), in T²
+        Mean of a a^H of the lines' peak phasors a.
+    frequencies : ndarray, shape (n_frequencies,), in Hz
+    spectrum : ndarray of complex, shape (n_frequencies, n_sensors, n_sensors), in T²/Hz
+        One-sided cross-spectral density of what is left.
+    block : float, in s
+        Length of the blocks over which the quiet samples were averaged.
+    """
+
+    line_frequencies: FloatArray
+    lines: ComplexArray
+    frequencies: FloatArray
+    spectrum: ComplexArray
+    block: float
+
+    @property
+    def n_sensors(self) -> int:
+        return self.spectrum.shape[1]
+
+    @classmethod
+    def learn(cls, quiet: Sequence[Recording]) -> NoiseModel:
+        """Learn from recordings without a signal; ten seconds in all are plenty.
+
+        A channel that is saturated or silent in all of them says nothing of its noise, and is taken to be as noisy
+        as the others and unrelated to them. Recordings in which another one is, are left out if any are left.
+
+        Parameters
+        ----------
+        quiet : sequence of Recording
+            Of one sample rate and one set of sensors, each at least 0.3 s long.
+
+        Raises
+        ------
+        InputError
+            If there is none, they differ, are too short, hold values that are not finite, or no channel is alive.
+        """
+        from smolbot.localization.noise.spectra import learn_spectra
+
+        if not quiet:
+            raise InputError("NoiseModel.learn needs at least one quiet recording; got none.")
+        kinds = {(r.field.shape[0], r.sample_rate) for r in quiet}
+        if len(kinds) > 1:
+            raise InputError(f"Quiet recordings must agree in channels and sample rate; got {sorted(kinds)}.")
+        for number, recording in enumerate(quiet):
+            if recording.duration < 1.5 * SEGMENT:
+                least = f"at least {1.5 * SEGMENT:g} s are needed."
+                raise InputError(f"Quiet recording {number} lasts {recording.duration:.3f} s; {least}")
+            lost = np.flatnonzero(~np.isfinite(recording.field.sum(axis=1)))
+            if lost.size:
+                raise InputError(f"Quiet recording {number}: channel {int(lost[0])} holds values that are not finite.")
+        silent = np.array([r.saturated | (np.ptp(r.field, axis=1) == 0.0) for r in quiet])
+        clean = [not np.any(each & ~silent.all(axis=0)) for each in silent]
+        chosen = [r for r, good in zip(quiet, clean, strict=True) if good] or list(quiet)
+        bad: BoolArray = np.asarray(silent.all(axis=0) if any(clean) else silent.any(axis=0))
+        if bad.all():
+            raise InputError("Every channel of the quiet recordings is saturated or silent: nothing can be learned.")
+        if not bad.any():
+            return learn_spectra(chosen)
+        alive = [replace(r, field=r.field[~bad], saturated=r.saturated[~bad]) for r in chosen]
+        return learn_spectra(alive)._with_strangers(bad)
+
+    def _with_strangers(self, strange: BoolArray) -> NoiseModel:
+        """The model of all channels, those of `strange` as noisy as this model's own are on average."""
+
+        known = np.flatnonzero(~strange)
+
+        def wider(matrices: ComplexArray) -> ComplexArray:
+            out = np.zeros((len(matrices), len(strange), len(strange)), dtype=np.complex128)
+            out[:, known[:, None], known] = matrices
+            own = np.real(np.einsum("fjj->fj", matrices)).mean(axis=1)
+            out[:, strange, strange] = own[:, None]
+            return out
+
+        return replace(self, lines=wider(self.lines), spectrum=wider(self.spectrum))
+
+    @classmethod
+    def assumed(
+        cls,
+        sensors: SensorArray,
+        *,
+        floor: float = 6e-12,
+        at_1hz: float = 20e-12,
+        mains_frequency: float = 50.0,
+        mains: float = 10e-9,
+        mains_gradient: float = 30e-9,
+    ) -> NoiseModel:
+        """What to believe before any quiet window was heard: mains of unknown direction, and the sensors' own noise.
+
+        Parameters
+        ----------
+        floor, at_1hz : float, in T/sqrt(Hz)
+        mains : float, in T
+            Peak of the uniform part at the mains frequency; harmonics up to the eighth fall off as 1/order.
+        mains_gradient : float, in T/m
+        """
+        n = len(sensors)
+        orders = np.arange(1, 9)
+        space = field_covariance(sensors, mains, mains_gradient).astype(np.complex128)
+        frequencies = np.concatenate([[0.0], np.geomspace(1.0, 0.5 * BLOCK_RATE, 200)])
+        density = floor**2 + max(at_1hz**2 - floor**2, 0.0) / np.maximum(frequencies, 1.0)
+        if np.isfinite(sensors.bandwidth):
+            density = density / (1.0 + (frequencies / sensors.bandwidth) ** 2)
+        density = np.maximum(density, 1e-3 * floor**2)
+        return cls(
+            line_frequencies=np.asarray(mains_frequency * orders, dtype=np.float64),
+            lines=space[None] / orders[:, None, None] ** 2,
+            frequencies=frequencies,
+            spectrum=density[:, None, None] * np.eye(n, dtype=np.complex128),
+            block=1.0 / BLOCK_RATE,
+        )
+
+    def rescaled(self, ratios: FloatArray) -> NoiseModel:
+        """The same with the smooth part of each sensor `ratios` (n_sensors,) times as strong in power; lines stay."""
+        by = np.sqrt(np.asarray(ratios, dtype=np.float64))
+        return replace(self, spectrum=self.spectrum * np.outer(by, by))
+
+    def save(self, path: str | Path) -> None:
+        """Write to a ``.npz`` file."""
+        np.savez_compressed(
+            Path(path),
+            kind="smolbot noise model",
+            line_frequencies=self.line_frequencies,
+            lines=self.lines,
+            frequencies=self.frequencies,
+            spectrum=self.spectrum,
+            block=self.block,
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> NoiseModel:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, or is no noise model.
+        """
+        try:
+            with np.load(Path(path)) as file:
+                if "kind" not in file or str(file["kind"]) != "smolbot noise model":
+                    raise InputError(f"{path}: is no noise model of smolbot.")
+                return cls(
+                    file["line_frequencies"], file["lines"], file["frequencies"], file["spectrum"], float(file["block"])
+                )
+        except (OSError, ValueError, KeyError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{path}: cannot be read as a noise model: {error}.") from error
+
+    def _on_grid(self, spacing: float) -> tuple[FloatArray, ComplexArray]:
+        """Frequencies at most `spacing` apart, so that no lag of a window wraps round, and the spectrum there."""
+        steps = np.diff(self.frequencies)
+        if steps.max() <= 1.001 * min(spacing, steps.min()):
+            return self.frequencies, self.spectrum
+        grid = np.arange(0.0, self.frequencies[-1] + 0.5 * spacing, spacing)
+        place = np.interp(grid, self.frequencies, np.arange(len(self.frequencies)))
+        low = np.minimum(place.astype(np.int64), len(self.frequencies) - 2)
+        part = (place - low)[:, None, None]
+        return grid, (1.0 - part) * self.spectrum[low] + part * self.spectrum[low + 1]
+
+    def covariance(self, n_blocks: int, block: float) -> FloatArray:
+        """Covariance of averages over `n_blocks` successive blocks of `block` s.
+
+        Returns
+        -------
+        ndarray, shape (n_sensors * n_blocks, n_sensors * n_blocks), in T²
+            Sensor by sensor, blocks in order.
+        """
+        lags = block * np.arange(n_blocks)
+        grid, spectrum = self._on_grid(1.0 / (8.0 * block * n_blocks))
+        averaged = np.sinc(grid * block) ** 2 / np.sinc(grid * self.block) ** 2
+        wave = np.exp(2j * np.pi * np.outer(lags, grid)) * (grid[1] - grid[0]) * averaged
+        smooth = np.real(wave @ spectrum.reshape(len(grid), -1)).reshape(n_blocks, self.n_sensors, self.n_sensors)
+        line_wave = np.exp(2j * np.pi * np.outer(lags, self.line_frequencies))
+        line_size = 0.5 * np.sinc(self.line_frequencies * block) ** 2
+        sharp = np.real(np.einsum("ln,njk->ljk", line_wave * line_size, self.lines))
+        by_lag = smooth + sharp  # E[x_j(t + lag) x_k(t)]
+        n = self.n_sensors
+        out = np.zeros((n, n_blocks, n, n_blocks))
+        for lag in range(n_blocks):
+            later = np.arange(lag, n_blocks)
+            out[:, later, :, later - lag] = by_lag[lag]
+            out[:, later - lag, :, later] = by_lag[lag].T
+        return out.reshape(n * n_blocks, n * n_blocks)
+
+
+def field_covariance(sensors: SensorArray, uniform: float, gradient: float) -> FloatArray:
+    """Mean of b b^T over sensors for a field of random direction and gradient, shape (n_sensors, n_sensors), in T².
+
+    Parameters
+    ----------
+    uniform : float, in T
+        Size of the uniform part.
+    gradient : float, in T/m
+        Change per metre, root mean square over directions; the gradient is symmetric and free of trace,
+        <G_ab G_cd> = 0.3 g² (d_ac d_bd + d_ad d_bc - 2/3 d_ab d_cd).
+    """
+    place, axes = sensors.positions, sensors.axes
+    alignment = axes @ axes.T
+    crossed = (axes @ place.T) * (axes @ place.T).T
+    own = np.einsum("ja,ja->j", axes, place)
+    changing = alignment * (place @ place.T) + crossed - 2.0 / 3.0 * np.outer(own, own)
+    total: FloatArray = uniform**2 / 3.0 * alignment + 0.3 * gradient**2 * changing
+    return total

@@ -1,0 +1,75 @@
+"""What a fit leaves of a recording, channel by channel, against what the noise model foretells.
+
+Each channel's residual is compared with what the other channels say it should be: mains, which all of them
+hear, is foretold, so that a sensor that has become noisier by itself stands out.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.localization import kernels as compiled
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.problem import Fit, LinearModel
+
+if TYPE_CHECKING:
+    from smolbot.core.sensing import Recording
+
+_kernels: Any = compiled
+
+LONGEST = 24
+"""Blocks of a recording that are looked at: of a long one, its beginning."""
+
+
+@lru_cache(maxsize=4)
+def _foretold(model: LinearModel, noise: NoiseModel, block: float) -> tuple[FloatArray, FloatArray]:
+    """Whitener (n_channels, n_left, n_channels * n_blocks) of each channel given the others, and signals in blocks."""
+    n = int(model.used.sum())
+    n_blocks = min(len(model.chain.first), LONGEST)
+    slope = np.linspace(-1.0, 1.0, n_blocks)
+    free = np.column_stack([np.ones(n_blocks), slope, model.free[:n_blocks]])
+    left, values, _ = np.linalg.svd(free, full_matrices=True)
+    kept = left[:, int(np.sum(values > 1e-9 * values[0])) :]
+    rows = np.repeat(model.used, n_blocks)
+    covariance = noise.covariance(n_blocks, block)[np.ix_(rows, rows)].reshape(n, n_blocks, n, n_blocks)
+    middle = np.einsum("ta,itju,ub->iajb", kept, covariance, kept, optimize=True)
+    m = kept.shape[1]
+    flat = middle.reshape(n * m, n * m)
+    precision = np.linalg.inv(flat + 1e-9 * np.trace(flat) / len(flat) * np.eye(len(flat)))
+    out = np.empty((n, m, n * n_blocks))
+    for j in range(n):
+        own = slice(j * m, (j + 1) * m)
+        factor = np.linalg.cholesky(precision[own, own])
+        whitened = np.linalg.solve(factor, precision[own]).reshape(m, n, m)
+        out[j] = np.einsum("rjb,tb->rjt", whitened, kept).reshape(m, -1)
+    answers = np.zeros((n * n_blocks, len(model.functions), n))
+    for j in range(n):
+        answers[j * n_blocks : (j + 1) * n_blocks, :, j] = model.functions[:, :n_blocks].T
+    return np.ascontiguousarray(out.reshape(n * m, -1)), answers
+
+
+def energies(model: LinearModel, fit: Fit, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
+    """Energy of what is left in each channel, in units of the noise, and what it should be.
+
+    Returns
+    -------
+    found, expected : ndarray, shape (n_sensors,)
+        Both zero for sensors that took no part. Of noise as foretold, `found` is `expected` on average, with a
+        variance of twice that.
+    """
+    whiten, answers = _foretold(model.of_all_arrays, noise, model.chain.weights.shape[1] / recording.sample_rate)
+    n = len(model.positions)
+    n_blocks = whiten.shape[1] // n
+    place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
+    signal, jacobian = model.response(*place, matrix=answers)
+    heard = _kernels.tapped(np.ascontiguousarray(recording.field[model.used]), model.chain.first, model.chain.weights)
+    left = whiten @ (heard[:, :n_blocks].reshape(-1) - signal)
+    taken = np.linalg.solve(np.linalg.cholesky(fit.normal), (whiten @ jacobian).T)  # what the fit has taken out
+    found, expected = np.zeros(len(model.used)), np.zeros(len(model.used))
+    found[model.used] = np.sum(left.reshape(n, -1) ** 2, axis=1)
+    expected[model.used] = whiten.shape[0] / n - np.sum(taken.reshape(8, n, -1) ** 2, axis=(0, 2))
+    return found, expected

@@ -1,0 +1,148 @@
+"""Learns lines and smooth spectrum from quiet recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Recording
+from smolbot.localization.noise.model import BLOCK_RATE, LINE_CONTRAST, MAX_LINES, SEGMENT, ComplexArray, NoiseModel
+
+PASSES = 4
+"""How often the spectrum is searched for lines."""
+
+SMOOTHING = 0.12
+"""Relative half width over which the spectrum between the lines is averaged."""
+
+
+def learn_spectra(quiet: Sequence[Recording]) -> NoiseModel:
+    """Noise model of quiet recordings that were checked already."""
+    rate = quiet[0].sample_rate
+    size = max(round(rate / BLOCK_RATE), 1)
+    block_rate = rate / size
+    pieces = [averaged(np.asarray(r.field), size) for r in quiet]
+    found = find_lines(pieces, block_rate)
+    phasors, left = remove_lines(pieces, found, block_rate)
+    frequencies, spectrum = cross_spectrum(left, block_rate)
+    lines = np.einsum("plj,plk->ljk", phasors, phasors.conj()) / len(pieces)
+    return NoiseModel(found, lines, frequencies, spectrum, 1.0 / block_rate)
+
+
+def averaged(field: FloatArray, size: int) -> FloatArray:
+    """Means over blocks of `size` samples, each channel less its mean; shape (n_sensors, n_blocks)."""
+    n = field.shape[1] // size
+    blocks = (field[:, : n * size] - field[:, :1]).reshape(len(field), n, size).mean(axis=2)
+    out: FloatArray = blocks - blocks.mean(axis=1, keepdims=True)
+    return out
+
+
+def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
+    """Frequencies, in Hz, of lines that stand out in the spectrum summed over channels and pieces.
+
+    The strongest hide the others' feet, so what was found is taken out and the rest looked at again.
+    """
+    n = max(p.shape[1] for p in pieces)
+    size = 1 << int(np.ceil(np.log2(2 * n)))
+    grid = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
+    lobe = max(int(2.0 * size / n), 2)  # half width of a line's own peak, in bins
+    considered = (grid > 3.0 * rate / n) & (grid < 0.4 * rate)
+    found: list[float] = []
+    left = pieces
+    for _ in range(PASSES):
+        power = np.zeros(len(grid))
+        for piece in left:
+            window = np.hanning(piece.shape[1] + 2)[1:-1]
+            power += np.sum(np.abs(np.fft.rfft(piece * window, size, axis=1)) ** 2, axis=0) / np.sum(window**2)
+        contrast = np.where(considered, power / _neighbourhood(power, 8 * lobe), 0.0)
+        new: list[float] = []
+        while (
+            len(found) + len(new) < MAX_LINES and (peak := int(np.argmax(contrast))) and contrast[peak] > LINE_CONTRAST
+        ):
+            new.append(_refined(grid, power, peak))
+            contrast[max(peak - 2 * lobe, 0) : peak + 2 * lobe + 1] = 0.0
+        if not new:
+            break
+        found += new
+        _, left = remove_lines(pieces, np.array(found), rate)
+    return np.array(sorted(found), dtype=np.float64)
+
+
+def _neighbourhood(power: FloatArray, width: int) -> FloatArray:
+    """Median power around each bin, from medians of stretches `width` long."""
+    count = max(len(power) // width, 1)
+    medians = (
+        np.median(power[: count * width].reshape(count, -1), axis=1) if count > 1 else np.array([np.median(power)])
+    )
+    middles = (np.arange(len(medians)) + 0.5) * width
+    return np.interp(np.arange(len(power)), middles, medians) + 1e-300
+
+
+def _refined(grid: FloatArray, power: FloatArray, peak: int) -> float:
+    """Top of the parabola through the logarithm of a peak and its neighbours."""
+    if not 0 < peak < len(grid) - 1:
+        return float(grid[peak])
+    a, b, c = np.log(power[peak - 1 : peak + 2] + 1e-300)
+    curve = a - 2.0 * b + c
+    shift = 0.5 * (a - c) / curve if curve < 0 else 0.0
+    return float(grid[peak] + np.clip(shift, -0.5, 0.5) * (grid[1] - grid[0]))
+
+
+def remove_lines(
+    pieces: list[FloatArray], frequencies: FloatArray, rate: float
+) -> tuple[ComplexArray, list[FloatArray]]:
+    """Peak phasors (n_pieces, n_lines, n_sensors) of the lines in each piece, and the pieces without them."""
+    phasors = np.zeros((len(pieces), len(frequencies), len(pieces[0])), dtype=np.complex128)
+    left: list[FloatArray] = []
+    for number, piece in enumerate(pieces):
+        time = np.arange(piece.shape[1]) / rate
+        angle = 2.0 * np.pi * np.outer(time, frequencies)
+        slow = np.stack([np.ones_like(time), (time - time.mean()) / time[-1]], axis=1)
+        design = np.concatenate([np.cos(angle), np.sin(angle), slow], axis=1)
+        solution = np.linalg.solve(design.T @ design, design.T @ piece.T)
+        n = len(frequencies)
+        phasors[number] = solution[:n] - 1j * solution[n : 2 * n]
+        left.append(piece - (design @ solution).T)
+    return phasors, left
+
+
+def cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, ComplexArray]:
+    """One-sided cross-spectral density (n_frequencies, n_sensors, n_sensors), smoothed.
+
+    Welch's method with half-overlapping Hann segments, then a mean over neighbouring frequencies whose
+    width grows with frequency. A cross term that is no larger than chance makes it is set to zero.
+    """
+    length = min(round(SEGMENT * rate), min(p.shape[1] for p in pieces))
+    window = np.hanning(length + 2)[1:-1]
+    grid = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64)
+    n = len(pieces[0])
+    total = np.zeros((len(grid), n, n), dtype=np.complex128)
+    count = 0
+    for piece in pieces:
+        for start in range(0, piece.shape[1] - length + 1, max(length // 2, 1)):
+            wave = np.fft.rfft(piece[:, start : start + length] * window, axis=1)
+            total += np.einsum("jf,kf->fjk", wave, wave.conj())
+            count += 1
+    total *= 2.0 / (rate * np.sum(window**2) * count)
+    smooth = np.zeros_like(total)
+    used = np.zeros(len(grid))
+    for i, f in enumerate(grid):
+        reach = max(SMOOTHING * f, 2.5 * grid[1])
+        near = (np.abs(grid - f) <= reach) & (grid > 0)
+        smooth[i] = total[near].mean(axis=0)
+        used[i] = near.sum()
+    return grid, _significant(smooth, count * used * 0.5)
+
+
+def _significant(spectrum: ComplexArray, averages: FloatArray) -> ComplexArray:
+    """Zero the cross terms whose coherence chance explains; keep every matrix positive."""
+    power = np.real(np.einsum("fjj->fj", spectrum))
+    scale = np.sqrt(power[:, :, None] * power[:, None, :]) + 1e-300
+    coherence = np.abs(spectrum) ** 2 / scale**2
+    limit = np.clip(7.0 / np.maximum(averages, 8.0), 0.0, 0.9)[:, None, None]
+    kept = np.where((coherence > limit) | np.eye(spectrum.shape[1], dtype=bool), spectrum, 0.0)
+    values, vectors = np.linalg.eigh(0.5 * (kept + np.conj(np.swapaxes(kept, 1, 2))))
+    values = np.maximum(values, 1e-3 * values.max(axis=1, keepdims=True))
+    out: ComplexArray = np.einsum("fjr,fr,fkr->fjk", vectors, values, vectors.conj())
+    return out

@@ -1,0 +1,184 @@
+"""The whitened chain: brings a recording to a few numbers whose noise is white, and keeps all that matters.
+
+Samples are averaged over blocks of half a millisecond, whitened by the learned covariance (with a free
+constant in every channel), and projected on the directions that a signal can have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from math import factorial
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import DampingModel, Device, Recording, SensorArray
+from smolbot.errors import InputError
+from smolbot.localization import basis as time_functions
+from smolbot.localization.chain import Taps, whole_half_periods
+from smolbot.localization.noise.excitation_transients import AUDIBLE, decay_columns
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.problem import LinearModel, Problem, require_enough, usable_channels
+
+BLOCK = 0.5e-3
+"""Longest block, in s; within it the fourth harmonic of 180 Hz still keeps 80 % of its size."""
+
+FAINTEST = 0.1
+"""Directions in which a strong signal stays below this, in units of the noise, are dropped."""
+
+TYPICAL = 1e-7
+"""Size, in T, of the strong first harmonic that `FAINTEST` refers to."""
+
+
+def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
+    """Means over equal blocks of at most `block` s that leave out the fewest samples."""
+    longest = max(int(block * sample_rate), 1)
+    sizes = range(max(longest - longest // 4, 1), longest + 1)
+    size = min(sizes, key=lambda b: (n_samples % b, -b))
+    count = n_samples // size
+    first = size * np.arange(count, dtype=np.int64)
+    return Taps(np.asarray(first + 0.5 * (size - 1), dtype=np.float64), first, np.full((count, size), 1.0 / size))
+
+
+@lru_cache(maxsize=16)
+def _whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> FloatArray:
+    """Inverse Cholesky factor (m, m) of the noise of all usable channels."""
+    used = np.frombuffer(usable, dtype=np.bool_)
+    rows = np.repeat(used, n_blocks)
+    covariance = noise.covariance(n_blocks, block)[np.ix_(rows, rows)]
+    floor = 1e-9 * np.trace(covariance) / len(covariance)
+    factor = np.linalg.cholesky(covariance + floor * np.eye(len(covariance)))
+    return np.asarray(np.linalg.inv(factor), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def whitened_model(
+    sensors: SensorArray,
+    device: Device,
+    noise: NoiseModel,
+    usable: bytes,
+    n_samples: int,
+    sample_rate: float,
+    since: float,
+    trend: int = 0,
+    transients: tuple[float, ...] = (),
+) -> LinearModel:
+    """The whitened chain for recordings of one kind by one array, kept for the next one like it; see `any_array`."""
+    rhythm = _rhythm(device.frequency, device.damping, device.damping_model)
+    common = any_array(sensors.bandwidth, rhythm, noise, usable, n_samples, sample_rate, since, trend, transients)
+    used = common.used
+    return replace(
+        common,
+        device=device,
+        positions=np.ascontiguousarray(sensors.positions[used]),
+        axes=np.ascontiguousarray(sensors.responses[used]),
+        common=common,
+    )
+
+
+@lru_cache(maxsize=64)
+def _rhythm(frequency: float, damping: float, damping_model: DampingModel) -> Device:
+    """One device for all that swing alike."""
+    return Device(1.0, np.array([0.0, 0.0, 1.0]), 0.0, 1.0, frequency, damping, damping_model)
+
+
+@lru_cache(maxsize=64)
+def any_array(
+    bandwidth: float,
+    device: Device,
+    noise: NoiseModel,
+    usable: bytes,
+    n_samples: int,
+    sample_rate: float,
+    since: float,
+    trend: int = 0,
+    transients: tuple[float, ...] = (),
+) -> LinearModel:
+    """The whitened chain. No place, axis, moment or l0 enters it; those of the result mean nothing.
+
+    Blind to a polynomial of degree `trend` in every channel (0 for the unknown constant, 1 for a constant
+    and a slope), and to a decay of each of the time constants `transients`, in s, where it can still be heard.
+    """
+    used = np.frombuffer(usable, dtype=np.bool_)
+    n_channels = int(used.sum())
+    chain = blocks(n_samples, sample_rate)
+    n_blocks, size = chain.weights.shape
+    whiten = _whitener(noise, usable, n_blocks, size / sample_rate)
+    polynomials = np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True)
+    decays = decay_columns(since + (chain.first + 0.5 * size) / sample_rate, transients)
+    free = np.column_stack([polynomials, decays])
+    constants = np.linalg.qr(whiten @ np.kron(np.eye(n_channels), free))[0]
+    functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, bandwidth)
+    by_channel = whiten.reshape(-1, n_channels, n_blocks)
+    answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
+    flat = answers.reshape(len(answers), -1)
+    flat -= constants @ (constants.T @ flat)
+    # directions that a signal can take, weighed by how strong each power of the deflection can be
+    powers = time_functions.labels()[:, 0]
+    strength = TYPICAL * np.repeat([0.6 ** (k - 1) / factorial(k) for k in powers], n_channels)
+    values, vectors = np.linalg.eigh((flat * strength).T @ (flat * strength))
+    kept = values > FAINTEST**2
+    if not kept.any():
+        raise InputError(
+            f"Nothing of a swing would be heard {1e3 * since:g} ms after the drive, in noise as it was learned: is "
+            "that time right, and was the device still in the quiet recordings?"
+        )
+    directions = (flat * strength) @ (vectors[:, kept] / np.sqrt(values[kept]))  # orthonormal columns
+    matrix = (directions.T @ flat).reshape(int(kept.sum()), len(functions), n_channels)
+    projection = directions.T @ whiten - (directions.T @ constants) @ (constants.T @ whiten)
+    return LinearModel(
+        device=device,
+        positions=np.zeros((0, 3)),
+        axes=np.zeros((0, 3)),
+        used=used,
+        chain=chain,
+        mixing=np.ascontiguousarray(projection),
+        matrix=np.ascontiguousarray(matrix),
+        slopes=np.stack([_through(projection, change, n_channels) for change in changes]),
+        functions=functions,
+        free=free,
+        separable=False,
+        white=True,
+    )
+
+
+def _through(projection: FloatArray, functions: FloatArray, n_channels: int) -> FloatArray:
+    """Answers (n_rows, n_functions, n_channels) of projected data to time functions (n_functions, n_blocks)."""
+    by_channel = projection.reshape(len(projection), n_channels, -1)
+    return np.ascontiguousarray(np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True))
+
+
+def prepare_whitened(
+    recording: Recording,
+    sensors: SensorArray,
+    device: Device,
+    noise: NoiseModel,
+    trend: int = 0,
+    transients: tuple[float, ...] = (),
+) -> Problem:
+    """Whiten a recording and make its fit ready; `trend` and `transients` as for `whitened_model`.
+
+    Raises
+    ------
+    InputError
+        If channels do not match the sensors or the noise model, too few of them can be used, the
+        recording is shorter than half a period, or no drive preceded it.
+    """
+    usable = usable_channels(recording, sensors, device)
+    if noise.n_sensors != len(sensors):
+        raise InputError(f"The noise model knows {noise.n_sensors} sensors; the sensor array has {len(sensors)}.")
+    require_enough(int(usable.sum()), "channels", usable)
+    n_samples = recording.field.shape[1]
+    if whole_half_periods(n_samples, recording.sample_rate, device.frequency) < 1:
+        raise InputError(
+            f"The recording lasts {recording.duration * 1e3:.2f} ms; a half-period of {device.frequency:g} Hz lasts "
+            f"{500.0 / device.frequency:.2f} ms, and at least one is needed."
+        )
+    since = round(recording.time_since_drive, 8)  # 10 ns: rounding of a clock makes no new kind of recording
+    heard = tuple(tau for tau in transients if since < AUDIBLE * tau)
+    model = whitened_model(
+        sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, since, trend, heard
+    )
+    field = recording.field if usable.all() else np.ascontiguousarray(recording.field[usable])
+    return Problem(model, model.vector(field))

@@ -1,0 +1,124 @@
+"""Poses from a world that skips the signals: what takes a localizer's place in the loop there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import nearer_twin
+from smolbot.core.sensing import Device, Recording, SensorArray
+from smolbot.errors import InputError
+from smolbot.localization.cold_start import SearchVolume
+from smolbot.localization.localizer import MAX_SIGMA, MIN_AMPLITUDE, MIN_R_SQUARED, Localizer
+
+
+@dataclass(frozen=True, eq=False)
+class SightedSwing:
+    """Amplitude of the oscillation in rad, and its covariance (7, 7) with the pose; see `localizer.Swing`."""
+
+    amplitude: float
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The outcome of a fit, not yet judged.
+
+    Attributes
+    ----------
+    position, orientation : ndarray, shapes (3,) in m and (4,)
+        As estimated.
+    amplitude : float, in rad
+        As estimated, at the end of the drive.
+    covariance : ndarray, shape (7, 7)
+        As claimed, of (position in m, rotation e in rad, amplitude in rad); infinite where a fit says nothing.
+    r_squared : float
+    """
+
+    position: FloatArray
+    orientation: FloatArray
+    amplitude: float
+    covariance: FloatArray
+    r_squared: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting(Recording):
+    """A recording whose samples were never made: it carries the fit that a localizer would have come to.
+
+    Attributes
+    ----------
+    time : float, in s
+        Middle of the window, on the rig's clock.
+    fitted : Fitted or None
+        None where nothing was driven.
+    """
+
+    time: float = 0.0
+    fitted: Fitted | None = None
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Takes `Localizer`'s place where a rig hands out sightings. It holds no truth: all it knows is in a sighting.
+
+    Attributes
+    ----------
+    sensors, device, volume
+        As the localizer believes in them.
+    time_constants : tuple of float, in s
+        Of the excitation coils' ring-down, as they are believed to be: there is no signal to learn them from.
+    """
+
+    sensors: SensorArray
+    device: Device
+    volume: SearchVolume
+    time_constants: tuple[float, ...] = ()
+
+    def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, SightedSwing]:
+        """Pose and swing of a sighting, judged by the rules of `Localizer`; depends on its arguments alone.
+
+        Parameters
+        ----------
+        prior : Pose, optional
+            Of the two orientations that sound alike, the one nearer to it is returned.
+
+        Raises
+        ------
+        InputError
+            Where nothing was seen, as with a recording that has too few usable channels.
+        """
+        if not isinstance(recording, Sighting) or recording.fitted is None:
+            raise InputError("This recording holds no pose: nothing was driven before it.")
+        fitted = recording.fitted
+        if not math.isfinite(fitted.covariance[0, 0]):
+            raise InputError("This recording holds no pose: too little of a swing was heard.")
+        orientation = nearer_twin(fitted.orientation, None if prior is None else prior.orientation)
+        pose = Pose(
+            recording.time,
+            fitted.position,
+            orientation,
+            fitted.covariance[:6, :6],
+            fitted.r_squared,
+            trusted=self._believable(fitted),
+        )
+        return pose, SightedSwing(fitted.amplitude, fitted.covariance)
+
+    def _believable(self, fitted: Fitted) -> bool:
+        variances = fitted.covariance.diagonal()
+        certain = variances[:3].max() < MAX_SIGMA[0] ** 2 and variances[3:6].max() < MAX_SIGMA[1] ** 2
+        loud = fitted.amplitude > MIN_AMPLITUDE * 1.1 * self.device.theta_max
+        bounds = zip(self.volume.low, fitted.position, self.volume.high, strict=True)
+        inside = all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
+        return bool(certain and loud and inside and fitted.r_squared >= MIN_R_SQUARED)
+
+
+@runtime_checkable
+class SightingRig(Protocol):
+    """A rig that makes no signals, but poses with the errors that a localizer's would have."""
+
+    def sightings(self, localizer: Localizer) -> Sightings:
+        """What takes the place of `localizer`; from now on the rig errs as that one would."""

@@ -1,0 +1,214 @@
+"""What a controller is: it turns poses into commands. Controllers never extrapolate."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.limits import Limits
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Device
+from smolbot.core.shots import Actuate, Mechanical, Rotate
+from smolbot.errors import InputError
+from smolbot.motion.helix import Helix
+from smolbot.motion.robot import Robot
+from smolbot.paths.curve import Curve
+
+if TYPE_CHECKING:
+    from lookup_tables import FieldTable
+
+
+Phase = Literal["approach", "follow"]
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A number that a user may tune: its default, its range, and whether the range is logarithmic."""
+
+    default: float
+    low: float
+    high: float
+    log: bool = False
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """The localization part of every cycle. SI units.
+
+    Attributes
+    ----------
+    excite_cycles : int
+    ring_down : float, in s
+    half_periods : int
+        N of the listening window.
+    excite_current : float, in A
+        Peak in the coil that drives most.
+    """
+
+    excite_cycles: int = 5
+    ring_down: float = 0.020
+    half_periods: int = 2
+    excite_current: float = 10.0
+
+    def duration(self, frequency: float) -> float:
+        """From the end of the actuation to the end of listening, in s."""
+        return self.excite_cycles / frequency + self.ring_down + self.half_periods / (2.0 * frequency)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything a controller may know of its world: beliefs, never truth.
+
+    Attributes
+    ----------
+    table : FieldTable
+        Field of the actuation coils, world frame.
+    limits : Limits
+    device : Device
+    robot : Robot
+    cycle : Cycle
+    tolerance : float, in m
+        Distance within which a goal counts as reached (Eq. S16).
+    """
+
+    table: FieldTable
+    limits: Limits
+    device: Device
+    robot: Robot
+    cycle: Cycle
+    tolerance: float = 0.8e-3
+
+
+@dataclass(frozen=True)
+class HelixSetup:
+    """Everything the controller of a helical robot may know of its world: beliefs, never truth.
+
+    Attributes
+    ----------
+    helix : Helix
+    limits : Limits
+    device : Device
+    cycle : Cycle
+    move : float, in s
+        Expected, to bring the magnet near or to take it away.
+    tolerance : float, in m
+        Distance within which the path's end counts as reached.
+    """
+
+    helix: Helix
+    limits: Limits
+    device: Device
+    cycle: Cycle
+    move: float
+    tolerance: float = 0.8e-3
+
+
+@dataclass(frozen=True)
+class Command:
+    """What to do next.
+
+    Attributes
+    ----------
+    window : Actuate, Rotate, a tuple of mechanical windows, or None
+        Mechanical windows are played as a shot of their own. None: do nothing this cycle but listen.
+    saturated : bool
+        True where a limit cut the command short.
+    note : str
+        For people, and for the record.
+    progress : float, in m
+        Arc length of the path that lies behind.
+    phase : {"approach", "follow"}
+        On the way to the path's start, or on the path.
+    done : bool
+        True once the path's end is reached.
+    stuck : bool
+        True where the controller gives up; its note says why.
+    event : str
+        Something that a reader of the record should find, such as a step-out.
+    """
+
+    window: Actuate | Rotate | tuple[Mechanical, ...] | None
+    saturated: bool = False
+    note: str = ""
+    progress: float = 0.0
+    phase: Phase = "follow"
+    done: bool = False
+    stuck: bool = False
+    event: str = ""
+
+    @property
+    def mechanical(self) -> tuple[Mechanical, ...]:
+        """Its mechanical windows; empty if it has none."""
+        if isinstance(self.window, tuple):
+            return self.window
+        return (self.window,) if isinstance(self.window, Rotate) else ()
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How a controller's force would act along a path, by the table and its beliefs.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3), in m
+    force : ndarray, shape (n,), in N
+        Of the force that it would exert.
+    direction_error : ndarray, shape (n,), in rad
+        Angle between that force and the path.
+    """
+
+    points: FloatArray
+    force: FloatArray
+    direction_error: FloatArray
+
+
+class Controller(Protocol):
+    """Promise of every controller. It is made once per mission from a setup and its gains.
+
+    One that learns from what its commands do may also have ``unplayed()``: called before the next command where the
+    last one was not played.
+    """
+
+    gains: ClassVar[Mapping[str, Gain]]
+
+    def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None: ...
+
+    def reset(self, path: Curve, pose: Pose) -> None:
+        """Begin a path from a pose."""
+
+    def command(self, pose: Pose) -> Command:
+        """What to do, given where the robot is when the command begins."""
+
+    def reach(self, path: Curve) -> Reach:
+        """How its force would act along `path`; what `preview` shows."""
+
+
+def complete_gains(known: Mapping[str, Gain], given: Mapping[str, float], law: str) -> dict[str, float]:
+    """Given gains laid over the defaults.
+
+    Raises
+    ------
+    InputError
+        For every unknown gain, and every one outside its range.
+    """
+    faults = [gain_fault(known, name, value, law) for name, value in given.items()]
+    found = [fault for fault in faults if fault]
+    if found:
+        raise InputError(" ".join(found))
+    return {name: float(given.get(name, gain.default)) for name, gain in known.items()}
+
+
+def gain_fault(known: Mapping[str, Gain], name: str, value: Any, law: str) -> str | None:
+    """What is wrong with one gain of controller `law`, or None."""
+    if name not in known:
+        close = difflib.get_close_matches(name, known, 1)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        return f"unknown gain of {law}; known gains: {', '.join(known)}.{hint}"
+    gain = known[name]
+    if not gain.low <= value <= gain.high:
+        return f"must lie within {gain.low:g} to {gain.high:g}; got {value:g}."
+    return None

@@ -1,0 +1,1 @@
+"""Curves that a robot follows, and where they come from: glyphs, SVG, CSV."""

@@ -1,0 +1,184 @@
+"""Corners of a path: found, counted, and rounded by arcs; in the plane or in space."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.paths.outline import Outline
+from smolbot.paths.polylines import arc_of, nearest_place, place_at
+
+CORNER = np.radians(20.0)
+"""Turns beyond it are corners; below, samples of a bend."""
+
+REVERSAL = np.radians(170.0)
+"""Turns beyond it go back the way they came, and cannot be rounded."""
+
+FINE = np.radians(5.0)
+"""Turn between two points of an arc."""
+
+
+def directions(points: FloatArray) -> FloatArray:
+    """Unit vectors (n - 1, d) of the segments."""
+    steps = np.diff(points, axis=0)
+    return np.asarray(steps / np.linalg.norm(steps, axis=1, keepdims=True))
+
+
+def turns(points: FloatArray) -> FloatArray:
+    """Angle (n - 2,) in rad by which the path turns at each inner point."""
+    way = directions(points)
+    return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(way[1:] - way[:-1], axis=1), 0.0, 1.0))
+
+
+def corner_indices(points: FloatArray) -> list[int]:
+    """Inner points that are corners."""
+    return [int(i) + 1 for i in np.flatnonzero(turns(points) > CORNER)]
+
+
+def curvature(points: FloatArray) -> FloatArray:
+    """Curvature (n,) at each point, in 1 over the unit of `points`, of the circle through it and its neighbours.
+
+    0 at ends and corners.
+
+    Examples
+    --------
+    >>> angle = np.linspace(0.0, 1.0, 30)
+    >>> print(curvature(4.0 * np.column_stack([np.cos(angle), np.sin(angle)]))[1:-1].round(6).min())
+    0.25
+    """
+    found = np.zeros(len(points))
+    turn = turns(points)
+    chord = np.linalg.norm(points[2:] - points[:-2], axis=1)
+    found[1:-1] = np.where(turn > CORNER, 0.0, 2.0 * np.sin(turn) / np.maximum(chord, 1e-12))
+    return found
+
+
+def rounded(points: FloatArray, radius: float) -> Outline:
+    """The path with every corner replaced by an arc that touches both of its sides.
+
+    A side between two corners gives each of them half. Where that is too short the arc is as large as it allows;
+    a remark says so. Where the path turns back on itself the corner stays.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d), in mm
+    radius : float, in mm
+        0 keeps all corners.
+    """
+    corners = corner_indices(points)
+    if radius <= 0.0 or not corners:
+        return Outline(points)
+    sides = [points[a : b + 1] for a, b in pairwise([0, *corners, len(points) - 1])]
+    lengths = [float(arc_of(side)[-1]) for side in sides]
+    turn = turns(points)
+    parts: list[FloatArray] = []
+    start, short, kept = 0.0, [], 0
+    for k, corner in enumerate(corners):
+        before, after = sides[k][::-1], sides[k + 1]
+        room = (lengths[k] * (0.5 if k else 1.0), lengths[k + 1] * (0.5 if k + 1 < len(corners) else 1.0))
+        fillet = None if turn[corner - 1] > REVERSAL else _largest_arc(before, after, room, radius)
+        back, arc, size, onward = fillet or (0.0, points[corner][None], 0.0, 0.0)
+        if turn[corner - 1] > REVERSAL:
+            kept += 1
+        elif size < radius * (1.0 - 1e-6):
+            short.append((size, points[corner]))
+        parts += [_part(sides[k], start, lengths[k] - back), arc]
+        start = onward
+    parts.append(_part(sides[-1], start, lengths[-1]))
+    whole = np.vstack(parts)
+    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > 1e-6])
+    remarks = []
+    if short:
+        least, where = min(short, key=lambda item: item[0])
+        remarks.append(
+            f"{len(short)} of {len(corners)} corners have sides too short for an arc of {radius:g} mm: "
+            f"down to {least:.2f} mm, at ({where[0]:.1f}, {where[1]:.1f}) mm"
+        )
+    if kept:
+        these = "1 corner stays as it is" if kept == 1 else f"{kept} corners stay as they are"
+        remarks.append(f"{these}: the path turns back on itself there")
+    return Outline(whole[new], tuple(remarks))
+
+
+def _part(side: FloatArray, low: float, high: float) -> FloatArray:
+    """What two arcs leave of a side: a point, where it is nothing."""
+    arc = arc_of(side)
+    inner = side[(arc > low + 1e-9) & (arc < high - 1e-9)]
+    return np.vstack([place_at(side, min(low, high)), inner, place_at(side, high)])
+
+
+Fillet = tuple[float, FloatArray, float, float]
+"""Length that an arc takes of the side before, its points, its radius, and length that it takes of the side after."""
+
+
+def _largest_arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float) -> Fillet | None:
+    """An arc of `radius`, or the largest for which there is room."""
+    found = _arc(before, after, room, radius)
+    if found is not None:
+        return found
+    low, high = 0.0, radius
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        tried = _arc(before, after, room, middle)
+        if tried is None:
+            high = middle
+        else:
+            low, found = middle, tried
+    return found
+
+
+def _arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float) -> Fillet | None:
+    """The arc of `radius` that touches both sides, which lead away from the corner; None where there is no room."""
+    one, other = directions(before)[0], directions(after)[0]
+    half = float(np.arcsin(min(0.5 * float(np.linalg.norm(one + other)), 1.0)))  # of the turn
+    back = onward = radius * np.tan(half)
+    normal = other - (other @ one) * one
+    center = before[0] + back * one + radius * normal / np.linalg.norm(normal)
+    first = min(float(np.linalg.norm(side[1] - side[0])) for side in (before, after))
+    if back > min(first, *room):
+        bent = None if len(before) == len(after) == 2 else _bent(before, after, room, radius)
+        if bent is None:
+            return None
+        back, onward, center = bent
+    p, q = place_at(before, back) - center, place_at(after, onward) - center
+    angle = float(np.arccos(np.clip(p @ q / np.linalg.norm(p) / np.linalg.norm(q), -1.0, 1.0)))
+    share = np.linspace(0.0, 1.0, max(int(np.ceil(angle / FINE - 1e-6)), 2) + 1)[:, None]
+    sweep = (np.sin((1.0 - share) * angle) * p + np.sin(share * angle) * q) / np.sin(angle)
+    return back, center + sweep, radius, onward
+
+
+def _bent(
+    before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float
+) -> tuple[float, float, FloatArray] | None:
+    """Lengths that an arc takes of two sides with bends, and its centre, or None where there is no room.
+
+    The centre lies `radius` beside the first side, and is as far from the second.
+    """
+    ways, arc = directions(before), arc_of(before)
+    beside = directions(after)[0]
+    normals = []
+    for way in ways:  # carried along the bend without turning about it
+        beside = beside - (beside @ way) * way
+        beside = beside / np.linalg.norm(beside)
+        normals.append(beside)
+    at = np.vstack([normals[:1], 0.5 * (np.array(normals[1:]) + normals[:-1]).reshape(-1, len(beside)), normals[-1:]])
+
+    def center(s: float) -> FloatArray:
+        normal = np.array([np.interp(s, arc, at[:, k]) for k in range(before.shape[1])])
+        return place_at(before, s) + radius * normal / np.linalg.norm(normal)
+
+    def gap(s: float) -> float:
+        return nearest_place(after, center(s))[1] - radius
+
+    steps = np.linspace(0.0, room[0], 33)
+    first = next((i for i, s in enumerate(steps) if i and gap(s) >= 0.0), None)
+    if first is None:
+        return None
+    low, high = float(steps[first - 1]), float(steps[first])
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if gap(middle) < 0.0 else (low, middle)
+    onward = nearest_place(after, center(high))[0]
+    return (high, onward, center(high)) if 0.0 < onward <= room[1] + 1e-9 else None

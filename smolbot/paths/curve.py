@@ -1,0 +1,134 @@
+"""Paths as curves: polylines with arc length, distance and progress."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.errors import InputError
+from smolbot.paths.speed_profile import SpeedProfile
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve through `points` (n, 3), in m, world frame, with straight pieces between them.
+
+    Arc length `s` runs from 0 to `length`, in m. `speed` is what is wanted along it, listening included; without one a
+    controller goes as fast as it can.
+    """
+
+    points: FloatArray
+    speed: SpeedProfile | None = None
+
+    def __post_init__(self) -> None:
+        points = as_floats(self.points, (None, 3), "Curve points")
+        if len(points) < 2:
+            raise InputError(f"A path needs at least two points; got {len(points)}.")
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if np.any(steps < 1e-9):
+            raise InputError(f"Path points {int(np.argmin(steps))} and {int(np.argmin(steps)) + 1} coincide.")
+        object.__setattr__(self, "points", frozen(points))
+
+    @cached_property
+    def arc(self) -> FloatArray:
+        """Arc length at each point, shape (n,), in m."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+
+    @property
+    def length(self) -> float:
+        """In m."""
+        return float(self.arc[-1])
+
+    def at(self, s: FloatArray | float) -> FloatArray:
+        """Points at arc lengths `s` (clipped to the path), shape (..., 3)."""
+        clipped = np.clip(s, 0.0, self.length)
+        return np.stack([np.interp(clipped, self.arc, self.points[:, k]) for k in range(3)], axis=-1)
+
+    def tangent(self, s: FloatArray) -> FloatArray:
+        """Unit direction of travel at arc lengths `s`, shape (n, 3)."""
+        index = np.clip(np.searchsorted(self.arc, s, side="right") - 1, 0, len(self.points) - 2)
+        steps = np.diff(self.points, axis=0)[index]
+        return steps / np.linalg.norm(steps, axis=1, keepdims=True)
+
+    def sampled(self, spacing: float, corner: float = np.radians(20.0)) -> FloatArray:
+        """Arc lengths at most `spacing` m apart that include the start, every corner and the end."""
+        steps = np.diff(self.points, axis=0)
+        steps = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+        turns = np.arccos(np.clip(np.sum(steps[1:] * steps[:-1], axis=1), -1.0, 1.0))
+        stops = np.concatenate([[0.0], self.arc[1:-1][turns > corner], [self.length]])
+        pieces = [np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[1:] for a, b in pairwise(stops)]
+        return np.concatenate([[0.0], *pieces])
+
+    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Nearest place on the path in the horizontal plane.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m
+
+        Returns
+        -------
+        s : ndarray, shape (n,), in m
+            Arc length of the nearest place.
+        distance : ndarray, shape (n,), in m
+            Horizontal distance to it (cross-track error).
+        """
+        points = as_floats(points, (None, 3), "points")
+        start, step = self.points[:-1, :2], np.diff(self.points[:, :2], axis=0)
+        squared = np.sum(step**2, axis=1)
+        fraction = np.einsum("nsk,sk->ns", points[:, None, :2] - start, step) / np.maximum(squared, 1e-30)
+        fraction = np.clip(fraction, 0.0, 1.0)
+        nearest = start + fraction[..., None] * step
+        distance = np.linalg.norm(points[:, None, :2] - nearest, axis=2)
+        best = np.argmin(distance, axis=1)
+        rows = np.arange(len(points))
+        s = self.arc[best] + fraction[rows, best] * np.diff(self.arc)[best]
+        return s, distance[rows, best]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def read_csv(path: Path) -> FloatArray:
+    """Points (n, 2) in mm of a CSV file with the columns x and y; a header line is allowed.
+
+    Raises
+    ------
+    InputError
+        With file and line of the first row that is not two numbers.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}.") from error
+    rows: list[tuple[float, float]] = []
+    header = False
+    for number, line in enumerate(lines, 1):
+        cells = [cell.strip() for cell in line.replace(";", ",").split(",")]
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            x, y = (float(cell) for cell in cells)
+        except ValueError:
+            if not rows and not header and not any(_is_number(cell) for cell in cells):
+                header = True
+                continue
+            raise InputError(
+                f"{path}:{number}: each row must be two numbers, x and y in mm; got {line.strip()!r}."
+            ) from None
+        if not np.isfinite([x, y]).all():
+            raise InputError(f"{path}:{number}: x and y must be finite; got {line.strip()!r}.")
+        rows.append((x, y))
+    if len(rows) < 2:
+        raise InputError(f"{path}: a path needs at least two points; found {len(rows)}.")
+    return np.array(rows)

@@ -1,0 +1,50 @@
+"""The shipped single-stroke font: the 94 printable characters of ASCII, as plotters and engravers draw them.
+
+Roman Simplex of the Hershey fonts, digitized by A. V. Hershey at the U. S. National Bureau of Standards, in the ASCII
+order and format of James Hurt. Of seven characters with doubled lines ($ @ [ ] { } ~) one line was kept.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+
+FIRST, LAST = "!", "~"
+"""The printable characters, without the space, that the font holds."""
+
+KNOWN = f"the printable ASCII characters, {FIRST} to {LAST} (A to Z, a to z, 0 to 9 and signs)"
+
+
+@cache
+def _lines() -> tuple[str, ...]:
+    return tuple(resources.files("smolbot.paths.drawing").joinpath("sans.jhf").read_text(encoding="ascii").splitlines())
+
+
+def in_font(character: str) -> bool:
+    """Whether the font has something to draw for it.
+
+    Examples
+    --------
+    >>> [in_font(c) for c in ("S", "~", " ", "ß", "SS")]
+    [True, True, False, False, False]
+    """
+    return len(character) == 1 and FIRST <= character <= LAST
+
+
+def strokes(character: str) -> list[FloatArray]:
+    """Strokes of a character, each (n, 2) with n >= 2, on the font's grid: y up, base line -9, cap line 12.
+
+    A line of the file holds code (5 digits), number of pairs (3), then pairs of letters: left and right margin, points,
+    and " R" where the pen is lifted. A letter stands for its distance from "R".
+    """
+    data = _lines()[ord(character) - ord(" ")][10:]
+    return [
+        np.array(
+            [[ord(x) - ord("R"), ord("R") - ord(y)] for x, y in zip(part[::2], part[1::2], strict=True)], dtype=float
+        )
+        for part in data.split(" R")
+    ]

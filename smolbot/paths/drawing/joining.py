@@ -1,0 +1,290 @@
+"""One continuous route over all strokes of a character: a robot cannot be lifted off its path.
+
+Strokes and the places where they meet form a graph. A route over all of it with the least retracing is that of the
+Chinese postman with free ends: the odd nodes but two are joined in pairs along the shortest ways, which are then drawn
+twice, and an Eulerian trail passes every edge. Among these the trail is taken that turns least where strokes meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.paths.drawing.smoothing import smoothed
+from smolbot.paths.polylines import arc_of, crossings, is_straight, nearest_place, place_at, split_at
+
+MEET, SAME = 0.8, 0.3
+"""Units of the font's grid: an end that is this near to another stroke meets it; places this near are one."""
+
+STRAIGHT_ON = np.radians(12.0)
+"""Turns up to this one are none, where a route passes from one stroke to another."""
+
+TRIES = 20_000
+"""Steps of the search for the trail with the least turning."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """A character as one route.
+
+    Attributes
+    ----------
+    pieces : tuple of ndarray, each (n, 2)
+        Smooth each, one after another; corners lie between them.
+    retraced : tuple of ndarray
+        What is drawn a second time.
+    bridges : tuple of ndarray, each (2, 2)
+        Straight lines across gaps between parts that do not touch, such as that from the dot of an i to its stem.
+    """
+
+    pieces: tuple[FloatArray, ...]
+    retraced: tuple[FloatArray, ...] = ()
+    bridges: tuple[FloatArray, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Edge:
+    points: FloatArray
+    a: int
+    b: int
+    bridge: bool = False
+    again: bool = False
+
+    @property
+    def length(self) -> float:
+        return float(arc_of(self.points)[-1])
+
+    def leaving(self, from_a: bool) -> FloatArray:
+        """Unit vector of the way out of one of its ends."""
+        points = self.points if from_a else self.points[::-1]
+        way = place_at(points, min(0.5, 0.5 * self.length)) - points[0]
+        return way / np.linalg.norm(way)
+
+
+@dataclass
+class _Net:
+    nodes: list[FloatArray] = field(default_factory=list)
+    edges: list[_Edge] = field(default_factory=list)
+
+    def node(self, place: FloatArray) -> int:
+        for i, known in enumerate(self.nodes):
+            if np.linalg.norm(known - place) < SAME:
+                return i
+        self.nodes.append(place)
+        return len(self.nodes) - 1
+
+    def add(self, points: FloatArray, bridge: bool = False) -> None:
+        a, b = self.node(points[0]), self.node(points[-1])
+        points = points.copy()
+        points[0], points[-1] = self.nodes[a], self.nodes[b]
+        self.edges.append(_Edge(points, a, b, bridge))
+
+    def part_of(self) -> list[int]:
+        """For each node the least node that can be reached from it."""
+        part = list(range(len(self.nodes)))
+        for _ in part:
+            for edge in self.edges:
+                part[edge.a] = part[edge.b] = min(part[edge.a], part[edge.b])
+        return part
+
+    def degree(self, node: int) -> int:
+        return sum((edge.a == node) + (edge.b == node) for edge in self.edges)
+
+
+def joined(strokes: list[FloatArray], stretch: float = 1.0) -> Route:
+    """One route over all strokes, smoothed.
+
+    Parameters
+    ----------
+    strokes : list of ndarray, each (n, 2)
+        On the font's grid.
+    stretch : float
+        By how much more heights will be stretched than widths, which decides what is the shortest way.
+    """
+    if len(strokes) == 1:
+        return Route(tuple(smoothed(strokes[0])))
+    net = _net(strokes)
+    _bridge(net)
+    _retrace(net, np.array([1.0, stretch]))
+    return _route(net, _trail(net))
+
+
+def _net(strokes: list[FloatArray]) -> _Net:
+    """The graph of the strokes, cut where others meet or cross them."""
+    met, fixed = _met(strokes)
+    pieces = [smoothed(stroke, hold) for stroke, hold in zip(met, fixed, strict=True)]
+    net = _Net()
+    for i, own in enumerate(pieces):
+        for piece in own:
+            cuts = []
+            for j, others in enumerate(pieces):
+                if i == j:
+                    continue
+                for end in (others[0][0], others[-1][-1]):
+                    place, away = nearest_place(piece, end)
+                    if away < SAME:
+                        cuts.append(place)
+                cuts += [place for other in others for place, _ in crossings(piece, other)]
+            length = float(arc_of(piece)[-1])
+            inside: list[float] = []
+            for cut in sorted(cuts):
+                if cut > (inside[-1] if inside else 0.0) + SAME and cut < length - SAME:
+                    inside.append(cut)
+            for part in split_at(piece, inside):
+                net.add(part)
+    return net
+
+
+def _met(strokes: list[FloatArray]) -> tuple[list[FloatArray], list[BoolArray]]:
+    """Strokes whose ends lie on the strokes that they meet, and which of their points others meet."""
+    met = [stroke.copy() for stroke in strokes]
+    for i, stroke in enumerate(met):
+        for end in (0, -1):
+            near = [(nearest_place(other, stroke[end]), j) for j, other in enumerate(met) if j != i]
+            (place, away), j = min(near, key=lambda found: found[0][1])
+            if away > MEET:
+                continue
+            arc = arc_of(met[j])
+            vertex = int(np.argmin(np.abs(arc - place)))
+            if abs(arc[vertex] - place) < 0.5 * MEET:
+                stroke[end] = met[j][vertex]
+            else:
+                stroke[end] = place_at(met[j], place)
+                if not is_straight(met[j]):
+                    met[j] = np.insert(met[j], int(np.searchsorted(arc, place)), stroke[end], axis=0)
+    ends = np.array([stroke[k] for stroke in met for k in (0, -1)])
+    fixed = [np.min(np.linalg.norm(s[:, None] - ends[None], axis=2), axis=1) < 1e-9 for s in met]
+    for stroke, hold in zip(met, fixed, strict=True):
+        if np.allclose(stroke[0], stroke[-1]) and np.sum(np.linalg.norm(ends - stroke[0], axis=1) < 1e-9) == 2:
+            hold[[0, -1]] = False  # only its own end meets it there
+    return met, fixed
+
+
+def _bridge(net: _Net) -> None:
+    """Join parts that do not touch by the shortest straight lines."""
+    while len(set(part := net.part_of())) > 1:
+        best: tuple[float, FloatArray, int, float] | None = None
+        for edge in net.edges:
+            for k, other in enumerate(net.edges):
+                if part[edge.a] == part[other.a]:
+                    continue
+                for vertex, point in enumerate(edge.points):
+                    place, away = nearest_place(other.points, point)
+                    inside = SAME < place < other.length - SAME
+                    away += 0.1 * (inside + (0 < vertex < len(edge.points) - 1))  # rather from end to end
+                    if best is None or away < best[0] - 1e-9:
+                        best = away, point, k, place
+        assert best is not None
+        _, point, k, place = best
+        other = net.edges[k]
+        if SAME < place < other.length - SAME:
+            net.edges[k : k + 1] = []
+            for half in split_at(other.points, [place]):
+                net.add(half, other.bridge)
+        goal = place_at(other.points, place)
+        for k, edge in enumerate(net.edges):
+            at, away = nearest_place(edge.points, point)
+            if away < 1e-9 and SAME < at < edge.length - SAME:
+                net.edges[k : k + 1] = []
+                for half in split_at(edge.points, [at]):
+                    net.add(half, edge.bridge)
+                break
+        net.add(np.array([point, goal]), bridge=True)
+
+
+def _retrace(net: _Net, scale: FloatArray) -> None:
+    """Draw some edges a second time, so that all nodes but two have an even number of edges."""
+    n = len(net.nodes)
+    way, last = np.full((n, n), np.inf), np.full((n, n), -1)
+    np.fill_diagonal(way, 0.0)
+    for k, edge in enumerate(net.edges):
+        length = float(arc_of(edge.points * scale)[-1])
+        for a, b in ((edge.a, edge.b), (edge.b, edge.a)):
+            if length < way[a, b]:
+                way[a, b], last[a, b] = length, k
+    for m in range(n):
+        through = way[:, m, None] + way[None, m, :]
+        shorter = through < way - 1e-12
+        way = np.where(shorter, through, way)
+        last = np.where(shorter, last[None, m, :], last)
+    odd = [i for i in range(n) if net.degree(i) % 2]
+
+    @cache
+    def pairs(left: tuple[int, ...], free: int) -> tuple[float, tuple[tuple[int, int], ...]]:
+        if len(left) <= free:
+            return 0.0, ()
+        first, rest = left[0], left[1:]
+        options = [pairs(rest, free - 1)] if free else []
+        for i, other in enumerate(rest):
+            cost, found = pairs(rest[:i] + rest[i + 1 :], free)
+            options.append((cost + float(way[first, other]), ((first, other), *found)))
+        return min(options)
+
+    edges = list(net.edges)
+    for start, end in pairs(tuple(odd), 2)[1]:
+        at = end
+        while at != start:
+            edge = edges[last[start, at]]
+            net.edges.append(replace(edge, again=True))
+            at = edge.a if edge.b == at else edge.b
+
+
+def _trail(net: _Net) -> list[tuple[int, bool]]:
+    """Edges in order, each with whether it is passed from a to b, with the least turning where they meet."""
+    odd = [i for i in range(len(net.nodes)) if net.degree(i) % 2]
+    starts = odd or [i for i in range(len(net.nodes)) if net.degree(i)]
+    size = np.ptp(np.array(net.nodes), axis=0).max() + 1.0
+    out: list[list[tuple[int, bool]]] = [[] for _ in net.nodes]
+    for k, edge in enumerate(net.edges):
+        out[edge.a].append((k, True))
+        out[edge.b].append((k, False))
+    leaving = {(k, way): edge.leaving(way) for k, edge in enumerate(net.edges) for way in (True, False)}
+    turns = {(i, j): _turn(-leaving[i[0], not i[1]], leaving[j]) for i in leaving for j in leaving}
+    best: list[tuple[int, bool]] = []
+    least, tries = np.inf, 0
+    used = [False] * len(net.edges)
+    trail: list[tuple[int, bool]] = []
+
+    def go_on(node: int, cost: float) -> None:
+        nonlocal best, least, tries
+        tries += 1
+        if len(trail) == len(net.edges):
+            best, least = list(trail), cost
+            return
+        ways = [(turns[trail[-1], way] if trail else 0.0, way) for way in out[node] if not used[way[0]]]
+        for turn, (k, forward) in sorted(ways):
+            if cost + turn >= least - 1e-9 or (best and tries > TRIES):
+                return
+            edge = net.edges[k]
+            used[k] = True
+            trail.append((k, forward))
+            go_on(edge.b if forward else edge.a, cost + turn)
+            trail.pop()
+            used[k] = False
+
+    for start in starts:
+        x, y = net.nodes[start]
+        go_on(start, float(0.05 * (x - y) / size))  # as one writes: from the left, from the top
+    return best
+
+
+def _turn(heading: FloatArray, way: FloatArray) -> float:
+    return float(np.arccos(np.clip(heading @ way, -1.0, 1.0)))
+
+
+def _route(net: _Net, trail: list[tuple[int, bool]]) -> Route:
+    pieces: list[FloatArray] = []
+    heading: FloatArray | None = None
+    for k, forward in trail:
+        edge = net.edges[k]
+        points = edge.points if forward else edge.points[::-1]
+        if heading is not None and float(heading @ edge.leaving(forward)) > np.cos(STRAIGHT_ON):
+            pieces[-1] = np.vstack([pieces[-1], points[1:]])
+        else:
+            pieces.append(points)
+        heading = -edge.leaving(not forward)
+    again = tuple(edge.points for edge in net.edges if edge.again)
+    return Route(tuple(pieces), again, tuple(edge.points for edge in net.edges if edge.bridge and not edge.again))

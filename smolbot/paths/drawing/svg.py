@@ -1,0 +1,214 @@
+"""A path from an SVG drawing: one element, drawn without lifting the pen, in mm with y up."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+
+MM = 25.4 / 96.0
+"""Size of a CSS pixel, to which SVG's units refer."""
+
+FLAT = 5e-3
+"""Most distance of a chord from its curve, in mm."""
+
+TURN = np.radians(5.0)
+"""Most turn within a chord: a bend must not be taken for corners."""
+
+DEEPEST = 14
+"""Halvings of a curve at most: a cusp turns within every chord."""
+
+PEN_UP = 1e-3
+"""Moves up to this one, in mm, are rounding."""
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_COUNTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
+
+
+def read_svg(path: Path, element: str | None, width: float | None, height: float | None) -> FloatArray:
+    """Points (n, 2), in mm, of one shape of a drawing, centred on the origin, y up.
+
+    Transforms, units and the view box are applied; a drawing without units is in pixels of 1/96 inch. Curves and arcs
+    become chords that keep within 5 µm of them.
+
+    Parameters
+    ----------
+    element : str, optional
+        Its id; needed only where the drawing holds more than one shape.
+    width, height : float, in mm, optional
+        Size that it is brought to; with one of them the aspect is kept.
+
+    Raises
+    ------
+    InputError
+        With file and element: a file that cannot be read, no shape, several, path data that are broken, or a pen that
+        is lifted on the way.
+    """
+    import svgelements
+
+    try:
+        drawing = svgelements.SVG.parse(str(path), reify=True, ppi=96.0)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}:{error.position[0]}: not valid XML: {error}.") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}.") from error
+    except (ValueError, TypeError, ArithmeticError, AttributeError) as error:  # what svgelements meets unprepared
+        raise InputError(f"{path}: cannot be read as SVG: {error}.") from error
+    if not isinstance(drawing, svgelements.SVG):
+        raise InputError(f"{path}: is no SVG: its outermost element is not <svg>.")
+    shape, name = _chosen(path, drawing, element)
+    segments = _segments(shape, f"{path}: {name}")
+    rough = np.vstack([_chords(segment, np.inf) for segment in segments])
+    size = np.ptp(rough, axis=0)
+    scale = _scale(size, width, height, f"{path}: {name}")
+    points = [_chords(segment, FLAT / float(np.max(scale))) for segment in segments]
+    whole = np.vstack([points[0], *(chords[1:] for chords in points[1:])]) * scale
+    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > 1e-6])
+    return whole[new] - 0.5 * (whole.min(axis=0) + whole.max(axis=0))
+
+
+def _chosen(path: Path, drawing: Any, element: str | None) -> tuple[Any, str]:
+    """The shape that is meant, and how to call it in messages."""
+    import svgelements
+
+    if element is not None:
+        named = [e for e in drawing.elements() if getattr(e, "id", None) == element]
+        if not named:
+            ids = sorted({str(e.id) for e in drawing.elements() if isinstance(e, svgelements.Shape) and e.id})
+            known = f"shapes with an id: {', '.join(ids)}" if ids else "no shape has an id"
+            raise InputError(f"{path}: no element has the id '{element}'; {known}.")
+        inside = [e for e in named[0].select() if isinstance(e, svgelements.Shape)] if _is_group(named[0]) else named
+    else:
+        inside = list(drawing.elements())
+    shapes = [e for e in inside if isinstance(e, svgelements.Shape) and _drawn(e)]
+    where = f"element '{element}'" if element is not None else "the drawing"
+    if not shapes:
+        raise InputError(
+            f"{path}: {where} holds no path, line, polyline, polygon, rectangle, circle or ellipse with a length; "
+            "text and images must be made paths first."
+        )
+    if len(shapes) > 1:
+        names = ", ".join(str(e.id) if e.id else f"a {_kind(e)} without an id" for e in shapes[:8])
+        more = f" and {len(shapes) - 8} more" if len(shapes) > 8 else ""
+        raise InputError(
+            f'{path}: {where} holds {len(shapes)} shapes, {names}{more}; choose one by element = "its id".'
+        )
+    return shapes[0], f"element '{shapes[0].id}'" if shapes[0].id else f"its {_kind(shapes[0])}"
+
+
+def _is_group(element: Any) -> bool:
+    return isinstance(element, list) and hasattr(element, "select")
+
+
+def _kind(shape: Any) -> str:
+    return type(shape).__name__.lower()
+
+
+def _drawn(shape: Any) -> bool:
+    import svgelements
+
+    if shape.values.get("visibility") == "hidden":
+        return False
+    return shape.values.get("d") or any(not isinstance(s, svgelements.Move) for s in svgelements.Path(shape))
+
+
+def _segments(shape: Any, where: str) -> list[Any]:
+    """Its segments with a length, in order, without those that lift the pen."""
+    import svgelements
+
+    fault = _data_fault(shape.values.get("d") or "")
+    if fault:
+        raise InputError(f"{where}: broken path data: {fault}.")
+    drawn: list[Any] = []
+    for segment in svgelements.Path(shape):
+        if isinstance(segment, svgelements.Move):
+            lifted = drawn and abs(segment.end - drawn[-1].end) * MM > PEN_UP
+            if lifted:
+                a, b = drawn[-1].end, segment.end
+                raise InputError(
+                    f"{where}: the pen is lifted at ({a.x * MM:.2f}, {a.y * MM:.2f}) mm of the page and put down at "
+                    f"({b.x * MM:.2f}, {b.y * MM:.2f}) mm; a robot cannot be lifted. Draw one line without a break."
+                )
+        elif segment.start is not None and segment.end is not None and segment.length(error=1e-3) > 0.0:
+            drawn.append(segment)
+    if not drawn:
+        raise InputError(f"{where}: has no length.")
+    return drawn
+
+
+def _data_fault(data: str) -> str | None:
+    """What is wrong with the `d` of a path, which would otherwise end there in silence.
+
+    Examples
+    --------
+    >>> _data_fault("M 0,0 l 3 4 5 6 a 1 1 0 0110-5z")
+    >>> _data_fault("M 0 0 L 10 x 20")
+    "'x' at character 12 is no command"
+    >>> _data_fault("M 0 0 C 1 2 3 4")
+    'C at character 7 has 4 numbers; it takes 6 each time'
+    """
+    for letter in re.finditer(r"[^\d\s,.+\-eE]", data):
+        if letter[0].upper() not in _COUNTS:
+            return f"'{letter[0]}' at character {letter.start() + 1} is no command"
+    for match in re.finditer(r"([A-DF-Za-df-z])([^A-DF-Za-df-z]*)", data):
+        command, given, at = match[1], match[2], match.start() + 1
+        count = _COUNTS[command.upper()]
+        number = rf"{_NUMBER}(?:[\s,]+|(?=[+\-.])|$)"
+        if command in "Aa":
+            flag = r"[01][\s,]*"
+            one = rf"(?:{number}){{3}}{flag}{flag}(?:{number}){{2}}"
+            if not re.fullmatch(rf"[\s,]*(?:{one})+", given):
+                return f"{command} at character {at} needs radii, rotation, two flags and an end each time"
+            continue
+        if not re.fullmatch(rf"[\s,]*(?:{number})*", given):
+            return f"the numbers of {command} at character {at} cannot be read: '{given.strip()[:40]}'"
+        found = len(re.findall(_NUMBER, given))
+        if (count == 0 and found) or (count and (found == 0 or found % count)):
+            return f"{command} at character {at} has {found} numbers; it takes {count} each time"
+    if data.strip() and data.strip()[0] not in "Mm":
+        return f"it must begin with M; got '{data.strip()[:20]}'"
+    return None
+
+
+def _scale(size: FloatArray, width: float | None, height: float | None, where: str) -> FloatArray:
+    wanted = (width, height)
+    for have, want, what in zip(size, wanted, ("width", "height"), strict=True):
+        if want is not None and have < 1e-9:
+            raise InputError(f"{where}: has no {what}, and cannot be brought to {want:g} mm; leave out {what}_mm.")
+    ratios = [None if want is None else want / have for have, want in zip(size, wanted, strict=True)]
+    given = [r for r in ratios if r is not None]
+    return np.array([r if r is not None else (given[0] if given else 1.0) for r in ratios])
+
+
+def _chords(segment: Any, flat: float) -> FloatArray:
+    """Points (n, 2) of a segment, in mm, y up."""
+    import svgelements
+
+    def place(t: float) -> FloatArray:
+        point = segment.point(t)
+        return np.array([point.x * MM, -point.y * MM])
+
+    if isinstance(segment, svgelements.Line | svgelements.Close):
+        return np.array([[p.x * MM, -p.y * MM] for p in (segment.start, segment.end)])
+    found = [place(0.0)]
+
+    def halve(a: float, p: FloatArray, b: float, q: FloatArray, depth: int) -> None:
+        m, middle = 0.5 * (a + b), place(0.5 * (a + b))
+        into, out = middle - p, q - middle
+        turn = abs(float(np.arctan2(into[0] * out[1] - into[1] * out[0], into @ out)))
+        chord = q - p
+        beside = abs(float(into[0] * chord[1] - into[1] * chord[0])) / max(float(np.linalg.norm(chord)), 1e-12)
+        if depth >= DEEPEST or (depth >= 3 and turn < TURN and beside <= flat):
+            found.append(q)
+            return
+        halve(a, p, m, middle, depth + 1)
+        halve(m, middle, b, q, depth + 1)
+
+    halve(0.0, found[0], 1.0, place(1.0), 0)
+    return np.array(found)

@@ -1,0 +1,129 @@
+"""Letters and signs as one continuous route, in a box of a given size: four own letters, and a plotter's font."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.paths.drawing.font import KNOWN, in_font, strokes
+from smolbot.paths.drawing.joining import Route, joined
+from smolbot.paths.outline import Outline
+from smolbot.paths.polylines import arc_of, even_samples
+
+BOWL = 0.25
+"""Radius of the R's bowl as a fraction of its height: the bowl takes the upper half."""
+
+S_TERMINAL = 10.0
+"""Where the S begins and ends on its bowls, in degrees above and below their middle."""
+
+TURN = np.radians(4.0)
+"""Most turn between two samples of a bend: on one of 5 mm radius a chord is off by 3 µm."""
+
+
+def _letter_r(width: float, height: float) -> FloatArray:
+    """Up the stem, round the bowl back to the stem, down the leg."""
+    radius = BOWL * height
+    straight = max(width - radius, 0.0)
+    stretch = min(width, radius) / radius
+    angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, 49)
+    bowl = np.stack([straight + stretch * radius * np.cos(angle), height - radius + radius * np.sin(angle)], axis=1)
+    return np.concatenate([[[0.0, 0.0], [0.0, height]], bowl, [[0.0, 0.5 * height], [width, 0.0]]])
+
+
+def _letter_i(width: float, height: float) -> FloatArray:
+    return np.array([[0.5 * width, 0.0], [0.5 * width, height]])
+
+
+def _letter_l(width: float, height: float) -> FloatArray:
+    return np.array([[0.0, height], [0.0, 0.0], [width, 0.0]])
+
+
+def _letter_s(width: float, height: float) -> FloatArray:
+    """From the upper end round the upper bowl, through the middle, round the lower one: the gentlest bends that fit.
+
+    Each bowl is half as high as the letter, its ends quarter circles and half circles joined by straight pieces.
+    """
+    radius = BOWL * height
+    reach = max(0.5 * width - radius, 0.0)
+    stretch = min(0.5 * width, radius) / radius
+    right = np.linspace(np.radians(S_TERMINAL), 0.5 * np.pi, 33)
+    left = np.linspace(0.5 * np.pi, 1.5 * np.pi, 65)
+    x = np.concatenate([reach + stretch * radius * np.cos(right), -reach + stretch * radius * np.cos(left)])
+    y = radius + radius * np.sin(np.concatenate([right, left]))
+    upper = np.stack([x, y], axis=1)
+    return np.concatenate([upper, -upper[::-1]]) + 0.5 * np.array([width, height])
+
+
+GLYPHS = {"I": _letter_i, "L": _letter_l, "R": _letter_r, "S": _letter_s}
+"""Own letters, drawn for robots; every other character is of the font."""
+
+
+def glyph_fault(name: str) -> str | None:
+    """Why `name` is no glyph, or None if it is one."""
+    if len(name) > 1:
+        return f"a glyph is one character, got {len(name)} ('{name}'); a word has no way from letter to letter."
+    if not in_font(name):
+        return f"no glyph is named '{name}'; known glyphs: {KNOWN}."
+    return None
+
+
+def glyph(name: str, width: float, height: float) -> FloatArray:
+    """Points (n, 2) of a character of the given size, centred on the origin, in the unit of `width`.
+
+    Examples
+    --------
+    >>> print(glyph("L", 2.0, 4.0))
+    [[-1.  2.]
+     [-1. -2.]
+     [ 1. -2.]]
+    """
+    return drawn_glyph(name, width, height).points
+
+
+def drawn_glyph(name: str, width: float, height: float) -> Outline:
+    """A character, and what must be said of its route: what is drawn twice, and which gaps are bridged.
+
+    It fills its box; one without a width or a height, such as ``|``, is as long as the box allows.
+
+    Raises
+    ------
+    InputError
+        For what is not one printable character.
+    """
+    fault = glyph_fault(name)
+    if fault:
+        raise InputError(fault[0].upper() + fault[1:])
+    if name in GLYPHS:
+        points = GLYPHS[name](width, height)
+        keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9])
+        return Outline(points[keep] - 0.5 * np.array([width, height]))
+    box = np.array([width, height])
+    size = np.ptp(np.vstack(strokes(name)), axis=0)
+    route = _route(name, float(np.round(height * size[0] / (width * size[1]), 6)) if size.all() else 1.0)
+    size = np.ptp(np.vstack(route.pieces), axis=0)
+    scale = np.divide(box, size, out=np.zeros(2), where=size > 1e-9)
+    pieces = [even_samples(piece * scale, TURN) for piece in route.pieces]
+    points = np.vstack([pieces[0], *(piece[1:] for piece in pieces[1:])])
+    points -= 0.5 * (points.min(axis=0) + points.max(axis=0))
+    spread = np.ptp(points, axis=0)
+    points *= np.divide(box, spread, out=np.ones(2), where=spread > 1e-9 * box)  # samples leave out the very extremes
+    return Outline(points, _remarks(name, route, scale))
+
+
+@cache
+def _route(name: str, stretch: float) -> Route:
+    return joined(strokes(name), stretch)
+
+
+def _remarks(name: str, route: Route, scale: FloatArray) -> tuple[str, ...]:
+    again, whole = (sum(float(arc_of(p * scale)[-1]) for p in parts) for parts in (route.retraced, route.pieces))
+    remarks = []
+    if again:
+        remarks.append(f"the strokes of '{name}' are joined by drawing {again:.1f} of {whole:.1f} mm twice")
+    for bridge in route.bridges:
+        gap = float(arc_of(bridge * scale)[-1])
+        remarks.append(f"'{name}' has parts that do not touch: a line of {gap:.1f} mm bridges the gap between them")
+    return tuple(remarks)

@@ -1,0 +1,99 @@
+"""Small geometry of polylines (n, 2) or (n, 3): places along them, nearest places, crossings, even samples."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+
+
+def arc_of(points: FloatArray) -> FloatArray:
+    """Arc length at each point, shape (n,)."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def place_at(points: FloatArray, s: FloatArray | float) -> FloatArray:
+    """Points at arc lengths `s`, shape (..., d)."""
+    arc = arc_of(points)
+    return np.stack([np.interp(s, arc, points[:, k]) for k in range(points.shape[1])], axis=-1)
+
+
+def nearest_place(points: FloatArray, to: FloatArray) -> tuple[float, float]:
+    """Arc length of the place nearest to a point, and its distance."""
+    start, step = points[:-1], np.diff(points, axis=0)
+    share = np.clip(np.sum((to - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
+    away = np.linalg.norm(start + share[:, None] * step - to, axis=1)
+    best = int(np.argmin(away))
+    return float(arc_of(points)[best] + share[best] * np.linalg.norm(step[best])), float(away[best])
+
+
+def crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
+    """Arc lengths on both of every place where two plane polylines cross.
+
+    Examples
+    --------
+    >>> crossings(np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.0, -2.0], [1.0, 2.0]]))
+    [(1.0, 2.0)]
+    """
+    da, db = np.diff(a, axis=0), np.diff(b, axis=0)
+    apart = b[None, :-1] - a[:-1, None]
+    cross = da[:, None, 0] * db[None, :, 1] - da[:, None, 1] * db[None, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (apart[..., 0] * db[None, :, 1] - apart[..., 1] * db[None, :, 0]) / cross
+        u = (apart[..., 0] * da[:, None, 1] - apart[..., 1] * da[:, None, 0]) / cross
+    meet = (np.abs(cross) > 1e-12) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
+    along_a, along_b = arc_of(a), arc_of(b)
+    return [
+        (
+            float(along_a[i] + t[i, j] * (along_a[i + 1] - along_a[i])),
+            float(along_b[j] + u[i, j] * (along_b[j + 1] - along_b[j])),
+        )
+        for i, j in np.argwhere(meet)
+    ]
+
+
+def split_at(points: FloatArray, places: list[float]) -> list[FloatArray]:
+    """Parts between the given arc lengths, which are inside and in order."""
+    arc = arc_of(points)
+    bounds = [0.0, *places, float(arc[-1])]
+    parts = []
+    for low, high in pairwise(bounds):
+        inner = points[(arc > low + 1e-9) & (arc < high - 1e-9)]
+        parts.append(np.vstack([place_at(points, low), inner, place_at(points, high)]))
+    return parts
+
+
+def is_straight(points: FloatArray, slack: float = 1e-6) -> bool:
+    """Whether a polyline is a straight line, of which it strays by `slack` of its length at most."""
+    way = points[-1] - points[0]
+    length = float(np.linalg.norm(way))
+    if length == 0.0:
+        return False
+    off = points - points[0]
+    along = off @ way / length
+    beside = np.linalg.norm(off - along[:, None] * way / length, axis=1)
+    return bool(np.all(beside <= slack * length) and np.all(np.diff(along) >= 0.0))
+
+
+def even_samples(points: FloatArray, turn: float, most: int = 720) -> FloatArray:
+    """A smooth polyline anew, with points at even distances that nowhere turn by more than `turn` rad; at most `most`.
+
+    A straight line keeps its two ends alone.
+    """
+    from scipy.interpolate import CubicSpline
+
+    if is_straight(points):
+        return points[[0, -1]]
+    arc = arc_of(points)
+    loop = "periodic" if np.array_equal(points[0], points[-1]) else "not-a-knot"
+    spline = CubicSpline(arc, points, bc_type=loop)
+    fine = np.linspace(0.0, arc[-1], 4 * len(points))
+    first, second = spline(fine, 1), spline(fine, 2)
+    speed = np.linalg.norm(first, axis=1)
+    beside = second - np.sum(second * first, axis=1, keepdims=True) / speed[:, None] ** 2 * first
+    tightest = float(np.max(np.linalg.norm(beside, axis=1) / speed**2))
+    count = int(np.clip(np.ceil(arc[-1] * tightest / turn), 4, most))
+    smooth = arc_of(spline(fine))
+    return np.asarray(spline(np.interp(np.linspace(0.0, smooth[-1], count + 1), smooth, fine)))

@@ -1,0 +1,108 @@
+"""Wanted speed along a path as data: slower in bends, by a limit on the centripetal acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.errors import InputError
+from smolbot.paths.corners import corner_indices, curvature
+from smolbot.paths.polylines import arc_of
+
+CORNER_RADIUS = 0.25e-3
+"""A corner that is kept counts as a bend of this radius, in m: no robot passes one closer than that."""
+
+FINEST = 0.1e-3
+"""Distance of the places at which a speed is computed, in m."""
+
+BEND_CHORD = 1e-3
+"""Longer segments are straight, shorter ones may be chords of a bend. In m."""
+
+
+@dataclass(frozen=True)
+class SpeedProfile:
+    """Speed (n,) in m/s at arc lengths (n,) in m; between them its square is linear, as at a constant acceleration.
+
+    Examples
+    --------
+    >>> steady = SpeedProfile(np.array([0.0, 10e-3]), np.array([2e-3, 2e-3]))
+    >>> print(steady.duration, round(steady.after(1e-3, 2.0), 6))
+    5.0 0.005
+    """
+
+    arc: FloatArray
+    speed: FloatArray
+
+    def __post_init__(self) -> None:
+        arc, speed = as_floats(self.arc, (None,), "arc"), as_floats(self.speed, (None,), "speed")
+        if len(arc) != len(speed) or len(arc) < 2 or np.any(np.diff(arc) <= 0.0):
+            raise InputError(
+                f"A speed profile needs two or more rising arc lengths; got {len(arc)}, {len(speed)} speeds."
+            )
+        if np.any(speed <= 0.0):
+            raise InputError(f"A speed must be greater than 0 m/s; got {speed.min():g}.")
+        object.__setattr__(self, "arc", frozen(arc))
+        object.__setattr__(self, "speed", frozen(speed))
+
+    @cached_property
+    def times(self) -> FloatArray:
+        """Time (n,) in s at which each arc length is passed."""
+        return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(self.arc) / (self.speed[1:] + self.speed[:-1]))])
+
+    @property
+    def duration(self) -> float:
+        """From the path's start to its end, in s."""
+        return float(self.times[-1])
+
+    def at(self, s: float) -> float:
+        """Speed at arc length `s`, in m/s."""
+        return float(np.sqrt(np.interp(s, self.arc, self.speed**2)))
+
+    def after(self, s: float, time: float) -> float:
+        """Arc length that is reached `time` s after `s`, at most the path's end."""
+        return float(np.interp(np.interp(s, self.arc, self.times) + time, self.times, self.arc))
+
+
+def speed_profile(
+    points: FloatArray, speed: float, lateral: float | None = None, acceleration: float | None = None
+) -> SpeedProfile:
+    """The quickest way along a path within limits on speed, centripetal acceleration and change of speed.
+
+    First v <= sqrt(lateral / curvature) everywhere; then a pass forward and one backward hold the change of v² to
+    2 a ds, as in time-optimal path parameterization (Bobrow, Dubowsky and Gibson 1985). A path begins and ends at
+    speed: a robot in a viscous liquid has no inertia to speak of.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), in m
+    speed : float, in m/s
+        Wanted where nothing slows.
+    lateral : float, in m/s², optional
+        Most centripetal acceleration, v² times curvature; a corner counts as a bend of `CORNER_RADIUS`.
+    acceleration : float, in m/s², optional
+        Most change of the speed along the path; default: `lateral`.
+    """
+    arc = arc_of(points)
+    if lateral is None:
+        return SpeedProfile(arc[[0, -1]], np.full(2, speed))
+    bend = curvature(points)
+    bend[corner_indices(points)] = 1.0 / CORNER_RADIUS
+    at_vertex = np.minimum(speed**2, lateral / np.maximum(bend, 1e-12))
+    places, squares = [arc[:1]], [at_vertex[:1]]
+    for (low, high), (before, after) in zip(pairwise(arc), pairwise(at_vertex), strict=True):
+        count = max(int(np.ceil((high - low) / FINEST)), 1)
+        inner = np.linspace(low, high, count + 1)[1:]
+        chord = high - low < BEND_CHORD
+        places.append(inner)
+        squares.append(np.append(np.full(count - 1, max(before, after) if chord else speed**2), after))
+    s, square = np.concatenate(places), np.concatenate(squares)
+    gain = 2.0 * (lateral if acceleration is None else acceleration) * np.diff(s)
+    for i in range(1, len(s)):
+        square[i] = min(square[i], square[i - 1] + gain[i - 1])
+    for i in range(len(s) - 2, -1, -1):
+        square[i] = min(square[i], square[i + 1] + gain[i])
+    return SpeedProfile(s, np.sqrt(square))

@@ -1,0 +1,138 @@
+"""The run folder: both files as used, provenance, cycles, summary and picture."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import platform
+import subprocess
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, TextIO
+
+import smolbot
+from smolbot.core.blas_threads import kernel
+from smolbot.errors import InputError
+from smolbot.runs.trace import Moment, row
+
+SUMMARY, PROVENANCE, CYCLES, PICTURE = "summary.json", "provenance.json", "cycles.csv", "path.png"
+"""Files of a run folder, besides those that the run started from and its record."""
+
+_PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
+
+
+class RunFolder:
+    """Written as the run goes on; whatever was flushed before a kill is readable after it.
+
+    Attributes
+    ----------
+    rows : int
+        Cycles that were recorded.
+    error : str or None
+        Why ``cycles.csv`` ends before the run.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file; name a folder for the run.")
+        if path.is_dir() and any(path.iterdir()):
+            raise InputError(f"{path}: is not empty; name a new folder, so that no run is lost.")
+        self.path = path
+        self._file: TextIO | None = None
+        self._writer: csv.DictWriter[str] | None = None
+        self.rows = 0
+        self.error: str | None = None
+
+    def begin(self, contents: Mapping[str, bytes], provenance: Mapping[str, Any]) -> None:
+        """Make the folder and write what the run starts from: files by their names, and where it came from."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            for name, content in contents.items():
+                write_whole(self.path / name, content)
+            write_whole(self.path / PROVENANCE, json_bytes(provenance))
+        except OSError as error:
+            raise InputError(f"{self.path}: the run folder cannot be made: {error}.") from error
+
+    def record(self, moment: Moment) -> None:
+        """Append one cycle to ``cycles.csv``; a disk that refuses ends that table, not the run."""
+        try:
+            if self.error is None:
+                self._append(row(self.rows, moment))
+        except OSError as error:
+            self.error = f"{CYCLES}: {error.strerror or error}"
+        self.rows += 1
+
+    def _append(self, line: dict[str, Any]) -> None:
+        if self._file is None:
+            self._file = (self.path / CYCLES).open("w", newline="", encoding="utf-8")
+            self._writer = csv.DictWriter(self._file, fieldnames=list(line))
+            self._writer.writeheader()
+        assert self._writer is not None
+        self._writer.writerow(line)
+        self._file.flush()
+
+    def end(self, summary: dict[str, Any]) -> None:
+        """Close the table of cycles and write the summary."""
+        if self._file is not None:
+            with contextlib.suppress(OSError):  # of what could not be flushed, which is known
+                self._file.close()
+        write_whole(self.path / SUMMARY, json_bytes(summary))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that it is there whole or not at all, however this process ends."""
+    part = path.with_name(f"{path.name}.part")
+    part.write_bytes(content)
+    part.replace(path)
+
+
+def json_bytes(data: Any) -> bytes:
+    """As every JSON file of a run folder is written."""
+    return (json.dumps(data, indent=2, default=str) + "\n").encode()
+
+
+def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
+    """Where a run came from: version, commit, seed, settings, drawn mismatches, packages."""
+    return {
+        "smolbot": smolbot.__version__,
+        "commit": _commit(),
+        "seed": seed,
+        "settings": dict(settings),
+        "world": dict(world),
+        "python": platform.python_version(),
+        "platform": platform.system(),
+        "linear_algebra": kernel(),
+        "packages": packages(),
+    }
+
+
+def packages() -> dict[str, str]:
+    """Versions of the packages on which figures depend."""
+    found: dict[str, str] = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _commit() -> str | None:
+    """Commit of the source tree that is running, if it is one and git is there."""
+    home = Path(smolbot.__file__).parent.parent
+    if not (home / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+            cwd=home,
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None

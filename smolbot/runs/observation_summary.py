@@ -1,0 +1,99 @@
+"""The figures of merit of a mission that only looks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from smolbot.runs.run import Run
+from smolbot.config.observation import Observation
+from smolbot.core.pose import Pose
+from smolbot.runs.summary import against_truth, common_figures
+from smolbot.runs.trace import Moment, Trace
+from smolbot.core.rotations import mean_rotation, rotation_error
+
+
+def summarise_observation(mission: Observation, run: Run, trace: Trace) -> dict[str, Any]:
+    """Figures of an observation, in the units that their names carry.
+
+    `pose_rate_hz` counts trusted poses over the time that was watched. Errors against the truth, where a witness knows
+    it, are of every trusted pose; of independent measurements, their scatter needs no witness.
+    """
+    out = common_figures(mission, run)
+    measuring = mission.sections.observe.measurements is not None
+    moments = measurements(trace) if measuring else trace.moments
+    out |= against_truth(mission, moments)
+    if measuring:
+        out.pop("tracked_error_mm", None)
+        out |= scatter([m.cycle.pose for m in moments if m.cycle.pose is not None])
+        out["shots_per_measurement"] = len(run.cycles) / max(len(moments), 1)
+    else:
+        out |= watching(run)
+    out["verdict"], out["verdict_reasons"] = observation_verdict(mission, run, out)
+    return out
+
+
+def measurements(trace: Trace) -> list[Moment]:
+    """The cycles that measured: those after a search, with a pose that can be trusted."""
+    heard = [m for m in trace.moments if m.cycle.shot.mode == "hold" and m.cycle.pose is not None]
+    return [m for m in heard if m.cycle.pose is not None and m.cycle.pose.trusted]
+
+
+def watching(run: Run) -> dict[str, Any]:
+    """How steadily a device was seen: trusted poses per second, and gaps between them.
+
+    A gap is a run of shots, after the first trusted pose, of which none gave a pose that can be trusted.
+    """
+    seen = [c.pose is not None and c.pose.trusted for c in run.cycles]
+    if not any(seen):
+        return {"pose_rate_hz": 0.0, "gaps": {"count": 0, "shots": 0, "longest_s": 0.0}}
+    first = seen.index(True)
+    cycles = run.cycles[first:]
+    times = [c.pose.time for c in cycles if c.pose is not None and c.pose.trusted]
+    lost = [i for i in range(first, len(seen)) if not seen[i]]
+    begun = [i for i in lost if seen[i - 1]]
+    watched = cycles[-1].shot.end - cycles[0].shot.start
+    gaps = {
+        "count": len(begun),
+        "shots": len(lost),
+        "longest_s": float(np.max(np.diff(times))) if lost and len(times) > 1 else 0.0,
+    }
+    return {"pose_rate_hz": sum(seen) / watched, "gaps": gaps}
+
+
+def scatter(poses: list[Pose]) -> dict[str, Any]:
+    """Mean of independent poses and how far they lie from each other: standard deviations with n - 1.
+
+    `sigma_mm` has one for each axis, and `distance`, the root of their squares' sum; `sigma_deg`, with `angle`,
+    likewise of rotations about the world's axes.
+    """
+    if len(poses) < 2:
+        return {"measurements": len(poses)}
+    places = np.array([p.position for p in poses])
+    mean = mean_rotation(np.array([p.orientation for p in poses]))
+    turns = np.array([rotation_error(p.orientation, mean) for p in poses])
+    out: dict[str, Any] = {
+        "measurements": len(poses),
+        "mean_mm": [float(v) for v in 1e3 * places.mean(axis=0)],
+        "mean_orientation": [float(v) for v in mean],
+    }
+    for name, values in (("sigma_mm", 1e3 * places), ("sigma_deg", np.degrees(turns))):
+        deviations = values.std(axis=0, ddof=1)
+        whole = "distance" if name == "sigma_mm" else "angle"
+        out[name] = {**dict(zip("xyz", deviations.tolist(), strict=True)), whole: float(np.linalg.norm(deviations))}
+    return out
+
+
+def observation_verdict(mission: Observation, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
+    """``passed`` or ``failed``, and every reason for a failure."""
+    wanted = mission.sections.verdict
+    reasons = [] if run.status == "completed" else [run.stop_reason or run.status]
+    error, rate, sigma = (figures.get(key) for key in ("localization_error_mm", "pose_rate_hz", "sigma_mm"))
+    if wanted.mean_localization_mm is not None and error is not None and error["mean"] > wanted.mean_localization_mm:
+        reasons.append(f"mean localization error {error['mean']:.2f} mm exceeds {wanted.mean_localization_mm:g} mm")
+    if wanted.min_rate_hz is not None and rate is not None and rate < wanted.min_rate_hz:
+        reasons.append(f"{rate:.2f} trusted poses a second are fewer than {wanted.min_rate_hz:g}")
+    if wanted.max_sigma_mm is not None and sigma is not None and sigma["distance"] > wanted.max_sigma_mm:
+        reasons.append(f"sigma {sigma['distance']:.3f} mm exceeds {wanted.max_sigma_mm:g} mm")
+    return ("passed" if not reasons else "failed"), reasons

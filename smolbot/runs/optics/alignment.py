@@ -1,0 +1,141 @@
+"""When a video began on a run's clock: the shift with which both tell of the same movement.
+
+A camera has no clock in common with the rig. Both displacements are compared over all shifts; the best is that with the
+greatest likelihood, refined below a frame. Poses and camera may be apart by a constant, `APART`: a robot that goes
+straight on at one speed looks the same a moment later and elsewhere, and only that constant tells when.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.errors import InputError
+from smolbot.runs.optics.opticaltrack import OpticalTrack
+from smolbot.runs.optics.runposes import RunPoses
+
+LEAST = 8  # poses within the video
+MOVED = 0.5e-3  # m, rms: with less movement in common nothing can be aligned
+ALIKE = 0.9  # correlation of the two displacements below which they are taken to be of two different flights
+APART = 0.3e-3  # m, one standard deviation per axis: between all poses and the camera together
+FINE = 0.02  # s: step of the search
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """`offset` (s) is to be added to the video's times; `sigma` (s) its uncertainty, 0 where it was given.
+
+    `poses` lie within the video, `correlation` is that of the two displacements.
+    """
+
+    offset: float
+    sigma: float
+    poses: int
+    correlation: float
+    given: bool = False
+
+
+def align(track: OpticalTrack, run: RunPoses, offset: float | None = None) -> Alignment:
+    """Find when the video began, or take `offset` (s, of its first frame on the run's clock) as given.
+
+    Raises
+    ------
+    InputError
+        If video and run do not overlap, if nothing moved in common, or if they do not show the same movement.
+    """
+    spans = (
+        f"the run's poses are from {run.times[0]:.2f} to {run.times[-1]:.2f} s, the robot is seen for "
+        f"{track.times[-1] - track.times[0]:.2f} s of video"
+    )
+    if offset is not None:
+        _, known = _paired(track, run, offset)
+        if not known.any():
+            at = f"{track.times[0] + offset:.2f} to {track.times[-1] + offset:.2f} s"
+            raise InputError(f"Video and run do not overlap in time: {spans}, with --offset-s {offset:g} from {at}.")
+        correlation, _ = _likeness(track, run, offset)
+        return Alignment(offset, 0.0, int(known.sum()), correlation, given=True)
+    low, high = run.times[0] - track.times[-1], run.times[-1] - track.times[0]
+    offsets = np.arange(low, high + FINE, FINE)
+    ratios = np.array([_likeness(track, run, value)[1] for value in offsets])
+    if not np.any(np.isfinite(ratios)):
+        raise InputError(
+            f"Video and run cannot be aligned: at no shift do {LEAST} poses or more lie within the video while "
+            "the robot "
+            f"moves by {1e3 * MOVED:g} mm or more; {spans}. Say with --offset-s when the video began."
+        )
+    best = int(np.nanargmax(np.where(np.isfinite(ratios), ratios, -np.inf)))
+    refined = _refined(track, run, float(offsets[best]))
+    correlation, _ = _likeness(track, run, refined)
+    if correlation < ALIKE:
+        raise InputError(
+            "Video and run do not show the same movement: at best, with the video from "
+            f"{track.times[0] + refined:.2f} s on, "
+            f"their displacements correlate by {correlation:.2f}; {spans}. Is it the right run, and are x and y "
+            "the rig's?"
+        )
+    _, known = _paired(track, run, refined)
+    return Alignment(refined, _sigma(track, run, refined), int(known.sum()), correlation)
+
+
+def _paired(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[FloatArray, BoolArray]:
+    places, _, known = track.at(run.times - offset)
+    return places, known
+
+
+def _likeness(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[float, float]:
+    """Correlation of the displacements, and logarithm of the likelihood ratio of "the same" to "unrelated"."""
+    places, known = _paired(track, run, offset)
+    n = int(np.count_nonzero(known))
+    if n < LEAST:
+        return 0.0, -math.inf
+    a, b = places[known, :2], run.positions[known, :2]
+    apart = float(np.sum((a.mean(axis=0) - b.mean(axis=0)) ** 2)) / APART**2
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    moved = float(np.sum(a * a)), float(np.sum(b * b))
+    if min(moved) < n * MOVED**2:
+        return 0.0, -math.inf
+    correlation = float(np.sum(a * b)) / math.sqrt(moved[0] * moved[1])
+    left = float(np.sum((a - b) ** 2)) / (moved[0] + moved[1])
+    return correlation, -n * math.log(max(left, 1e-12)) - 0.5 * apart
+
+
+def _refined(track: OpticalTrack, run: RunPoses, offset: float) -> float:
+    """The top of a parabola through the likelihoods around a shift."""
+    places, known = _paired(track, run, offset)
+    scatter = _scatter((places - run.positions)[known, :2])
+
+    def cost(value: float) -> float:
+        difference = track.at(run.times[known] - value)[0][:, :2] - run.positions[known, :2]
+        mean = difference.mean(axis=0)
+        return float(np.sum((difference - mean) ** 2)) / scatter + float(np.sum(mean**2)) / APART**2
+
+    step = 2.0 * FINE
+    for _ in range(6):
+        low, middle, high = cost(offset - step), cost(offset), cost(offset + step)
+        bend = low - 2.0 * middle + high
+        if bend <= 0:
+            break
+        offset += min(max(0.5 * step * (low - high) / bend, -step), step)
+        step = max(0.5 * step, 0.01)
+    return offset
+
+
+def _sigma(track: OpticalTrack, run: RunPoses, offset: float) -> float:
+    """What the poses' scatter, and a constant between them and the camera, leave unsure of the shift, in s."""
+    places, known = _paired(track, run, offset)
+    ahead, _, _ = track.at(run.times - offset + 0.05)
+    behind, _, _ = track.at(run.times - offset - 0.05)
+    speed = ((ahead - behind) / 0.1)[known, :2]
+    scatter = _scatter((places - run.positions)[known, :2])
+    mean = speed.mean(axis=0)
+    information = float(np.sum((speed - mean) ** 2)) / scatter
+    information += float(np.sum(mean**2)) / (APART**2 + scatter / len(speed))
+    return 1.0 / math.sqrt(max(information, 1e-12))
+
+
+def _scatter(left: FloatArray) -> float:
+    """Variance per axis about the mean, in m²."""
+    return max(float(np.mean((left - left.mean(axis=0)) ** 2)), 1e-12)

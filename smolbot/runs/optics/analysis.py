@@ -1,0 +1,131 @@
+"""The paper's path analysis (Fig. S9): a run's poses against the optical path, pose by pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.runs.optics.alignment import Alignment
+from smolbot.runs.optics.opticaltrack import OpticalTrack
+from smolbot.runs.optics.runposes import RunPoses
+
+
+@dataclass(frozen=True, eq=False)
+class PathAnalysis:
+    """Errors of the poses that lie within the video; lengths in m, angles in rad.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,), in s
+        Of the poses, on the run's clock.
+    poses, optical : ndarray, shape (n, 3)
+        Where the robot was located, and where the camera saw it then.
+    angles, optical_angles : ndarray, shape (n,)
+        Azimuth of body z, located and seen; the first unwrapped to lie near the second.
+    to_path : ndarray, shape (n,)
+        From each pose to the nearest point of the optical path, horizontally.
+    plane_known : bool
+        The height of `optical` is known, and not merely assumed.
+    tracked : ndarray, shape (n, 3)
+        The tracker's position at the same times; nan where there was none.
+    """
+
+    times: FloatArray
+    poses: FloatArray
+    optical: FloatArray
+    angles: FloatArray
+    optical_angles: FloatArray
+    to_path: FloatArray
+    plane_known: bool
+    tracked: FloatArray
+
+    @property
+    def position_errors(self) -> FloatArray:
+        """Horizontal distance (n,) between pose and optical place at the same time."""
+        return np.asarray(np.linalg.norm((self.poses - self.optical)[:, :2], axis=1))
+
+    @property
+    def angle_errors(self) -> FloatArray:
+        """Located less optical azimuth (n,), within half a turn."""
+        return np.asarray(np.angle(np.exp(1j * (self.angles - self.optical_angles))))
+
+    @property
+    def depth_errors(self) -> FloatArray:
+        """z of the poses less their mean (n,), as the paper has it."""
+        return np.asarray(self.poses[:, 2] - self.poses[:, 2].mean())
+
+    def figures(self) -> dict[str, Any]:
+        """Figures of merit, in the units that their names carry.
+
+        ``position_error_mm`` is the paper's: mean and standard deviation of the horizontal distance.
+        ``z_error_from_mean_mm`` is
+        the paper's too: of the distance from the mean height.
+        """
+        off = 1e3 * (self.poses - self.optical)
+        known = np.all(np.isfinite(self.tracked), axis=1)
+        out: dict[str, Any] = {
+            "poses": len(self.times),
+            "position_error_mm": _spread(1e3 * self.position_errors),
+            "to_optical_path_mm": _spread(1e3 * self.to_path),
+            "x_error_mm": _signed(off[:, 0]),
+            "y_error_mm": _signed(off[:, 1]),
+            "z_error_from_mean_mm": _spread(1e3 * np.abs(self.depth_errors)),
+            "angle_error_deg": _spread(np.degrees(np.abs(self.angle_errors))),
+            "angle_bias_deg": float(np.degrees(np.mean(self.angle_errors))),
+        }
+        if self.plane_known:
+            out["z_error_mm"] = _signed(off[:, 2])
+        if known.any():
+            tracked = np.linalg.norm((self.tracked - self.optical)[known, :2], axis=1)
+            out["tracked_position_error_mm"] = _spread(1e3 * tracked)
+        return out
+
+
+def analyse(track: OpticalTrack, run: RunPoses, alignment: Alignment, *, plane_known: bool) -> PathAnalysis:
+    """Compare the poses of a run with what the camera saw at the same times.
+
+    Poses for which a neighbouring frame hides the robot are left out.
+
+    Raises
+    ------
+    InputError
+        If no pose is left.
+    """
+    seen = track.shifted(alignment.offset)
+    places, headings, known = seen.at(run.times)
+    if not known.any():
+        raise InputError("No pose of the run lies between two frames that show the robot.")
+    poses = run.positions[known]
+    turned = run.headings[known]
+    near = headings[known] + np.angle(np.exp(1j * (turned - headings[known])))
+    return PathAnalysis(
+        run.times[known], poses, places[known], near, headings[known], _to_path(poses, seen.positions), plane_known,
+        run.tracked[known],
+    )  # fmt: skip
+
+
+def _to_path(points: FloatArray, path: FloatArray) -> FloatArray:
+    """Horizontal distance (n,) of points to a polyline."""
+    a, b = path[:-1, :2], path[1:, :2]
+    along = b - a
+    squares = np.maximum(np.sum(along**2, axis=1), 1e-18)
+    out = np.empty(len(points))
+    for i, point in enumerate(points[:, :2]):
+        t = np.clip(np.sum((point - a) * along, axis=1) / squares, 0.0, 1.0)
+        out[i] = np.sqrt(np.min(np.sum((a + t[:, None] * along - point) ** 2, axis=1)))
+    return out
+
+
+def _spread(values: FloatArray) -> dict[str, float]:
+    return {
+        "mean": float(np.mean(values)), "std": float(np.std(values)), "rms": float(np.sqrt(np.mean(values**2))),
+        "p95": float(np.percentile(values, 95)), "max": float(np.max(values)),
+    }  # fmt: skip
+
+
+def _signed(values: FloatArray) -> dict[str, float]:
+    return {"mean": float(np.mean(values)), "std": float(np.std(values)), "max": float(np.max(np.abs(values)))}

@@ -1,0 +1,160 @@
+"""The track of a robot as a camera saw it, and the file that keeps it.
+
+``track.csv`` has a row for each frame that shows the robot, SI, columns by name::
+
+    frame      number of the frame, from 0
+    time_s     on the run's clock where the video is aligned with a run, else from the first frame
+    x_m, y_m   the cantilever's rotation centre, in the rig's world frame, as every pose of smolbot
+    z_m        height that was assumed of it
+    heading_rad  azimuth of the robot's axis (body z), counterclockwise from +x, unwrapped
+    sigma_m    what the outline leaves unsure of the place, one standard deviation
+    share      part of the outline that was seen
+
+Frames that hide the robot have no row.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from smolbot.core.arrays import BoolArray, FloatArray, IntArray
+from smolbot.errors import InputError, MissingFileError
+
+COLUMNS = ("frame", "time_s", "x_m", "y_m", "z_m", "heading_rad", "sigma_m", "share")
+NEEDED = COLUMNS[:6]
+GAP = 0.15  # s: between two frames further apart nothing is known
+
+
+@dataclass(frozen=True, eq=False)
+class OpticalTrack:
+    """A track, frame by frame; only frames that show the robot.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (n,)
+    times : ndarray, shape (n,), in s
+        From the first frame, or on a run's clock once `shifted`.
+    positions : ndarray, shape (n, 3), in m
+        Rotation centre, world frame.
+    headings : ndarray, shape (n,), in rad
+        Azimuth of body z, unwrapped.
+    sigmas : ndarray, shape (n,), in m
+    shares : ndarray, shape (n,)
+        Of the outline that was seen.
+    total : int
+        Frames of the video.
+    head_unsure : int
+        Frames in which nothing told head from tail.
+    view_sigma : float, in m
+        One standard deviation of all places together, from what is not known of the camera.
+    """
+
+    frames: IntArray
+    times: FloatArray
+    positions: FloatArray
+    headings: FloatArray
+    sigmas: FloatArray
+    shares: FloatArray
+    total: int
+    head_unsure: int = 0
+    view_sigma: float = math.nan
+
+    @property
+    def hidden(self) -> int:
+        """Frames that do not show the robot."""
+        return self.total - len(self.frames)
+
+    def shifted(self, offset: float) -> OpticalTrack:
+        """The same track with `offset` s added to its times."""
+        return replace(self, times=self.times + offset)
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Positions (n, 3) and headings (n,) at `times`, straight between frames, and where they are known (n,)."""
+        times = np.asarray(times, dtype=np.float64)
+        places = np.column_stack([np.interp(times, self.times, column) for column in self.positions.T])
+        headings = np.interp(times, self.times, self.headings)
+        after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
+        inside = (times >= self.times[0]) & (times <= self.times[-1])
+        known = inside & (self.times[after] - self.times[after - 1] <= max(GAP, 1.5 * self._step))
+        return places, headings, known
+
+    def stay(self, reach: float) -> float:
+        """Largest share of the video's frames in which the robot was within `reach` (m) of one and the same place."""
+        places = self.positions[:, :2]
+        near = [np.count_nonzero(np.sum((places - place) ** 2, axis=1) < reach**2) for place in places[::5]]
+        return max(near) / self.total
+
+    @property
+    def _step(self) -> float:
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
+
+
+def write_optical_track(path: Path, track: OpticalTrack) -> None:
+    """Write ``track.csv``; see the module for its columns.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    table = zip(track.frames, track.times, *track.positions.T, track.headings, track.sigmas, track.shares, strict=True)
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows([int(number), *(f"{v:.9g}" for v in values)] for number, *values in table)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}.") from error
+
+
+def read_optical_track(path: str | Path) -> OpticalTrack:
+    """Read a ``track.csv``, ours or another program's; sigma_m and share may be missing.
+
+    Raises
+    ------
+    MissingFileError
+        If there is no such file.
+    InputError
+        With ``file:line: column`` for what is missing or is no number.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingFileError(f"{path}: no such file.")
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        missing = [name for name in NEEDED if name not in (reader.fieldnames or [])]
+        if missing:
+            raise InputError(
+                f"{path}: column {', '.join(missing)} is missing; an optical track has {', '.join(NEEDED)}."
+            )
+        rows = [_numbers(path, number, row) for number, row in enumerate(reader, 2)]
+    if len(rows) < 2:
+        raise InputError(f"{path}: holds {len(rows)} rows; a track has two or more.")
+    table = np.array(rows)
+    if not np.all(np.diff(table[:, 1]) > 0):
+        raise InputError(f"{path}: time_s must rise from row to row.")
+    frames = table[:, 0].astype(np.int64)
+    return OpticalTrack(
+        frames, table[:, 1], table[:, 2:5], table[:, 5], table[:, 6], table[:, 7], int(frames[-1] - frames[0]) + 1
+    )
+
+
+def _numbers(path: Path, number: int, row: dict[str, str]) -> list[float]:
+    values = []
+    for name in COLUMNS:
+        if name not in NEEDED and name not in row:
+            values.append(math.nan)
+            continue
+        try:
+            value = float(row[name])
+        except (TypeError, ValueError):
+            value = math.nan
+        if name in NEEDED and not math.isfinite(value):
+            raise InputError(f"{path}:{number}: {name} is not a number ('{row[name]}').")
+        values.append(value)
+    return values

@@ -1,0 +1,282 @@
+"""Fits the outline of a body of known size to a picture: centre and heading to a fraction of a pixel.
+
+The body is a level box; what is seen of it is the hull of its eight projected corners, so its sides, too, are seen as a
+camera sees them. Along the hull's normals the picture's steepest step from body to background is sought; Gauss-Newton
+then moves and turns the body until the steps lie on the hull.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.runs.optics.view import View
+
+REACHES = (0.9e-3, 0.9e-3, 0.6e-3, 0.6e-3, *[0.4e-3] * 8)
+"""How far from the hull a step is sought, in m, pass by pass; the last ones until the body no longer moves."""
+
+SCALE = np.array([1e-3, 1e-3, 1.0])  # of a change in x, y (m) and heading (rad)
+SETTLED = (2e-6, 2e-4)  # m and rad
+
+NEAR = 0.2e-3  # m: a step that lies this near to the hull bears it out
+SHARP = 0.08  # of the body's contrast, in a pixel: what ends more softly is a shadow
+SPAN = 4  # samples on either side that a step is made out from
+STEP = 0.5  # pixels between two samples of a profile
+INSET = 0.3  # of the half sides: the rim whose colour counts as the body's
+GRAIN = 3.0  # grey levels: noise of a colour, and what a codec makes of it
+UNEVEN = 0.1  # share of the light
+CORNER = 0.1  # of an edge, at each end, that is left out: printed corners are round
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What is to be found.
+
+    Attributes
+    ----------
+    half : ndarray, shape (3,), in m
+        Half its length ahead (body z), sideways (x) and upwards.
+    center : ndarray, shape (2,), in m
+        Its middle seen from the cantilever's rotation centre: ahead, and to the left.
+    mark : float
+        Where the dark mark lies: +1 towards the head, -1 towards the tail, 0 nowhere.
+    """
+
+    half: FloatArray
+    center: FloatArray
+    mark: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Middle (x, y in m) and heading (rad) of a body, and how well its outline is borne out.
+
+    `share` is the part of the outline near which a step was found, `rms` (m) how far those steps are from it,
+    `sigma` (m) what that leaves unsure of the middle, `sharpness` (1/pixel) how steep those steps are, as a
+    share of the body's contrast.
+    """
+
+    x: float
+    y: float
+    heading: float
+    share: float
+    rms: float
+    sigma: float
+    sharpness: float
+
+
+def hull(view: View, body: Body, x: float, y: float, heading: float, height: float) -> FloatArray:
+    """Corners (k, 2), in pixels and in order, of the silhouette of a level body whose middle is at (x, y, height)."""
+    import cv2
+
+    corners = view.pixels(_corners(body, x, y, heading, height))
+    return np.asarray(cv2.convexHull(corners.astype(np.float32))).reshape(-1, 2).astype(np.float64)
+
+
+def fit_outline(
+    signal: FloatArray, offset: tuple[int, int], view: View, body: Body, start: tuple[float, float, float],
+    height: float, light: FloatArray,
+) -> Fit | None:  # fmt: skip
+    """Fit the body to a patch of the picture.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (rows, columns, 3)
+        Picture less background; `offset` is the pixel (u, v) of its first element.
+    view : View
+    body : Body
+    start : tuple of 3
+        Middle (m) and heading (rad) to start from, right to half a length and some 25 degrees.
+    height : float, in m
+        z of the body's middle.
+    light : ndarray, shape (3,)
+        Colour of the background hereabouts.
+
+    Returns
+    -------
+    Fit or None
+        None where nothing like an outline is near the start.
+    """
+    x, y, heading = start
+    per_metre = view.scale(np.array([x, y, height]))
+    share, rms, sigma, sharpness = 0.0, math.inf, math.inf, 0.0
+    for reach in REACHES:
+        corners = hull(view, body, x, y, heading, height)
+        points, normals = _samples(corners)
+        tone = _tone(signal, offset, view, body, (x, y, heading), height)
+        if tone is None or np.dot(telling(tone, light), tone) <= 0:
+            return None
+        found, at, steep = _steps(signal @ telling(tone, light), offset, points, normals, reach * per_metre)
+        if np.count_nonzero(found) < 0.25 * len(points):
+            return None
+        # how a point of the outline moves, in pixels, with x, y (m) and heading (rad)
+        places = view.on_plane(points, height)
+        jacobian = _local(view, np.array([x, y, height]))
+        arm = np.column_stack([-(places[:, 1] - y), places[:, 0] - x])
+        slopes = np.column_stack([normals @ jacobian, np.sum((arm @ jacobian.T) * normals, axis=1)])
+        change, left = _robust(slopes[found], at[found], NEAR * per_metre / 2)
+        x, y, heading = x + change[0], y + change[1], heading + change[2]
+        settled = max(abs(change[0]), abs(change[1])) < SETTLED[0] and abs(change[2]) < SETTLED[1]
+        close = np.abs(left) < NEAR * per_metre
+        share = float(np.count_nonzero(close)) / len(points)
+        if np.count_nonzero(close) < 8:
+            return None
+        sharpness = float(np.median(steep[found][close]))
+        rms = float(np.sqrt(np.mean(left[close] ** 2))) / per_metre
+        borne = slopes[found][close] * SCALE
+        squares = borne.T @ borne
+        if np.linalg.cond(squares) > 1e6:  # edges of one direction alone
+            return None
+        spread = np.linalg.inv(squares) * np.outer(SCALE, SCALE)
+        sigma = math.sqrt(0.5 * (spread[0, 0] + spread[1, 1])) * rms * per_metre
+        if settled and reach == REACHES[-1]:
+            break
+    return Fit(float(x), float(y), _wrapped(float(heading)), share, rms, sigma, sharpness)
+
+
+def telling(tone: FloatArray, light: FloatArray) -> FloatArray:
+    """Weights (3,) of the colours with which a body that differs by `tone` counts 1, and what disturbs counts least.
+
+    Disturbances are noise, `GRAIN` in each colour, and light of the background's own colour that is stronger or weaker
+    by `UNEVEN`: shadows, a meniscus, a lamp's mirror image. Colour tells a body from them, brightness where it is much.
+    """
+    weights = _spared(tone, light)
+    return np.asarray(weights / np.dot(weights, tone))
+
+
+def unlike(difference: FloatArray, background: FloatArray) -> FloatArray:
+    """By how many standard deviations of those disturbances colours (..., 3) differ from the background's."""
+    squares = np.sum(difference * _spared(difference, background), axis=-1)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+
+def _spared(difference: FloatArray, light: FloatArray) -> FloatArray:
+    """The inverse covariance of the disturbances, times `difference`."""
+    along = np.sum(difference * light, axis=-1, keepdims=True)
+    uneven = UNEVEN**2 / (GRAIN**2 + UNEVEN**2 * np.sum(light * light, axis=-1, keepdims=True))
+    return np.asarray((difference - uneven * along * light) / GRAIN**2)
+
+
+def mark_moment(grey: FloatArray, offset: tuple[int, int], view: View, body: Body, fit: Fit, height: float) -> float:
+    """How far ahead of the middle the dark in the body lies, in half lengths; 0 where nothing is dark.
+
+    `grey` (rows, columns) is the picture itself, not its difference.
+    """
+    ahead, left = np.meshgrid(np.linspace(-0.8, 0.8, 25), np.linspace(-0.7, 0.7, 17))
+    values = _sampled(grey, offset, _inside(view, body, fit, height, ahead.ravel(), left.ravel()))
+    dark = np.maximum(float(np.median(values)) - values - 8.0, 0.0)
+    total = float(dark.sum())
+    return float(dark @ ahead.ravel()) / total if total > 0 else 0.0
+
+
+def _corners(body: Body, x: float, y: float, heading: float, height: float) -> FloatArray:
+    c, s = math.cos(heading), math.sin(heading)
+    signs = np.array([[a, b, d] for a in (-1, 1) for b in (-1, 1) for d in (-1, 1)])
+    ahead, aside, up = (signs * body.half).T
+    return np.column_stack([x + c * ahead - s * aside, y + s * ahead + c * aside, height + up])
+
+
+def _samples(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) along the hull's edges, about 1.5 pixels apart, and their outward normals (n, 2)."""
+    middle = corners.mean(axis=0)
+    longest = float(np.max(np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)))
+    points, normals = [], []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = float(np.linalg.norm(b - a))
+        if length < 0.2 * longest:  # the chamfer between two faces, as long as the body is high
+            continue
+        n = max(int(length * (1 - 2 * CORNER) / 1.5), 4)
+        t = np.linspace(CORNER, 1.0 - CORNER, n)[:, None]
+        normal = np.array([b[1] - a[1], a[0] - b[0]]) / length
+        normal *= np.sign((a - middle) @ normal)
+        points.append(a + t * (b - a))
+        normals.append(np.broadcast_to(normal, (n, 2)))
+    return np.vstack(points), np.vstack(normals)
+
+
+def _inside(view: View, body: Body, pose: Any, height: float, ahead: FloatArray, aside: FloatArray) -> FloatArray:
+    """Pixels (n, 2) of points within the body, in half lengths ahead and half widths to the left of its middle."""
+    x, y, heading = (pose.x, pose.y, pose.heading) if isinstance(pose, Fit) else pose
+    c, s = math.cos(heading), math.sin(heading)
+    a, b = ahead * body.half[0], aside * body.half[1]
+    return view.pixels(np.column_stack([x + c * a - s * b, y + s * a + c * b, np.full(len(a), height)]))
+
+
+def _tone(
+    signal: FloatArray, offset: tuple[int, int], view: View, body: Body, pose: tuple[float, float, float], height: float
+) -> FloatArray | None:
+    """How the body's rim differs from the background, as a colour (3,); None where it does not."""
+    t = np.linspace(-1.0 + INSET, 1.0 - INSET, 15)
+    edge = np.full(15, 1.0 - INSET)
+    ahead, aside = np.concatenate([t, t, edge, -edge]), np.concatenate([edge, -edge, t, t])
+    values = np.column_stack(
+        [_sampled(signal[:, :, c], offset, _inside(view, body, pose, height, ahead, aside)) for c in range(3)]
+    )
+    tone = np.median(values, axis=0)
+    return None if float(np.linalg.norm(tone)) < 3.0 else tone
+
+
+def _steps(
+    value_at: FloatArray, offset: tuple[int, int], points: FloatArray, normals: FloatArray, reach: float
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Where along each normal, in pixels, the body ends: a step found or not, its place, and how steep it is.
+
+    `value_at` (rows, columns) is 1 on the body's rim and 0 on the background.
+    """
+    s = np.arange(-reach, reach + 0.5 * STEP, STEP)
+    at = points[:, None] + s[None, :, None] * normals[:, None]
+    value = _sampled(value_at, offset, at.reshape(-1, 2)).reshape(at.shape[:2])
+    # the mean over two pixels within less that over two without: blocks and noise of a codec are as steep as an edge
+    sums = np.cumsum(np.pad(value, ((0, 0), (1, 0))), axis=1)
+    span = sums[:, SPAN:] - sums[:, :-SPAN]
+    fall = (span[:, :-SPAN] - span[:, SPAN:]) / SPAN**2
+    middles = s[SPAN - 1 : len(s) - SPAN] + 0.5 * STEP
+    weighed = fall * np.exp(-0.5 * (middles / (0.6 * reach)) ** 2)
+    best = np.argmax(weighed, axis=1)
+    peak = np.take_along_axis(fall, best[:, None], axis=1)[:, 0]
+    near = np.abs(middles[None, :] - middles[best][:, None]) <= 2.5
+    rise = np.where(near, np.maximum(fall - 0.5 * peak[:, None], 0.0), 0.0)
+    place = rise @ middles / np.maximum(rise.sum(axis=1), 1e-9)
+    steep = peak / STEP
+    found = (steep > SHARP) & (best > 0) & (best < len(middles) - 1)
+    return found, place, steep
+
+
+def _robust(slopes: FloatArray, wanted: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
+    """Solve ``slopes @ change = wanted`` with the biweight; return the change and what is left."""
+    weights = np.ones(len(wanted))
+    change = np.zeros(3)
+    for _ in range(6):
+        a = slopes * SCALE * weights[:, None]
+        change = SCALE * np.linalg.lstsq(a, weights * wanted, rcond=None)[0]
+        left = wanted - slopes @ change
+        spread = max(1.5 * float(np.median(np.abs(left))), 0.3, 0.3 * width)
+        weights = np.maximum(1.0 - (left / (4.7 * spread)) ** 2, 0.0)
+    return change, wanted - slopes @ change
+
+
+def _local(view: View, point: FloatArray) -> FloatArray:
+    """Derivative (2, 2) of pixels by level steps (m) at a world point."""
+    step = 1e-4
+    moved = view.pixels(point + np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]]))
+    return np.asarray(((moved[1:] - moved[0]) / step).T)
+
+
+def _sampled(image: FloatArray, offset: tuple[int, int], pixels: FloatArray) -> FloatArray:
+    """Values (n,) of an image at pixels (n, 2), straight between its elements, at the rim beyond them."""
+    u = np.clip(pixels[:, 0] - offset[0], 0.0, image.shape[1] - 1.001)
+    v = np.clip(pixels[:, 1] - offset[1], 0.0, image.shape[0] - 1.001)
+    i, j = v.astype(int), u.astype(int)
+    a, b = u - j, v - i
+    return np.asarray(
+        (1 - b) * ((1 - a) * image[i, j] + a * image[i, j + 1])
+        + b * ((1 - a) * image[i + 1, j] + a * image[i + 1, j + 1])
+    )
+
+
+def _wrapped(angle: float) -> float:
+    return math.remainder(angle, 2.0 * math.pi)

@@ -1,0 +1,72 @@
+"""What a run believed, as far as a camera can judge it: the one place that knows how a run is stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smolbot.config.load import AnyMission
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.errors import InputError
+from smolbot.runs.recording.reader import read_run
+
+
+@dataclass(frozen=True, eq=False)
+class RunPoses:
+    """Poses of a run in order of time; those that were trusted.
+
+    Attributes
+    ----------
+    folder : Path
+    times : ndarray, shape (n,), in s
+    positions, tracked : ndarray, shape (n, 3), in m
+        As located, and as the tracker had it then; rows of `tracked` are nan where there was none.
+    axes : ndarray, shape (n, 3)
+        World direction of body z, as located.
+    following : ndarray of bool, shape (n,)
+        Poses after the path's start was reached.
+    mission : Mission or Observation, optional
+        As it was flown, with rig and robot.
+    """
+
+    folder: Path
+    times: FloatArray
+    positions: FloatArray
+    tracked: FloatArray
+    axes: FloatArray
+    following: BoolArray
+    mission: AnyMission | None = None
+
+    @property
+    def headings(self) -> FloatArray:
+        """Azimuth of body z (n,), in rad."""
+        return np.asarray(np.arctan2(self.axes[:, 1], self.axes[:, 0]))
+
+
+def read_run_poses(folder: str | Path) -> RunPoses:
+    """Poses of a recorded run.
+
+    Raises
+    ------
+    InputError, MissingFileError
+        If there is no record of a run, or it holds no trusted pose.
+    """
+    record = read_run(folder)
+    heard = [m.cycle for m in record.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    if not heard:
+        raise InputError(f"{record.path}: holds no trusted pose to compare with.")
+    poses = [cycle.pose for cycle in heard if cycle.pose is not None]
+    begun = {m.cycle.shot.start for m in record.trace().following}
+    nowhere = np.full(3, np.nan)
+    mission = record.mission()
+    return RunPoses(
+        folder=record.folder,
+        times=np.array([pose.time for pose in poses]),
+        positions=np.array([pose.position for pose in poses]),
+        tracked=np.array([nowhere if c.tracked is None else c.tracked.position for c in heard]),
+        axes=np.array([pose.body_axis("z") for pose in poses]),
+        following=np.array([cycle.shot.start in begun for cycle in heard]),
+        mission=mission,
+    )

@@ -1,0 +1,254 @@
+"""Follows one body through a video: against the median of the frames, by its outline; frames that hide it are left
+out."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.runs.optics.opticaltrack import OpticalTrack
+from smolbot.runs.optics.outline import Body, Fit, fit_outline, mark_moment, unlike
+from smolbot.runs.optics.video import Video
+from smolbot.runs.optics.view import View
+
+BORNE_OUT = 0.7
+"""Share of the outline that must be seen; with less, the body counts as hidden in that frame."""
+
+MARGIN = 3e-3  # m around the last place that are looked at first
+CANDIDATES = 4  # blobs that are tried where the body is not near its last place
+SIZES = (0.25, 3.0)  # of the expected area that a blob may have
+CLEARLY = 6.0  # times the noise: a pixel that differs
+LEAST_DIFFERENCE = 6.0  # grey levels, likewise
+LEAST_UNLIKE = 2.0  # standard deviations of noise and uneven light, likewise
+TELLING = 0.05  # of half lengths: a mark less far from the middle tells head from tail no more
+PLAINLY = 0.25  # of half lengths: a mark so far on the other side tells by itself
+SHORT_GAP = 0.25  # s: over longer ones heading is not carried on
+
+
+@dataclass(frozen=True)
+class _Seen:
+    frame: int
+    fit: Fit
+    mark: float
+
+
+def track_body(
+    video: Video, view: View, body: Body, height: float, *, background: Any = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> OpticalTrack:  # fmt: skip
+    """Where `body` is in every frame of `video` that shows it.
+
+    Assumptions: the camera stands still, and so does everything but the body and its shadow; the body is level, its
+    middle at z = `height`; it covers no place in half of the frames or more (or `background` shows the scene without
+    it).
+
+    Parameters
+    ----------
+    video : Video
+    view : View
+        From pixels to places.
+    body : Body
+    height : float, in m
+    background : Image, optional
+        The empty scene; default: the video's median.
+    progress : callable, optional
+        Called with frames done and in all.
+
+    Raises
+    ------
+    InputError
+        If the body is in no frame.
+    """
+    empty = (video.background if background is None else background).astype(np.float32)
+    seen: list[_Seen] = []
+    largest = 0.0
+    last: _Seen | None = None
+    finder = _Finder(empty, view, body, height)
+    for number, frame in enumerate(video):
+        fit = None
+        if last is not None and number - last.frame <= SHORT_GAP * video.fps:
+            fit = finder.near(frame, last.fit)
+        if fit is None:
+            fit, area = finder.anywhere(frame)
+            largest = max(largest, area)
+        if fit is not None:
+            last = _Seen(number, fit, finder.mark(frame, fit))
+            seen.append(last)
+        if progress is not None and number % 25 == 0:
+            progress(number, video.frames)
+    if not seen:
+        wanted = 4e6 * body.half[0] * body.half[1]
+        what = (
+            f"the largest thing that differs from the background covers {1e6 * largest:.1f} mm²"
+            if largest > 0
+            else "nothing differs from the background; a robot that never moves needs --background, a picture without"
+        )
+        raise InputError(
+            f"{video.path}: the robot is never seen in {video.frames} frames: looked for a body of "
+            f"{2e3 * body.half[0]:.1f} x {2e3 * body.half[1]:.1f} mm ({wanted:.1f} mm²) at z = {1e3 * height:.1f} "
+            f"mm; {what}."
+        )
+    return _assembled(seen, video, view, body, height)
+
+
+class _Finder:
+    """Looks for the body in one frame."""
+
+    def __init__(self, empty: FloatArray, view: View, body: Body, height: float) -> None:
+        self._empty, self._view, self._body, self._height = empty, view, body, height
+        self._level = float(np.median(empty[::8, ::8]))
+
+    def near(self, frame: Any, fit: Fit) -> Fit | None:
+        """The body where it was a moment ago, or None."""
+        place = np.array([[fit.x, fit.y, self._height]])
+        pixel = self._view.pixels(place)[0]
+        reach = (float(np.linalg.norm(self._body.half[:2])) + MARGIN) * self._view.scale(place[0])
+        patch, offset, light = self._patch(frame, pixel, reach)
+        if patch is None:
+            return None
+        found = fit_outline(patch, offset, self._view, self._body, (fit.x, fit.y, fit.heading), self._height, light)
+        return found if found is not None and found.share >= BORNE_OUT else None
+
+    def anywhere(self, frame: Any) -> tuple[Fit | None, float]:
+        """The body wherever it is, or None, and the area in m² of the largest thing that differs."""
+        import cv2
+
+        empty = self._gain(frame) * self._empty
+        smooth = cv2.GaussianBlur(frame.astype(np.float32) - empty, (0, 0), 1.5)
+        largest = 0.0
+        # by what no shadow does first; a body without a colour of its own is only darker or brighter
+        for clear in (unlike(smooth, empty), np.abs(smooth).max(axis=2) * (LEAST_UNLIKE / LEAST_DIFFERENCE)):
+            best, area = self._among(frame, clear.astype(np.float32))
+            largest = max(largest, area)
+            if best is not None:
+                break
+        return best, largest
+
+    def _among(self, frame: Any, smooth: Any) -> tuple[Fit | None, float]:
+        """The body among the blobs in which `smooth` (rows, columns) is large."""
+        import cv2
+
+        noise = 1.4826 * float(np.median(smooth[::4, ::4]))
+        mask = (smooth > max(CLEARLY * noise, LEAST_UNLIKE)).astype(np.uint8)
+        count, labels, stats, middles = cv2.connectedComponentsWithStats(mask)
+        largest, tried, expected = 0.0, [], {}
+        for i in range(1, count):
+            place = self._view.on_plane(middles[i][None], self._height)[0]
+            scale = self._view.scale(np.array([*place, self._height]))
+            area = stats[i, cv2.CC_STAT_AREA] / scale**2
+            largest = max(largest, area)
+            own = 4.0 * self._body.half[0] * self._body.half[1]
+            share, expected[i] = area / own, own * scale**2
+            if SIZES[0] < share < SIZES[1]:
+                tried.append((abs(math.log(share)), i))
+        best: Fit | None = None
+        for _, i in sorted(tried)[:CANDIDATES]:
+            fit = self._fit_blob(frame, labels == i, smooth, expected[i])
+            if fit is not None and (best is None or fit.share * fit.sharpness > best.share * best.sharpness):
+                best = fit
+        return best, largest
+
+    def mark(self, frame: Any, fit: Fit) -> float:
+        """How far ahead of the middle the dark mark lies, in half lengths."""
+        import cv2
+
+        place = np.array([[fit.x, fit.y, self._height]])
+        u0, v0, u1, v1 = self._window(self._view.pixels(place)[0], 3e-3 * self._view.scale(place[0]))
+        grey = cv2.cvtColor(frame[v0:v1, u0:u1], cv2.COLOR_BGR2GRAY).astype(np.float64)
+        return mark_moment(grey, (u0, v0), self._view, self._body, fit, self._height)
+
+    def _fit_blob(self, frame: Any, blob: Any, smooth: Any, area: float) -> Fit | None:
+        """The best of the fits that start with the body's length along and across the blob's."""
+        rows, columns = np.nonzero(_clearest(blob, smooth, area))
+        middle = np.array([columns.mean(), rows.mean()])
+        spread = np.cov(np.stack([columns, rows]))
+        axis = np.linalg.eigh(spread)[1][:, 1]
+        ends = self._view.on_plane(middle + np.array([axis, -axis]) * 10.0, self._height)
+        heading = math.atan2(*(ends[0] - ends[1])[::-1])
+        x, y = (float(v) for v in self._view.on_plane(middle[None], self._height)[0])
+        reach = (float(np.linalg.norm(self._body.half[:2])) + MARGIN) * self._view.scale(np.array([x, y, self._height]))
+        patch, offset, light = self._patch(frame, middle, reach)
+        if patch is None:
+            return None
+        best: Fit | None = None
+        for turn in (0.0, 0.5 * math.pi, 0.25 * math.pi, -0.25 * math.pi):
+            fit = fit_outline(patch, offset, self._view, self._body, (x, y, heading + turn), self._height, light)
+            if fit is not None and fit.share >= BORNE_OUT and (best is None or fit.share > best.share):
+                best = fit
+        return best
+
+    def _gain(self, frame: Any) -> float:
+        """How bright `frame` is, to the empty scene: lamps flicker."""
+        return float(np.median(frame[::8, ::8])) / max(self._level, 1.0)
+
+    def _patch(self, frame: Any, pixel: FloatArray, reach: float) -> tuple[Any, tuple[int, int], FloatArray]:
+        """Picture less background around a pixel, or None outside of it; its first pixel; the background's colour."""
+        u0, v0, u1, v1 = self._window(pixel, reach)
+        if u1 - u0 < 8 or v1 - v0 < 8:
+            return None, (0, 0), np.zeros(3)
+        behind = self._gain(frame) * self._empty[v0:v1, u0:u1].astype(np.float64)
+        return frame[v0:v1, u0:u1] - behind, (u0, v0), np.median(behind.reshape(-1, 3), axis=0)
+
+    def _window(self, pixel: FloatArray, reach: float) -> tuple[int, int, int, int]:
+        height, width = self._empty.shape[:2]
+        u, v = (float(p) for p in pixel)
+        if not (math.isfinite(u) and math.isfinite(v)):
+            return 0, 0, 0, 0
+        return (
+            max(int(u - reach), 0), max(int(v - reach), 0),
+            min(int(u + reach) + 1, width), min(int(v + reach) + 1, height),
+        )  # fmt: skip
+
+
+def _clearest(blob: Any, difference: Any, area: float) -> Any:
+    """The part of a blob that differs most, as large as the body (`area` in pixels): a shadow that touches it falls
+    away."""
+    values = difference[blob]
+    if len(values) <= area:
+        return blob
+    return blob & (difference >= np.partition(values, len(values) - int(area))[len(values) - int(area)])
+
+
+def _assembled(seen: list[_Seen], video: Video, view: View, body: Body, height: float) -> OpticalTrack:
+    """The track, with heads and tails told apart by the mark, over all frames between two gaps at once."""
+    frames = np.array([s.frame for s in seen])
+    middles = np.array([[s.fit.x, s.fit.y] for s in seen])
+    raw = np.array([s.fit.heading for s in seen])
+    marks = body.mark * np.array([s.mark for s in seen])
+    headings = raw.copy()
+    breaks = [0, *(np.nonzero(np.diff(frames) > SHORT_GAP * video.fps)[0] + 1), len(frames)]
+    unsure = 0
+    for first, last in itertools.pairwise(breaks):
+        piece = headings[first:last]
+        half_turns = np.round(np.diff(piece) / math.pi)
+        signs = np.concatenate([[0.0], np.cumsum(half_turns)]) % 2  # a fit may come out by the other end
+        evidence = marks[first:last] * np.where(signs == 1, -1.0, 1.0)
+        total = float(np.mean(evidence))
+        if abs(total) < TELLING:
+            unsure += last - first
+        flip = signs + (1.0 if total < 0 else 0.0)
+        flip += evidence * (-1.0 if total < 0 else 1.0) < -PLAINLY  # turned by a quarter or more
+        headings[first:last] = piece + math.pi * flip
+    headings = np.asarray(np.unwrap(headings))
+    c, s = np.cos(headings), np.sin(headings)
+    ahead, left = body.center
+    place = middles - np.column_stack([ahead * c - left * s, ahead * s + left * c])
+    middle = view.pixels(np.array([[*middles.mean(axis=0), height]]))[0]
+    return OpticalTrack(
+        frames=frames,
+        times=frames / video.fps,
+        positions=np.column_stack([place, np.full(len(place), height)]),
+        headings=headings,
+        sigmas=np.array([s.fit.sigma for s in seen]),
+        shares=np.array([s.fit.share for s in seen]),
+        total=video.frames,
+        head_unsure=unsure,
+        view_sigma=view.uncertainty(middle, height),
+    )

@@ -1,0 +1,204 @@
+"""From pixels to places and back: a pinhole camera found from points whose places are known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+
+SHARP = 0.3
+"""Pixels, one standard deviation, to which a corner or a click is taken to be known."""
+
+CLICK = 1.0  # pixels: of a click
+
+RULER = 3e-3  # m: of a camera height that was given
+ECCENTRIC = 0.01  # of the picture's shorter side: where the lens' axis may lie off its middle
+FOCAL = math.log(2.0)  # spread of the focal length where nothing tells it, about three times the longer side
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera as it was found. Lens distortion is ignored.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (9,)
+        Logarithm of the focal length (pixels), rotation vector, place (m), where the axis meets the picture (pixels).
+    covariance : ndarray, shape (9, 9)
+    rms : float, in pixels
+        Of what is left of the known points.
+    """
+
+    parameters: FloatArray
+    covariance: FloatArray
+    rms: float
+
+    @property
+    def place(self) -> FloatArray:
+        """The camera's entrance pupil (3,), in m, world frame."""
+        return self.parameters[4:7]
+
+    def pixels(self, points: FloatArray) -> FloatArray:
+        """Where world points (n, 3), in m, are seen, shape (n, 2)."""
+        return _pixels(self.parameters, points)
+
+    def on_plane(self, pixels: FloatArray, height: float) -> FloatArray:
+        """Places (n, 2), in m, on the plane z = `height` that are seen at `pixels` (n, 2)."""
+        return _on_plane(self.parameters, pixels, height)
+
+    def scale(self, point: FloatArray) -> float:
+        """Pixels per metre for level lengths at a world point (3,)."""
+        step = 1e-3
+        moved = self.pixels(point + np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]]))
+        return math.sqrt(abs(float(np.linalg.det(moved[1:] - moved[0])))) / step
+
+    def uncertainty(self, pixel: FloatArray, height: float) -> float:
+        """One standard deviation, in m, of a place on z = `height`, from what is not known of the camera."""
+        steps = np.array([1e-6, *[1e-7] * 3, *[1e-7] * 3, 1e-3, 1e-3])
+        pixels = np.asarray(pixel, dtype=np.float64)[None]
+        jacobian = np.empty((2, 9))
+        for i, step in enumerate(steps):
+            up, down = self.parameters.copy(), self.parameters.copy()
+            up[i] += step
+            down[i] -= step
+            jacobian[:, i] = (_on_plane(up, pixels, height) - _on_plane(down, pixels, height))[0] / (2 * step)
+        return math.sqrt(float(np.trace(jacobian @ self.covariance @ jacobian.T)) / 2)
+
+
+def find_view(
+    pixels: FloatArray, points: FloatArray, size: tuple[int, int], camera_height: float | None = None, *,
+    sharp: float = SHARP, place: float = 0.0,
+) -> View:  # fmt: skip
+    """The camera that sees known points where they were seen, most likely.
+
+    The plane of the points fixes what is on it. What is above it is seen with parallax, for which the camera's place
+    must be known: from its height over z = 0 where that is given, otherwise as far as perspective tells it.
+    Pixels are square, the lens' axis meets the picture near its middle, distortion is ignored.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (n, 2)
+        Of at least four points.
+    points : ndarray, shape (n, 3), in m
+        World frame.
+    size : tuple of 2
+        Width and height of the picture.
+    camera_height : float, optional, in m
+        z of the lens, by ruler.
+    sharp : float, in pixels
+        To which points are seen, one standard deviation.
+    place : float, in m
+        To which their places are known, likewise.
+
+    Raises
+    ------
+    InputError
+        If there are too few points, or they lie on a line.
+    """
+    from scipy.optimize import least_squares
+
+    pixels, points = np.asarray(pixels, dtype=np.float64), np.asarray(points, dtype=np.float64)
+    check_points(pixels, points)
+    middle = 0.5 * (np.array(size, dtype=np.float64) - 1.0)
+    log_focal = math.log(3.0 * max(size))
+    sharp_middle = ECCENTRIC * min(size)
+    per_metre = math.sqrt(float(np.sum((pixels - pixels.mean(axis=0)) ** 2)))
+    per_metre /= math.sqrt(float(np.sum((points[:, :2] - points[:, :2].mean(axis=0)) ** 2)))
+    unsure = math.hypot(sharp, place * per_metre)
+
+    def residuals(p: FloatArray) -> FloatArray:
+        out = [((_pixels(p, points) - pixels) / unsure).ravel(), (p[7:9] - middle) / sharp_middle]
+        if camera_height is not None:
+            out.append(np.array([(p[6] - camera_height) / RULER]))
+        else:
+            out.append(np.array([(p[0] - log_focal) / FOCAL]))
+        return np.concatenate(out)
+
+    best = None
+    for start in _starts(pixels, points, middle, log_focal, camera_height):
+        found = least_squares(residuals, start, x_scale="jac", method="trf", max_nfev=300)
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    information = best.jac.T @ best.jac
+    left = _pixels(best.x, points) - pixels
+    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    scale = max(1.0, rms / (unsure * math.sqrt(2.0))) ** 2  # points that fit badly are known badly
+    return View(best.x, scale * np.linalg.inv(information), rms)
+
+
+def check_points(pixels: FloatArray, points: FloatArray) -> None:
+    """Refuse points that fix no plane: pixels (n, 2) and places (n, 2 or 3), fewer than four of them or on a line."""
+    if len(pixels) != len(points) or len(pixels) < 4:
+        raise InputError(f"Four points or more are needed, each with its place; got {len(pixels)} and {len(points)}.")
+    for name, values in (("pixels", pixels), ("places", points[:, :2])):
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"The {name} of the known points must be finite numbers.")
+        triples = (
+            [(i, j, k) for i in range(len(values)) for j in range(i) for k in range(j)] if len(values) == 4 else []
+        )
+        spread = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
+        reach = float(np.ptp(values, axis=0).max())
+        on_line = spread[1] < 0.02 * spread[0] or reach <= 0
+        for i, j, k in triples:
+            (ax, ay), (bx, by) = values[j] - values[i], values[k] - values[i]
+            on_line = on_line or abs(ax * by - ay * bx) < 0.01 * reach**2
+        if on_line:
+            raise InputError(
+                f"The {name} of the known points are collinear (three of four on a line, or all); "
+                "take the corners of something like a rectangle."
+            )
+
+
+def _starts(
+    pixels: FloatArray, points: FloatArray, middle: FloatArray, log_focal: float, camera_height: float | None
+) -> list[FloatArray]:
+    """Parameters to start from: upright cameras of some focal lengths, turned as the points are."""
+    world = points[:, :2] - points[:, :2].mean(axis=0)
+    seen = pixels - pixels.mean(axis=0)
+    # seen from above, the picture's y runs against the world's: fit a turned and mirrored copy
+    a = np.sum(world[:, 0] * seen[:, 0] - world[:, 1] * seen[:, 1])
+    b = np.sum(world[:, 1] * seen[:, 0] + world[:, 0] * seen[:, 1])
+    turn = math.atan2(b, a)
+    scale = math.hypot(a, b) / float(np.sum(world**2))
+    rotation = np.array(
+        [[math.cos(turn), math.sin(turn), 0.0], [math.sin(turn), -math.cos(turn), 0.0], [0.0, 0.0, -1.0]]
+    )
+    ground = float(points[:, 2].mean())
+    heights = [camera_height - ground] if camera_height is not None and camera_height > ground else []
+    heights += [math.exp(log_focal) * k / scale for k in (1.0, 0.4)]
+    out = []
+    for height in heights:
+        off = (middle - pixels.mean(axis=0)) / scale
+        place = np.array([*(points[:, :2].mean(axis=0) + rotation[:2, :2].T @ off), ground + height])
+        out.append(np.array([math.log(height * scale), *_vector(rotation), *place, *middle]))
+    return out
+
+
+def _vector(rotation: FloatArray) -> FloatArray:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
+
+
+def _matrix(vector: FloatArray) -> FloatArray:
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
+
+
+def _pixels(p: FloatArray, points: FloatArray) -> FloatArray:
+    seen = (points - p[4:7]) @ _matrix(p[1:4]).T
+    return np.asarray(math.exp(p[0]) * seen[:, :2] / seen[:, 2:] + p[7:9])
+
+
+def _on_plane(p: FloatArray, pixels: FloatArray, height: float) -> FloatArray:
+    rays = np.column_stack([(pixels - p[7:9]) / math.exp(p[0]), np.ones(len(pixels))]) @ _matrix(p[1:4])
+    return np.asarray(p[4:6] + (height - p[6]) / rays[:, 2:] * rays[:, :2])

@@ -1,0 +1,41 @@
+"""How a flight of either kind turned out: its figures, and its picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from smolbot.config.load import AnyMission
+from smolbot.runs.run import Run
+from smolbot.config.observation import Observation
+from smolbot.runs.observation_summary import summarise_observation
+from smolbot.runs.summary import summarise
+from smolbot.runs.trace import Trace
+
+
+def sum_up(mission: AnyMission, run: Run, trace: Trace, seed: int, drawn: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of a run; `drawn` is what its world said of itself."""
+    if isinstance(mission, Observation):
+        figures = summarise_observation(mission, run, trace)
+    else:
+        figures = summarise(mission, run, trace)
+    figures["seed"] = seed
+    figures["ideal"] = bool(drawn.get("ideal", False))
+    figures["plant"] = str(drawn.get("plant", "full"))
+    figures["run"] = run.folder
+    return figures
+
+
+def draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
+    """The picture of a run, as a file that is there whole or not at all."""
+    part = path.with_name(f"{path.stem}.part{path.suffix}")
+    if isinstance(mission, Observation):
+        from smolbot.runs.pictures.observation import draw_observation
+
+        draw_observation(mission, run, trace, part)
+    else:
+        from smolbot.runs.pictures.gradient_run import draw_run
+
+        draw_run(mission, run, trace, part)
+    part.replace(path)

@@ -1,0 +1,142 @@
+"""The picture of a run: path planned, true and localized; error over time; currents."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.runs.run import Run
+from smolbot.config.mission import Mission
+from smolbot.runs.pictures import helix_run as helixpicture
+from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, dots, nothing
+from smolbot.runs.summary import label_of, tracking_distance
+from smolbot.runs.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
+    """Write the picture of a run to `path` (PNG, 16:9)."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+        grid = figure.add_gridspec(
+            3, 2, width_ratios=[1.0, 1.25], height_ratios=[1.0, 1.0, 1.0], wspace=0.2, hspace=0.28,
+            left=0.06, right=0.975, top=0.845, bottom=0.085,
+        )  # fmt: skip
+        left, errors = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[0, 1])
+        middle, low = figure.add_subplot(grid[1, 1], sharex=errors), figure.add_subplot(grid[2, 1], sharex=errors)
+        if mission.robot.kind == "helical":
+            helixpicture.draw_axes_on_path(left, mission, trace)
+            helixpicture.draw_distance(errors, mission, trace)
+            helixpicture.draw_axis_error(middle, mission, trace)
+            helixpicture.draw_turns(low, mission, trace)
+        else:
+            draw_path(left, mission, trace)
+            draw_tracking(errors, mission, trace)
+            draw_localization(middle, trace)
+            draw_currents(low, mission, trace)
+        figure.text(0.06, 0.945, headline(mission, run), fontsize=17, fontweight="bold", color="#222222")
+        figure.text(0.06, 0.905, subline(run.summary), fontsize=11.5, color="#555555")
+        figure.savefig(path)
+        plt.close(figure)
+
+
+def headline(mission: Mission, run: Run) -> str:
+    """One line that says what was flown and how it ended."""
+    return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{label_of(run.summary)}"
+
+
+def subline(summary: dict[str, Any]) -> str:
+    """The figures that a slide needs."""
+    parts = [f"{summary['duration_s']:.0f} s", f"{summary['cycles']} cycles at {summary['loop_rate_hz']:.1f} Hz"]
+    if "turns" in summary:
+        parts = [f"{summary['duration_s']:.0f} s", *helixpicture.subline_parts(summary)]
+    if "tracking_error_mm" in summary:
+        t = summary["tracking_error_mm"]
+        parts.append(f"tracking error {t['mean']:.2f} mm mean, {t['max']:.2f} max")
+    if "localization_error_mm" in summary:
+        e = summary["localization_error_mm"]
+        parts.append(f"localization error {e['mean']:.2f} ± {e['std']:.2f} mm")
+    return "   ·   ".join([*parts, f"seed {summary.get('seed', '-')}"])
+
+
+def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Planned path, true way and trusted poses, from above."""
+    planned = mission.path.points * 1e3
+    axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
+    heard = [m.cycle.pose for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    if heard:
+        located = np.array([p.position for p in heard]) * 1e3
+        dots(axes, located[:, 0], located[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
+    truth = trace.true_positions() * 1e3
+    if len(truth):
+        axes.plot(truth[:, 0], truth[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
+        axes.plot(*truth[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
+        axes.annotate(
+            "put down", (truth[0, 0], truth[0, 1]), xytext=(6, -13), textcoords="offset points", color=TRUE, fontsize=10
+        )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.set_xlabel("x in mm")
+    axes.set_ylabel("y in mm")
+    axes.grid(color="#eeeeee", zorder=0)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
+
+
+def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Distance of the true robot to the path over time."""
+    moments = [m for m in trace.following if m.truth_at_end is not None]
+    if moments:
+        times = [t for m in moments for t in (m.truth.time if m.truth else m.cycle.shot.end, m.cycle.shot.end)]
+        axes.plot(times, tracking_distance(mission, moments) * 1e3, color=TRUE, lw=1.3)
+        axes.axhline(mission.tolerance * 1e3, color="#999999", lw=1, ls="--")
+        axes.text(1.0, mission.tolerance * 1e3, " arrival ", color="#777777", fontsize=9, va="bottom", ha="right",
+                  transform=axes.get_yaxis_transform())  # fmt: skip
+    else:
+        nothing(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
+    axes.set_ylim(bottom=0.0)
+    axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
+    axes.tick_params(labelbottom=False)
+
+
+def draw_localization(axes: Axes, trace: Trace) -> None:
+    """Distance of each trusted pose, and of the tracked ones, to the truth over time."""
+    known = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
+    if known:
+        times = [m.truth.time for m in known if m.truth]
+        raw = [
+            np.linalg.norm(m.cycle.pose.position - m.truth.position) * 1e3 for m in known if m.cycle.pose and m.truth
+        ]
+        dots(axes, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
+        both = [(m.truth.time, np.linalg.norm(m.cycle.tracked.position - m.truth.position) * 1e3)
+                for m in known if m.cycle.tracked and m.truth]  # fmt: skip
+        axes.plot(*np.array(both).T, color=TRUE, lw=1.3, label="tracked")
+        axes.set_ylim(0.0, 1.15 * float(np.percentile(raw, 99.5)))
+        axes.legend(loc="upper right", ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
+    else:
+        nothing(axes, "no truth on this rig")
+    axes.set_title("Localization error, in mm", loc="left", fontsize=11)
+    axes.tick_params(labelbottom=False)
+
+
+def draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Current of each coil in every pull."""
+    names = mission.rig.coil_names
+    starts, _, currents = trace.currents(len(names))
+    for index, name in enumerate(names):
+        if len(starts):
+            dots(axes, starts, currents[:, index], 2.2, COILS[index % len(COILS)], label=name)
+    axes.set_ylim(0.0 if mission.rig.limits.unipolar else None, mission.rig.limits.max_current * 1.08)
+    axes.set_title("Coil currents while actuating, in A", loc="left", fontsize=11)
+    axes.set_xlabel("time in s")
+    if len(starts):
+        axes.legend(loc="lower right", ncol=len(names), frameon=False, fontsize=9,
+                    bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0, handletextpad=0.1)  # fmt: skip

@@ -1,0 +1,118 @@
+"""The picture of a helix' run: path with propulsion axes, distance to the path, error of the axis, turns and pauses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.config.mission import Mission
+from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, nothing
+from smolbot.runs.summary import axis_angle
+from smolbot.runs.trace import Moment, Trace
+from smolbot.core.shots import Rotate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ARROW = 3.5
+"""Length of an arrow along a propulsion axis, in mm."""
+
+
+def draw_axes_on_path(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Planned path, true way, and in every pause the propulsion axis as tracked and as it is."""
+    from matplotlib.patches import Circle
+
+    for lump in mission.rig.sections.tank.get("gel", {}).get("inclusions", []):
+        axes.add_patch(Circle(lump["center_mm"], lump["radius_mm"], color=STIFF, lw=0, zorder=0.5))
+        axes.annotate("stiffer gel", lump["center_mm"], xytext=(0, -lump["radius_mm"] - 1.2), ha="center", va="top",
+                      textcoords="data", fontsize=9, color="#9a7b3a")  # fmt: skip
+    planned = mission.path.points * 1e3
+    axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
+    truth = trace.true_positions() * 1e3
+    if len(truth):
+        axes.plot(truth[:, 0], truth[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
+        axes.plot(*truth[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
+        axes.annotate(
+            "put down", (truth[0, 0], truth[0, 1]), xytext=(8, -4), textcoords="offset points", color=TRUE, fontsize=10
+        )
+    for moment in pauses(trace):
+        for pose, color, width, order in ((moment.truth, TRUE, 0.006, 5), (moment.cycle.tracked, LOCATED, 0.004, 6)):
+            if pose is not None:
+                tip = ARROW * pose.body_axis("z")[:2]
+                axes.quiver(*(1e3 * pose.position[:2]), *tip, color=color, angles="xy", scale_units="xy", scale=1.0,
+                            width=width, headwidth=4.5, headlength=5, zorder=order)  # fmt: skip
+    axes.plot([], [], color=LOCATED, lw=2, label="tracked propulsion axis")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.set_xlabel("x in mm")
+    axes.set_ylabel("y in mm")
+    axes.grid(color="#eeeeee", zorder=0)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
+
+
+def pauses(trace: Trace) -> list[Moment]:
+    """The last cycle of every pause: the one that sends for the magnet, or ends the mission."""
+    return [m for m in trace.moments if m.cycle.command.mechanical or m.cycle.command.done or m.cycle.command.stuck]
+
+
+def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """True robot to path, against how far along the path it is."""
+    places = [m.positions for m in trace.following]
+    if places and trace.knows_truth:
+        arc, distance = mission.path.project(np.vstack(places))
+        axes.plot(arc * 1e3, distance * 1e3, color=TRUE, lw=1.3)
+        heard = [m for m in pauses(trace) if m.truth is not None and m.cycle.command.phase == "follow"]
+        if heard:
+            at, off = mission.path.project(np.array([m.truth.position for m in heard if m.truth]))
+            axes.plot(at * 1e3, off * 1e3, "o", color=TRUE, ms=4.5, mfc="white", mew=1.4, label="pauses")
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
+    else:
+        nothing(axes, "no truth on this rig")
+    axes.set_ylim(bottom=0.0)
+    axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
+    axes.tick_params(labelbottom=False)
+
+
+def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Angle between estimated and true propulsion axis."""
+    known = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
+    if known:
+        arc, _ = mission.path.project(np.array([m.truth.position for m in known if m.truth]))
+        angles = np.degrees([axis_angle(m.cycle.pose, m.truth) for m in known if m.cycle.pose and m.truth])
+        axes.plot(arc * 1e3, angles, ".", color=LOCATED, ms=5, alpha=0.7)
+    else:
+        nothing(axes, "no truth on this rig")
+    axes.set_ylim(bottom=0.0)
+    axes.set_title("Propulsion axis of each pose against the true one, in degrees", loc="left", fontsize=11)
+    axes.tick_params(labelbottom=False)
+
+
+def draw_turns(axes: Axes, mission: Mission, trace: Trace) -> None:
+    """Turns before each pause, at the rate that they were made with, where along the path they began."""
+    bars: list[tuple[float, float, float]] = []
+    for before, moment in zip(trace.moments, trace.moments[1:], strict=False):
+        turned = [w for w in moment.cycle.shot.windows if isinstance(w, Rotate)]
+        pose = before.cycle.tracked
+        if turned and pose is not None:
+            arc = float(mission.path.project(pose.position[None, :])[0][0])
+            bars.append((1e3 * arc, sum(w.turns for w in turned), turned[-1].frequency))
+    if bars:
+        rows: FloatArray = np.array(bars)
+        full = mission.rig.limits.max_rotation_frequency
+        for slow, color, label in ((False, TRUE, f"{full:g} Hz"), (True, LOCATED, "slower, after a step-out")):
+            chosen = rows[(rows[:, 2] < full - 1e-9) == slow]
+            if len(chosen):
+                axes.bar(chosen[:, 0], chosen[:, 1], width=1.2, color=color, alpha=0.85, label=label)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
+    axes.set_title("Turns of the magnet before each pause", loc="left", fontsize=11)
+    axes.set_xlabel("along the path, in mm")
+
+
+def subline_parts(summary: dict[str, Any]) -> list[str]:
+    """What the line under the title says of a helix."""
+    parts = [f"{summary['turns']:.0f} turns, {summary['pauses']} pauses, {summary['step_outs']} step-outs"]
+    if "axis_error_deg" in summary:
+        parts.append(f"axis error {summary['axis_error_deg']['mean']:.1f}°")
+    return parts

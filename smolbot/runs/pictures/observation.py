@@ -1,0 +1,203 @@
+"""The picture of a mission that only looks: where a device was seen, how well, how often; or how it scatters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.runs.run import Run
+from smolbot.config.observation import Observation
+from smolbot.core.pose import Pose
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
+from smolbot.runs.observation_summary import measurements
+from smolbot.runs.summary import label_of, orientation_error
+from smolbot.runs.trace import Moment, Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ARROW = 6.5  # mm: length of a tip's arrow
+ARROWS = 36  # shown of a whole track
+
+
+def draw_observation(mission: Observation, run: Run, trace: Trace, path: Path) -> None:
+    """Write the picture of an observation to `path` (PNG, 16:9)."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+        if mission.sections.observe.measurements is None:
+            _draw_watched(figure, mission, trace)
+        else:
+            _draw_measured(figure, mission, trace)
+        figure.text(0.06, 0.945, headline(mission, run), fontsize=17, fontweight="bold", color="#222222")
+        figure.text(0.06, 0.905, subline(run.summary), fontsize=11.5, color="#555555")
+        figure.savefig(path)
+        plt.close(figure)
+
+
+def headline(mission: Observation, run: Run) -> str:
+    """One line that says what was looked at and how it ended."""
+    return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{label_of(run.summary)}"
+
+
+def subline(summary: dict[str, Any]) -> str:
+    """The figures that a slide needs."""
+    parts = [f"{summary['duration_s']:.0f} s"]
+    if "pose_rate_hz" in summary:
+        gaps = summary["gaps"]["count"]
+        parts += [f"{summary['pose_rate_hz']:.1f} poses a second", f"{gaps or 'no'} gap{'' if gaps == 1 else 's'}"]
+    if "sigma_mm" in summary:
+        sigma = summary["sigma_mm"]["distance"]
+        parts.append(f"{summary['measurements']} independent measurements, sigma {sigma:.3f} mm")
+    if "localization_error_mm" in summary:
+        e, a = summary["localization_error_mm"], summary["orientation_error_deg"]
+        parts.append(f"localization error {e['mean']:.2f} ± {e['std']:.2f} mm, {a['mean']:.1f}°")
+    return "   ·   ".join([*parts, f"seed {summary.get('seed', '-')}"])
+
+
+def _draw_watched(figure: Figure, mission: Observation, trace: Trace) -> None:
+    grid = figure.add_gridspec(
+        3, 2, width_ratios=[1.25, 1.0], height_ratios=[1.0, 1.0, 1.0], wspace=0.17, hspace=0.34,
+        left=0.06, right=0.975, top=0.845, bottom=0.085,
+    )  # fmt: skip
+    box = mission.rig.sections.container
+    (cx, cy), (sx, sy) = box.center_mm, box.size_mm
+    sides = [(cx - 0.5 * sx, cx + 0.5 * sx), (cy - 0.5 * sy, cy + 0.5 * sy), (box.floor_z_mm, box.surface_z_mm)]
+    split = grid[:, 0].subgridspec(2, 1, height_ratios=[sy + 8.0, sides[2][1] - sides[2][0] + 8.0], hspace=0.17)
+    above, front = figure.add_subplot(split[0]), figure.add_subplot(split[1])
+    for axes, across in ((above, 1), (front, 2)):
+        draw_view(axes, trace, sides, across)
+    above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
+    above.tick_params(labelbottom=False)
+    front.set_xlabel("x in mm")
+    errors = figure.add_subplot(grid[0, 1])
+    turns = figure.add_subplot(grid[1, 1], sharex=errors)
+    rates = figure.add_subplot(grid[2, 1], sharex=errors)
+    draw_errors(errors, turns, trace, along=mission.robot.device.along_cantilever)
+    draw_rate(rates, mission, trace)
+
+
+def draw_view(axes: Axes, trace: Trace, sides: list[tuple[float, float]], across: int) -> None:
+    """The track from above (`across` 1) or from the front (2), in the container."""
+    (x0, x1), (y0, y1) = sides[0], sides[across]
+    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PLANNED, lw=1.2)
+    truth = 1e3 * trace.true_positions()
+    if len(truth):
+        axes.plot(truth[:, 0], truth[:, across], color=TRUE, lw=0.9, label="true", zorder=4)
+    seen = [m.cycle.pose for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    if seen:
+        places = 1e3 * np.array([p.position for p in seen])
+        dots(axes, places[:, 0], places[:, across], 3.7, LOCATED, alpha=0.4, label="localized", zorder=3)
+        chosen = seen[:: max(len(seen) // ARROWS, 1)]
+        start, ahead = 1e3 * np.array([p.position for p in chosen]), np.array([p.rotation[:, 2] for p in chosen])
+        axes.quiver(
+            start[:, 0], start[:, across], ARROW * ahead[:, 0], ARROW * ahead[:, across],
+            angles="xy", scale_units="xy", scale=1.0, width=0.0028, headwidth=4.0, color="#f2a541", zorder=2,
+            label="the tip's axis, localized",
+        )  # fmt: skip
+    axes.set_aspect("equal")
+    axes.set_xlim(x0 - 4.0, x1 + 4.0)
+    axes.set_ylim(y0 - 4.0, y1 + 4.0)
+    axes.set_ylabel(f"{'xyz'[across]} in mm")
+    axes.grid(color="#eeeeee", zorder=0)
+
+
+def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None:
+    """Errors of place and orientation of each trusted pose over time."""
+    known = [(p, t) for p, t in _known(trace.moments)]
+    if known:
+        times = [p.time for p, _ in known]
+        away = [1e3 * float(np.linalg.norm(p.position - t.position)) for p, t in known]
+        angle = [float(np.degrees(orientation_error(p, t, along))) for p, t in known]
+        dots(errors, times, away, 1.6, LOCATED, alpha=0.7)
+        errors.axhline(float(np.mean(away)), color=TRUE, lw=1)
+        dots(turns, times, angle, 1.6, LOCATED, alpha=0.7)
+        turns.axhline(float(np.mean(angle)), color=TRUE, lw=1)
+    else:
+        for axes in (errors, turns):
+            nothing(axes, "no truth on this rig")
+    errors.set_title("Localization error of each pose, in mm; line: mean", loc="left", fontsize=11)
+    turns.set_title("Orientation error, in degrees", loc="left", fontsize=11)
+    for axes in (errors, turns):
+        axes.set_ylim(bottom=0.0)
+        axes.tick_params(labelbottom=False)
+
+
+def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
+    """Trusted poses in every second, and shots that gave none."""
+    times = np.array([m.cycle.pose.time for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted])
+    if len(times) > 1:
+        edges = np.arange(times[0], times[-1] + 1e-9, 1.0)
+        if len(edges) > 1:
+            counts = np.histogram(times, edges)[0]
+            axes.step(edges, np.append(counts, counts[-1]), where="post", color=TRUE, lw=1.3)
+    lost = [m.cycle.shot.end for m in trace.moments if m.cycle.pose is None or not m.cycle.pose.trusted]
+    if lost:
+        axes.plot(lost, np.zeros(len(lost)), "|", color=LOCATED, ms=9, clip_on=False, label="shot without a pose")
+        axes.legend(loc="lower right", frameon=False, fontsize=9)
+    wanted = mission.sections.verdict.min_rate_hz
+    if wanted is not None:
+        axes.axhline(wanted, color="#999999", lw=1, ls="--")
+        axes.text(1.0, wanted, "wanted ", color="#777777", fontsize=9, va="bottom", ha="right",
+                  transform=axes.get_yaxis_transform())  # fmt: skip
+    axes.set_ylim(bottom=0.0)
+    axes.set_title("Trusted poses in every second", loc="left", fontsize=11)
+    axes.set_xlabel("time in s")
+
+
+def _draw_measured(figure: Figure, mission: Observation, trace: Trace) -> None:
+    """Each measurement from above and from the front, about their mean, with the ellipse of one standard deviation."""
+    grid = figure.add_gridspec(1, 2, wspace=0.22, left=0.07, right=0.975, top=0.835, bottom=0.1)
+    draw_measurements(figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1]), trace)
+
+
+def draw_measurements(above: Axes, front: Axes, trace: Trace) -> None:
+    """Each measurement about their mean, from above and from the front, and where the mean is off the truth."""
+    moments = measurements(trace)
+    places = 1e3 * np.array([m.cycle.pose.position for m in moments if m.cycle.pose is not None]).reshape(-1, 3)
+    for axes, i, j in ((above, 0, 1), (front, 0, 2)):
+        if len(places) < 2:
+            nothing(axes, "fewer than two measurements")
+        else:
+            draw_scatter(axes, places[:, [i, j]], ("xyz"[i], "xyz"[j]))
+        truth = next((m.truth for m in moments if m.truth is not None), None)
+        if truth is not None and len(places) > 1:
+            off = places.mean(axis=0) - 1e3 * truth.position
+            axes.set_title(
+                f"mean minus truth: {'xyz'[i]} {1e3 * off[i]:+.0f} µm, {'xyz'[j]} {1e3 * off[j]:+.0f} µm",
+                loc="left", fontsize=11,
+            )  # fmt: skip
+
+
+def draw_scatter(axes: Axes, places: FloatArray, names: tuple[str, str]) -> None:
+    """Measurements about their mean, with the ellipse of one standard deviation; `places` (n, 2) in mm."""
+    away = 1e3 * (places - places.mean(axis=0))
+    axes.plot(*ellipse(np.cov(away.T), n=181).T, color=TRUE, lw=1.4, label="one standard deviation")
+    axes.plot(away[:, 0], away[:, 1], "o", color=LOCATED, ms=7, alpha=0.8, mew=0, label="measurements")
+    for number, (x, y) in enumerate(away, 1):
+        axes.annotate(str(number), (x, y), xytext=(5, 4), textcoords="offset points", fontsize=9, color="#777777")
+    axes.plot(0.0, 0.0, "+", color=TRUE, ms=12, mew=1.5, label="their mean")
+    size = 1.25 * max(float(np.abs(away).max()), 1e-3)
+    axes.set_xlim(-size, size)
+    axes.set_ylim(-size, size)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{names[0]}, from the mean, in µm")
+    axes.set_ylabel(f"{names[1]}, from the mean, in µm")
+    axes.grid(color="#eeeeee")
+    axes.legend(loc="upper right", frameon=False, fontsize=9)
+
+
+def _known(moments: list[Moment]) -> list[tuple[Pose, Pose]]:
+    return [
+        (m.cycle.pose, m.truth)
+        for m in moments
+        if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None
+    ]

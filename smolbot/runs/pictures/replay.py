@@ -1,0 +1,105 @@
+"""The picture of a replay: what was located in flight, and what other settings find in the same windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.paths.curve import Curve
+from smolbot.runs.trace import Moment
+
+RECORDED, REPLAYED, TRUE = "tab:blue", "tab:orange", "0.3"
+
+
+def draw_replay(
+    path: Path, curve: Curve | None, recorded: Sequence[Moment], replayed: Sequence[Moment], changed: str
+) -> None:
+    """Places from above, and over time: errors where the truth is known, else the distance between both; R squared.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    curve : Curve or None
+        The planned path, where there is one.
+    recorded, replayed : sequences of Moment
+        Of the same cycles.
+    changed : str
+        What was set otherwise.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplot_mosaic([["map", "error"], ["map", "fit"]], figsize=(11, 5.4), width_ratios=(1, 1.35))
+    try:
+        _map(axes["map"], curve, recorded, replayed)
+        _errors(axes["error"], recorded, replayed)
+        _fits(axes["fit"], recorded, replayed)
+        figure.suptitle(f"Replayed with {changed}" if changed else "Replayed with the same settings", x=0.02, ha="left")
+        figure.tight_layout()
+        figure.savefig(path, dpi=140)
+    finally:
+        plt.close(figure)
+
+
+def _map(axes: Any, curve: Curve | None, recorded: Sequence[Moment], replayed: Sequence[Moment]) -> None:
+    if curve is not None:
+        axes.plot(*(1e3 * curve.points[:, :2].T), color="0.75", lw=4, solid_capstyle="round", label="planned")
+    true = np.array([m.truth.position for m in recorded if m.truth is not None]).reshape(-1, 3)
+    if len(true):
+        axes.plot(*(1e3 * true[:, :2].T), color=TRUE, lw=1, label="true")
+    for moments, color, label in ((recorded, RECORDED, "recorded"), (replayed, REPLAYED, "replayed")):
+        places = _places(moments)
+        axes.plot(*(1e3 * places[:, :2].T), ".", ms=3, color=color, label=label)
+    axes.set_aspect("equal", "datalim")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Located poses that were trusted")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=4, fontsize=8, frameon=False)
+
+
+def _errors(axes: Any, recorded: Sequence[Moment], replayed: Sequence[Moment]) -> None:
+    known = any(m.truth is not None for m in recorded)
+    if known:
+        for moments, color, label in ((recorded, RECORDED, "recorded"), (replayed, REPLAYED, "replayed")):
+            found = [
+                (m.cycle.pose.time, 1e3 * np.linalg.norm(m.cycle.pose.position - m.truth.position))
+                for m in moments
+                if m.cycle.pose is not None and m.truth is not None and m.cycle.pose.trusted
+            ]
+            if found:
+                times, errors = np.array(found).T
+                axes.plot(times, errors, ".", ms=3, color=color, label=f"{label}, mean {errors.mean():.2f} mm")
+        axes.set(ylabel="pose to truth (mm)", title="Localization error")
+    else:
+        both = [
+            (a.cycle.pose.time, 1e3 * np.linalg.norm(a.cycle.pose.position - b.cycle.pose.position))
+            for a, b in zip(recorded, replayed, strict=True)
+            if a.cycle.pose is not None and b.cycle.pose is not None and a.cycle.pose.trusted and b.cycle.pose.trusted
+        ]
+        if both:
+            times, apart = np.array(both).T
+            axes.plot(times, apart, ".", ms=3, color=REPLAYED, label=f"mean {apart.mean():.2f} mm")
+        axes.set(ylabel="replayed to recorded (mm)", title="Distance between the poses of one window")
+    axes.set_ylim(0, 1.15 * axes.get_ylim()[1])
+    axes.set_xlabel("time (s)")
+    if axes.has_data():
+        axes.legend(fontsize=8, frameon=False)
+
+
+def _fits(axes: Any, recorded: Sequence[Moment], replayed: Sequence[Moment]) -> None:
+    for moments, color in ((recorded, RECORDED), (replayed, REPLAYED)):
+        found = [(m.cycle.pose.time, 1.0 - m.cycle.pose.r_squared) for m in moments if m.cycle.pose is not None]
+        if found:
+            times, left = np.array(found).T
+            axes.semilogy(times, np.maximum(left, 1e-7), ".", ms=3, color=color)
+    axes.set(xlabel="time (s)", ylabel="1 - R²", title="What the fits leave unexplained")
+
+
+def _places(moments: Sequence[Moment]) -> FloatArray:
+    poses = [m.cycle.pose for m in moments]
+    return np.array([p.position for p in poses if p is not None and p.trusted]).reshape(-1, 3)

@@ -1,0 +1,100 @@
+"""Samples as a converter's counts: a quarter of their size, and exact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smolbot.core.arrays import FloatArray
+from smolbot.config.sensors import SensorsSection
+
+FIELD, TESLA, VOLTS, BOTH = 0, 1, 2, 3
+"""Scalings: how counts become a field; see ``run.proto``."""
+
+Counts = NDArray[np.int16]
+
+_BLOCK = 2048  # samples of every sensor at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Converter:
+    """What turned fields into counts.
+
+    Attributes
+    ----------
+    bits : int
+    range : float, in V
+        To either side.
+    volts_per_tesla : float
+        Of the sensors.
+    gains : ndarray, shape (n_sensors,)
+        As believed; readings were divided by them.
+    """
+
+    bits: int
+    range: float
+    volts_per_tesla: float
+    gains: FloatArray
+
+    @classmethod
+    def of(cls, section: SensorsSection, gains: FloatArray) -> Converter:
+        """As a rig file's ``[sensors]`` describes it."""
+        return cls(section.adc_bits, section.adc_range_v, section.sensitivity_v_per_ut * 1e6, np.asarray(gains, float))
+
+    def counts(self, field: FloatArray) -> tuple[int, Counts | None]:
+        """The scaling by which `field` (n_sensors, n), in T, are whole counts, and these; (FIELD, None) if by none.
+
+        What is returned decodes to `field` bit for bit: that is how it is found.
+        """
+        if self.bits > 16 or len(field) != len(self.gains) or not field.size:
+            return FIELD, None
+        counts = np.empty(field.shape, np.int16)
+        for part, into in zip(_blocks(field), _blocks(counts), strict=True):
+            with np.errstate(invalid="ignore"):
+                rounded = np.rint(part * self.gains[:, None] / self._tesla)
+            if not _fits(rounded):
+                return FIELD, None
+            into[:] = rounded
+        for scaling in (TESLA, VOLTS, BOTH):
+            pairs = zip(_blocks(counts), _blocks(field), strict=True)
+            if all(_same_bits(self.field(scaling, counted), part) for counted, part in pairs):
+                return scaling, counts
+        return FIELD, None
+
+    def field(self, scaling: int, counts: Counts) -> FloatArray:
+        """Counts (n_sensors, n) as a field, in T."""
+        return self._scalings[scaling](counts.astype(float))
+
+    @cached_property
+    def _tesla(self) -> float:
+        return 2.0 * (self.range / self.volts_per_tesla) / 2.0**self.bits
+
+    @cached_property
+    def _scalings(self) -> dict[int, Callable[[FloatArray], FloatArray]]:
+        gains, per_tesla, tesla = self.gains[:, None], self.volts_per_tesla, self._tesla
+        volts = 2.0 * self.range / 2.0**self.bits
+        return {
+            TESLA: lambda counts: counts * tesla / gains,
+            VOLTS: lambda counts: counts * volts / per_tesla / gains,
+            BOTH: lambda counts: counts * tesla * per_tesla / per_tesla / gains,
+        }
+
+
+def _blocks(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Views of some columns at a time: what is made of them stays in the processor's cache."""
+    return (values[:, start : start + _BLOCK] for start in range(0, values.shape[1], _BLOCK))
+
+
+def _fits(counts: FloatArray) -> bool:
+    """Whether these are numbers that 16 bits hold; nan and infinity are not."""
+    return bool(counts.min() >= -(2.0**15) and counts.max() <= 2.0**15 - 1)
+
+
+def _same_bits(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two arrays are the same to the last bit; a zero has a sign."""
+    return np.array_equal(a.view(np.int64), np.ascontiguousarray(b).view(np.int64))

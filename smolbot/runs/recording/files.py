@@ -1,0 +1,69 @@
+"""The files that a run starts from: kept as used, with everything that they name, and read again as one mission."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from smolbot.config.load import AnyMission, load_mission
+from smolbot.errors import InputError
+from smolbot.runs.settings_toml import as_used
+
+MISSION, RIG, ROBOT = "mission.toml", "rig.toml", "robot.toml"
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """Contents of the files of a run folder by their names, and the settings by which the mission finds them.
+
+    Attributes
+    ----------
+    contents : dict of bytes
+        ``mission.toml``, ``rig.toml``, ``robot.toml``, and what these name: a drawing, a table, calibrated sensors.
+    names : dict of str
+        ``{"rig.sensors.calibrated": "sensors.toml"}``: which setting names which of them.
+    """
+
+    contents: dict[str, bytes]
+    names: dict[str, str]
+
+    @classmethod
+    def of(cls, mission: AnyMission) -> RunFiles:
+        """Those of a mission that was loaded."""
+        documents = {MISSION: mission.document, RIG: mission.rig.document, ROBOT: mission.robot.document}
+        contents = {name: as_used(document).encode() for name, document in documents.items()}
+        names = {}
+        for key, stem, path in _named(mission):
+            name = stem + path.suffix
+            names[key] = name
+            contents[name] = path.read_bytes()
+        return cls(contents, names)
+
+    def load(self, folder: Path, settings: dict[str, str] | None = None) -> AnyMission:
+        """The mission of these files, which were written into `folder`; `settings` are laid over it.
+
+        Raises
+        ------
+        InputError
+            Where the folder misses one.
+        """
+        missing = sorted(name for name in self.contents if not (folder / name).is_file())
+        if missing:
+            raise InputError(f"{folder}: {', '.join(missing)} is missing from this run folder.")
+        named = {key: str((folder / name).absolute()) for key, name in self.names.items()}
+        laid = {"robot": ROBOT, **named, **(settings or {})}
+        return load_mission(str(folder / MISSION), str(folder / RIG), laid)
+
+
+def _named(mission: AnyMission) -> Iterator[tuple[str, str, Path]]:
+    """Setting, stem of the copy, and path, of every file that the mission's files name."""
+    sensors = mission.rig.sensors_file
+    if sensors is not None:
+        yield "rig.sensors.calibrated", "sensors", sensors
+    table = mission.rig.sections.table
+    if table is not None and table.file is not None:
+        yield "rig.table.file", "table", mission.rig.document.path.parent / table.file
+    drawing = mission.document.data.get("path", {}).get("file")
+    if drawing is not None:
+        yield "path.file", "path", mission.document.path.parent / drawing

@@ -1,0 +1,227 @@
+"""Between what the loop hands out and the messages of a record; each pair of functions is exact both ways."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.motion.controller import Command
+from smolbot.runs.run import Event
+from smolbot.core.pose import Pose
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.converter import Converter
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot, Window
+
+FORMAT = 1
+
+TOPICS: dict[str, Any] = {
+    "/run/begin": pb.Begin,
+    "/shots": pb.Shot,
+    "/windows": pb.Samples,
+    "/poses/raw": pb.Pose,
+    "/poses/tracked": pb.Pose,
+    "/poses/true": pb.Truth,
+    "/commands": pb.Command,
+    "/timing": pb.Timing,
+    "/events": pb.Event,
+    "/run/dropped": pb.Dropped,
+    "/run/recovered": pb.Recovered,
+    "/run/end": pb.End,
+}
+"""Topics of a record, and the type of their messages."""
+
+
+def window_message(window: Window) -> pb.Window:
+    """A window of a shot."""
+    match window:
+        case Actuate(currents, duration):
+            return pb.Window(actuate=pb.Window.Actuate(currents=currents, duration=duration))
+        case Excite((x, y), frequency, cycles):
+            return pb.Window(excite=pb.Window.Excite(x=x, y=y, frequency=frequency, cycles=cycles))
+        case RingDown(duration):
+            return pb.Window(ring_down=pb.Window.RingDown(duration=duration))
+        case Listen(half_periods, frequency):
+            return pb.Window(listen=pb.Window.Listen(half_periods=half_periods, frequency=frequency))
+        case Rest(duration):
+            return pb.Window(rest=pb.Window.Rest(duration=duration))
+        case Rotate((x, y, z), frequency, turns):
+            return pb.Window(rotate=pb.Window.Rotate(x=x, y=y, z=z, frequency=frequency, turns=turns))
+        case MoveMagnet(to, duration):
+            return pb.Window(move_magnet=pb.Window.MoveMagnet(near=to == "near", expected_duration=duration))
+
+
+def window_of(message: pb.Window) -> Window:
+    """The window that a message tells of."""
+    match message.WhichOneof("kind"):
+        case "actuate":
+            return Actuate(tuple(message.actuate.currents), message.actuate.duration)
+        case "excite":
+            told = message.excite
+            return Excite((told.x, told.y), told.frequency, told.cycles)
+        case "ring_down":
+            return RingDown(message.ring_down.duration)
+        case "listen":
+            return Listen(message.listen.half_periods, message.listen.frequency)
+        case "rest":
+            return Rest(message.rest.duration)
+        case "rotate":
+            turned = message.rotate
+            return Rotate((turned.x, turned.y, turned.z), turned.frequency, turned.turns)
+        case "move_magnet":
+            return MoveMagnet("near" if message.move_magnet.near else "away", message.move_magnet.expected_duration)
+        case kind:
+            raise ValueError(f"window of an unknown kind: {kind}")
+
+
+def shot_message(number: int, shot: Shot, ended: float, *, heard: bool) -> pb.Shot:
+    """A shot that was played until `ended` s."""
+    windows = [window_message(window) for window in shot.windows]
+    return pb.Shot(number=number, mode=shot.mode, start=shot.start, ended=ended, windows=windows, heard=heard)
+
+
+def shot_of(message: pb.Shot) -> Shot:
+    """The shot of a message."""
+    return Shot(tuple(window_of(w) for w in message.windows), message.mode, message.start)  # type: ignore[arg-type]
+
+
+def samples_message(number: int, recording: Recording, converter: Converter) -> pb.Samples:
+    """What was heard in the shot of that number."""
+    scaling, counts = converter.counts(recording.field)
+    message = pb.Samples(
+        number=number,
+        clock=recording.clock,
+        sample_rate=recording.sample_rate,
+        time_since_drive=recording.time_since_drive,
+        sensors=len(recording.field),
+        saturated=np.flatnonzero(recording.saturated).tolist(),
+        scaling=scaling,  # type: ignore[arg-type]
+    )
+    if counts is not None:
+        message.counts = counts.astype("<i2").tobytes()
+    else:
+        message.field = recording.field.astype("<f8").tobytes()
+    return message
+
+
+def recording_of(message: pb.Samples, converter: Converter, shot: Shot) -> Recording:
+    """The recording of a message, which was made in `shot`."""
+    shape = (message.sensors, -1)
+    if message.scaling == pb.Samples.FIELD:
+        field = np.frombuffer(message.field, "<f8").astype(float).reshape(shape)
+    else:
+        counts = np.frombuffer(message.counts, "<i2").reshape(shape)
+        field = converter.field(int(message.scaling), counts)
+    saturated = np.zeros(message.sensors, np.bool_)
+    saturated[list(message.saturated)] = True
+    return Recording(field, message.sample_rate, message.time_since_drive, saturated, shot.excite, clock=message.clock)
+
+
+def pose_message(number: int, pose: Pose) -> pb.Pose:
+    """A pose of the cycle of that number."""
+    return pb.Pose(
+        number=number,
+        time=pose.time,
+        position=pose.position,
+        orientation=pose.orientation,
+        covariance=pose.covariance.ravel(),
+        r_squared=pose.r_squared,
+        flip_margin=pose.flip_margin,
+        trusted=pose.trusted,
+    )
+
+
+def pose_of(message: pb.Pose) -> Pose:
+    """The pose of a message."""
+    pose = Pose(
+        message.time,
+        np.array(message.position),
+        np.array(message.orientation),
+        np.array(message.covariance).reshape(6, 6),
+        message.r_squared,
+        message.flip_margin,
+        message.trusted,
+    )
+    orientation = np.array(message.orientation)
+    orientation.setflags(write=False)
+    object.__setattr__(pose, "orientation", orientation)  # to make it a unit once more could change its last bit
+    return pose
+
+
+def truth_message(number: int, truth: Pose | None, end: Pose | None, way: FloatArray) -> pb.Truth:
+    """Where the device truly was during the cycle of that number."""
+    return pb.Truth(
+        number=number,
+        pose=None if truth is None else pose_message(number, truth),
+        end=None if end is None else pose_message(number, end),
+        way=way.ravel(),
+    )
+
+
+def command_message(number: int, command: Command) -> pb.Command:
+    """What was wanted next, after the cycle of that number."""
+    window = command.window
+    several = isinstance(window, tuple)
+    windows: Iterable[Window] = () if window is None else window if isinstance(window, tuple) else (window,)
+    return pb.Command(
+        number=number,
+        windows=[window_message(w) for w in windows],
+        several=several,
+        saturated=command.saturated,
+        note=command.note,
+        progress=command.progress,
+        phase=command.phase,
+        done=command.done,
+        stuck=command.stuck,
+        event=command.event,
+    )
+
+
+def command_of(message: pb.Command) -> Command:
+    """The command of a message."""
+    windows = tuple(window_of(w) for w in message.windows)
+    window: Any = windows if message.several else windows[0] if windows else None
+    return Command(
+        window,
+        message.saturated,
+        message.note,
+        message.progress,
+        message.phase,  # type: ignore[arg-type]
+        message.done,
+        message.stuck,
+        message.event,
+    )
+
+
+def event_message(event: Event) -> pb.Event:
+    """Something that happened."""
+    return pb.Event(time=event.time, what=event.what, detail=json.dumps(event.detail, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has no word for: numbers and arrays of numpy as they are, anything else as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def event_of(message: pb.Event) -> Event:
+    """The event of a message."""
+    return Event(message.time, message.what, json.loads(message.detail))
+
+
+def converter_message(converter: Converter) -> pb.Converter:
+    """What turned fields into counts."""
+    return pb.Converter(
+        bits=converter.bits,
+        range=converter.range,
+        volts_per_tesla=converter.volts_per_tesla,
+        gains=converter.gains,
+    )
+
+
+def converter_of(message: pb.Converter) -> Converter:
+    """The converter of a message."""
+    return Converter(message.bits, message.range, message.volts_per_tesla, np.array(message.gains))

@@ -1,0 +1,244 @@
+"""Takes what the loop hands out, and lets a thread of its own do the rest: the loop never waits."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from typing import Any, Protocol
+
+from smolbot.runs.run import Event
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.converter import Converter
+from smolbot.runs.recording.jobs import Cycle, Happened, Job, Message, Played, Told, is_heard
+from smolbot.runs.trace import Moment
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Shot
+
+CAPACITY = 4096
+"""Shots, cycles and events that may wait: minutes of them."""
+
+FLUSH_EVERY = 0.25
+"""Seconds between two flushes."""
+
+MEMORY = 64 * 2**20
+"""Bytes of samples that may wait."""
+
+LOOK_EVERY = 0.02
+"""Seconds between two looks for what has come: to wake the thread at once would cost the loop time."""
+
+PATIENCE = 10.0
+"""Seconds that the end of a run waits for what is not yet written."""
+
+
+class Sink(Protocol):
+    """Where messages go. Called from the pump's thread only."""
+
+    def write(self, message: Message) -> None: ...
+
+    def flush(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Pump:
+    """Makes messages of what was played and what happened, and hands them to a sink, in its own thread.
+
+    Its queue is bounded, in entries and in bytes of samples: what does not fit is dropped and counted. A sink that
+    fails is given no more; `error` says why, what comes is counted as dropped, and the flight goes on.
+
+    Parameters
+    ----------
+    sink : Sink
+    converter : Converter
+    windows : bool
+        Whether to hand on what the sensors heard; most of a record is that.
+    capacity, memory : int
+        Entries, and bytes of samples, that may wait.
+    patience : float, in s
+        How long `close` waits for what is not yet written.
+
+    Attributes
+    ----------
+    error : str or None
+        Why something could not be handed on: the first reason.
+    computing : float, in s
+        Processor time of its thread, once that ended.
+    """
+
+    def __init__(
+        self,
+        sink: Sink,
+        converter: Converter,
+        *,
+        windows: bool = True,
+        capacity: int = CAPACITY,
+        memory: int = MEMORY,
+        patience: float = PATIENCE,
+    ) -> None:
+        self.error: str | None = None
+        self.computing = 0.0
+        self._sink = sink
+        self._converter = converter
+        self._windows = windows
+        self._memory = memory
+        self._patience = patience
+        self._capacity = capacity
+        self._queue: deque[Job] = deque()
+        self._over = threading.Event()
+        self._closed = False
+        self._shots = 0
+        self._refused = self._lost = 0  # dropped by the loop's thread, and by the pump's: each counts its own
+        self._put_in = self._taken_out = 0  # bytes; likewise
+        self._told = 0
+        self._now = 0.0
+        self._flushed = float("-inf")  # what the run starts from is flushed at once
+        self._begun = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name=type(sink).__name__, daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that could not be handed on so far."""
+        return self._refused + self._lost
+
+    def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
+        """A shot was played; see `smolbot.runs.run.Tape`."""
+        self._put(Played(self._shots, shot, recording if self._windows else None, ended, is_heard(recording)))
+        self._shots += 1
+
+    def happened(self, event: Event) -> None:
+        """See `smolbot.runs.run.Tape`."""
+        self._put(Happened(event))
+
+    def cycle(self, number: int, moment: Moment) -> None:
+        """The cycle of that number is over; its shot was the last that was played."""
+        self._put(Cycle(number, self._shots - 1, moment, time.monotonic() - self._begun))
+
+    def tell(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
+        """Any other message. One that tells of the end may `wait` for its place."""
+        self._put(Told(Message(topic, when, content)), self._patience if wait else 0.0)
+
+    def close(self) -> None:
+        """Write what still waits, then end; harmless when repeated."""
+        if self._closed:
+            return
+        self._closed = True
+        self._over.set()
+        self._thread.join(self._patience)
+        if self._thread.is_alive():
+            self.error = (
+                self.error or f"was still being written {self._patience:g} s after the run, and is left to itself"
+            )
+        else:
+            self._drain()
+
+    def _put(self, job: Job, patience: float = 0.0) -> None:
+        until = time.monotonic() + patience
+        while not self._has_room(job.size):
+            if self._over.is_set() or time.monotonic() >= until:
+                self._refused += job.count
+                return
+            time.sleep(LOOK_EVERY)
+        self._put_in += job.size
+        self._queue.append(job)
+
+    def _has_room(self, size: int) -> bool:
+        waiting = self._put_in - self._taken_out
+        fits = not waiting or waiting + size <= self._memory
+        return fits and len(self._queue) < self._capacity and not self._over.is_set()
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+            self._sink.close()
+        except Exception as error:
+            self.error = self.error or _said(error)
+            self._over.set()  # what comes now is refused
+            self._drain()
+            with contextlib.suppress(Exception):  # the first error is the one that matters
+                self._sink.close()
+        finally:
+            self.computing = time.thread_time()
+
+    def _serve(self) -> None:
+        due = float("inf")
+        while True:
+            over = self._over.is_set()  # before the look into the queue: what was put before the end is written
+            if self._queue:
+                self._hand_on(self._queue.popleft())
+                due = min(due, self._flushed + FLUSH_EVERY)
+            elif over:
+                break
+            else:
+                self._over.wait(LOOK_EVERY)
+            if time.monotonic() >= due:
+                self._tell_of_drops()
+                self._sink.flush()
+                self._flushed, due = time.monotonic(), float("inf")
+        self._tell_of_drops()
+        self._sink.flush()
+
+    def _hand_on(self, job: Job) -> None:
+        self._taken_out += job.size
+        try:
+            made = tuple(job.messages(self._converter))
+        except Exception as error:  # one that cannot be told must not cost those that can
+            self.error = self.error or _said(error)
+            self._lost += job.count
+            return
+        for message in made:
+            self._now = message.time
+            self._sink.write(message)
+
+    def _drain(self) -> None:
+        while self._queue:
+            self._lost += self._queue.popleft().count
+
+    def _tell_of_drops(self) -> None:
+        dropped = self.dropped
+        if dropped != self._told:
+            self._told = dropped
+            self._sink.write(Message("/run/dropped", self._now, pb.Dropped(messages=dropped)))
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+class Tapes:
+    """Several pumps as one tape."""
+
+    def __init__(self, pumps: tuple[Pump, ...]) -> None:
+        self._pumps = pumps
+
+    def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
+        """See `smolbot.runs.run.Tape`."""
+        for pump in self._pumps:
+            pump.played(shot, recording, ended)
+
+    def happened(self, event: Event) -> None:
+        """See `smolbot.runs.run.Tape`."""
+        for pump in self._pumps:
+            pump.happened(event)
+
+    def cycle(self, number: int, moment: Moment) -> None:
+        """The cycle of that number is over."""
+        for pump in self._pumps:
+            pump.cycle(number, moment)
+
+    def tell(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
+        """Any other message; see `Pump.tell`."""
+        for pump in self._pumps:
+            pump.tell(topic, when, content, wait=wait)
+
+    def close(self) -> None:
+        """Let each write what still waits."""
+        for pump in self._pumps:
+            pump.close()
+
+    def figures(self) -> dict[str, Any]:
+        """What was dropped, and what went wrong, for the summary; of the first pump, the recorder."""
+        first = self._pumps[0]
+        return {"dropped": first.dropped, "error": first.error}

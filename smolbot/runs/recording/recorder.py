@@ -1,0 +1,196 @@
+"""Writes ``run.mcap``, the record of a run, while the run goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+from smolbot.errors import InputError
+from smolbot.runs.run import Run
+from smolbot.runs.recording import messages
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.converter import Converter
+from smolbot.runs.recording.files import RunFiles
+from smolbot.runs.recording.jobs import Message
+from smolbot.runs.recording.pump import Pump
+
+RECORD = "run.mcap"
+"""File of a run folder."""
+
+PROFILE = "smolbot"
+"""Profile in the file's header, by which a record of ours is told from another MCAP file."""
+
+CHUNK = 4 * 2**20
+"""Bytes of a chunk; a flush ends one earlier."""
+
+
+def lock(file: IO[bytes]) -> bool:
+    """Mark a record as being written, for as long as it is open; False if somebody else has."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):  # a system or a disk without such marks
+        return True
+    return True
+
+
+class McapFile:
+    """A record as an MCAP file. What was flushed survives the process, however that ends.
+
+    The library that makes chunks holds Python's lock while it writes, so it writes into memory; a flush hands that on
+    to the operating system without the lock: a disk that stalls does not stall the loop.
+
+    Parameters
+    ----------
+    path : Path
+    flushed : callable, optional
+        Told after each flush of the messages that are in the file by then.
+
+    Raises
+    ------
+    InputError
+        If the file stands there already, or cannot be made.
+    """
+
+    def __init__(self, path: Path, flushed: Callable[[int], None] | None = None) -> None:
+        import foxglove
+        from foxglove.mcap import MCAPWriteOptions
+
+        try:
+            self._file = path.open("xb", buffering=0)
+        except OSError as error:
+            raise InputError(f"{path}: the record cannot be made: {error.strerror or error}.") from error
+        lock(self._file)
+        self._made = _Made()
+        self._context = foxglove.Context()
+        options = MCAPWriteOptions(chunk_size=CHUNK, compression_threads=0, profile=PROFILE, disable_seeking=True)
+        self._writer = foxglove.open_mcap(self._made, context=self._context, writer_options=options)  # type: ignore[arg-type]
+        self._channels: dict[str, Any] = {}
+        self._flushed = flushed
+        self._count = 0
+        self._torn = False
+
+    def write(self, message: Message) -> None:
+        """Append one message."""
+        self.append(message.topic, message.nanoseconds, message.content.SerializeToString())
+
+    def append(self, topic: str, nanoseconds: int, data: bytes) -> None:
+        """Append a message that is bytes already."""
+        self._channel(topic).log(data, log_time=nanoseconds)
+        self._count += 1
+
+    def flush(self) -> None:
+        """Hand everything so far to the operating system."""
+        self._writer.flush()
+        self._hand_on()
+        if self._flushed is not None:
+            self._flushed(self._count)
+
+    def close(self) -> None:
+        """Finish the file; one that could not be written stays torn as it is."""
+        try:
+            self._writer.close()
+            if not self._torn:
+                self._hand_on()
+                os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
+            for channel in self._channels.values():
+                channel.close()
+            self._channels.clear()
+
+    def _hand_on(self) -> None:
+        made = memoryview(self._made.taken())
+        while made:
+            try:
+                made = made[self._file.write(made) :]
+            except OSError:
+                self._torn = True
+                raise
+
+    def _channel(self, topic: str) -> Any:
+        known = self._channels.get(topic)
+        if known is None:
+            from foxglove import Channel, Schema
+
+            name = messages.TOPICS[topic].DESCRIPTOR.full_name
+            schema = Schema(name=name, encoding="protobuf", data=_schema())
+            known = Channel(topic, schema=schema, message_encoding="protobuf", context=self._context)
+            self._channels[topic] = known
+        return known
+
+
+class _Made:
+    """What was made of a file and not handed on yet; looks like a file that is only appended to."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self._before = 0
+
+    def write(self, data: bytes) -> int:
+        self._bytes += data
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        end = self._before + len(self._bytes)
+        if (whence, offset) not in ((1, 0), (2, 0), (0, end)):
+            raise OSError("a record is only appended to")
+        return end
+
+    def flush(self) -> None:
+        """Nothing to do: what is made is taken."""
+
+    def taken(self) -> bytes:
+        taken = bytes(self._bytes)
+        self._before += len(taken)
+        self._bytes.clear()
+        return taken
+
+
+def _schema() -> bytes:
+    """Every message's description, as MCAP wants it."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    found = FileDescriptorSet()
+    pb.DESCRIPTOR.CopyToProto(found.file.add())
+    return found.SerializeToString()
+
+
+class Recorder(Pump):
+    """The record of one run, in its folder. Hears of the run as its tape, and of every cycle."""
+
+    def __init__(
+        self, folder: Path, converter: Converter, flushed: Callable[[int], None] | None = None, **options: Any
+    ) -> None:
+        self.path = folder / RECORD
+        super().__init__(McapFile(self.path, flushed), converter, **options)
+
+
+def begin_message(files: RunFiles, provenance: dict[str, Any], converter: Converter) -> pb.Begin:
+    """What a run starts from: its files, where it came from, and how its samples are counted."""
+    return pb.Begin(
+        format=messages.FORMAT,
+        files=files.contents,
+        names=files.names,
+        provenance=json.dumps(provenance, default=str),
+        converter=messages.converter_message(converter),
+    )
+
+
+def end_message(run: Run) -> pb.End:
+    """How a run ended."""
+    return pb.End(
+        status=run.status,
+        stop_reason=run.stop_reason,
+        duration=run.duration,
+        wall=run.wall,
+        begun=run.begun,
+        recovered=json.dumps(run.recovered),
+        safety=json.dumps(run.safety, default=str),
+    )

@@ -1,0 +1,240 @@
+"""A recorded run as tables: named columns with their unit in the name, each row to the last bit as it was recorded."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smolbot.core.pose import Pose
+from smolbot.runs.recording.reader import Played, RecordedRun
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Window
+
+Column = NDArray[Any] | list[str]
+"""Numbers, the first axis being rows, or text."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length.
+
+    Attributes
+    ----------
+    what : str
+        What a row is.
+    columns : dict
+    """
+
+    what: str
+    columns: dict[str, Column]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+
+def tables(run: RecordedRun) -> dict[str, Table]:
+    """Every table of a run but the samples; rows of `cycle` and `shot` numbers belong together.
+
+    Vectors are in the world frame, quaternions scalar first; covariances (6, 6) of position in m and rotation in rad.
+    """
+    numbered = list(zip(run.number_of_cycle, run.moments, strict=True))
+    cycles = [(n, m.cycle) for n, m in numbered]
+    return {
+        "shots": _shots(run),
+        "windows": _windows("a window of a shot, in order", "shot", ((p.number, p.shot.windows) for p in run.played)),
+        "cycles": Table(
+            "a cycle: shot, pose, command",
+            {
+                "cycle": _ints(n for n, _ in cycles),
+                "shot": _ints(run.shot_of_cycle),
+                "mode": [c.shot.mode for _, c in cycles],
+                "start_s": _floats(c.shot.start for _, c in cycles),
+                "ended_s": _floats(c.ended for _, c in cycles),
+                "compute_s": _floats(c.compute for _, c in cycles),
+                "rig": [c.rig for _, c in cycles],
+            },
+        ),
+        "poses_raw": _poses("a pose as located", [(n, c.pose) for n, c in cycles]),
+        "poses_tracked": _poses("a pose as believed", [(n, c.tracked) for n, c in cycles]),
+        "poses_true": _poses("where the device truly was at the time of the pose", [(n, m.truth) for n, m in numbered]),
+        "poses_true_at_end": _poses(
+            "where the device truly was at the end of the shot", [(n, m.truth_at_end) for n, m in numbered]
+        ),
+        "way_true": Table(
+            "a place on the way while nothing listened",
+            {
+                "cycle": _ints(n for n, m in numbered for _ in m.way),
+                "position_m": np.vstack([np.zeros((0, 3)), *(m.way for _, m in numbered)]),
+            },
+        ),
+        "commands": Table(
+            "what the controller wanted next, after a cycle",
+            {
+                "cycle": _ints(n for n, _ in cycles),
+                "phase": [c.command.phase for _, c in cycles],
+                "progress_m": _floats(c.command.progress for _, c in cycles),
+                "saturated": _bools(c.command.saturated for _, c in cycles),
+                "done": _bools(c.command.done for _, c in cycles),
+                "stuck": _bools(c.command.stuck for _, c in cycles),
+                "note": [c.command.note for _, c in cycles],
+                "event": [c.command.event for _, c in cycles],
+            },
+        ),
+        "command_windows": _windows(
+            "a window of a command, in order", "cycle", ((n, _wanted(c.command.window)) for n, c in cycles)
+        ),
+        "events": Table(
+            "something that changed what is believed",
+            {
+                "time_s": _floats(e.time for e in run.events),
+                "what": [e.what for e in run.events],
+                "detail_json": [json.dumps(e.detail) for e in run.events],
+            },
+        ),
+    }
+
+
+def samples(run: RecordedRun) -> tuple[Table, NDArray[np.float64]]:
+    """What the sensors heard: a row for each recording, and the field of all of them (n_samples, n_sensors), in T.
+
+    A recording's own are rows `first` to `first` + `samples` - 1 of the field, counted from 0.
+    """
+    heard = list(run.recordings())
+    lengths = [recording.field.shape[1] for _, recording in heard]
+    n_sensors = len(run.converter.gains)
+    table = Table(
+        "a recording",
+        {
+            "shot": _ints(played.number for played, _ in heard),
+            "first": _ints(np.cumsum([0, *lengths])[:-1].tolist()),
+            "samples": _ints(lengths),
+            "clock_s": _floats(recording.clock for _, recording in heard),
+            "sample_rate_hz": _floats(recording.sample_rate for _, recording in heard),
+            "time_since_drive_s": _floats(recording.time_since_drive for _, recording in heard),
+            "saturated": np.array([r.saturated for _, r in heard], np.bool_).reshape(len(heard), n_sensors),
+        },
+    )
+    return table, np.vstack([np.zeros((0, n_sensors)), *(recording.field.T for _, recording in heard)])
+
+
+def volts(run: RecordedRun, recording: Recording) -> NDArray[np.float64]:
+    """A recording as the converter's volts (n_sensors, n): the believed gains taken off, as before they were put on."""
+    converter = run.converter
+    return recording.field * converter.gains[:, None] * converter.volts_per_tesla
+
+
+def facts(run: RecordedRun) -> dict[str, str | float | int | bool]:
+    """What is said of a run as a whole."""
+    flown, where = run.run(), run.provenance
+    converter = run.converter
+    return {
+        "written_by": f"smolbot {where['smolbot']}",
+        "seed": int(where["seed"]),
+        "status": flown.status,
+        "stop_reason": flown.stop_reason,
+        "duration_s": flown.duration,
+        "begun_s": flown.begun,
+        "wall_s": flown.wall,
+        "whole": run.whole,
+        "dropped_messages": run.dropped,
+        "lost_bytes": run.lost,
+        "converter_bits": converter.bits,
+        "converter_range_v": converter.range,
+        "sensitivity_v_per_t": converter.volts_per_tesla,
+        "recovered_json": json.dumps(flown.recovered),
+        "safety_json": json.dumps(flown.safety),
+        "provenance_json": run.begin.provenance,
+    }
+
+
+def _shots(run: RecordedRun) -> Table:
+    def of(get: Callable[[Played], Any]) -> Iterable[Any]:
+        return (get(played) for played in run.played)
+
+    return Table(
+        "a shot that was played, those from which noise and decay were learned too",
+        {
+            "shot": _ints(of(lambda p: p.number)),
+            "mode": list(of(lambda p: p.shot.mode)),
+            "start_s": _floats(of(lambda p: p.shot.start)),
+            "end_s": _floats(of(lambda p: p.shot.end)),
+            "ended_s": _floats(of(lambda p: p.ended)),
+            "heard": _bools(of(lambda p: p.samples is not None)),
+        },
+    )
+
+
+def _poses(what: str, numbered: list[tuple[int, Pose | None]]) -> Table:
+    """Poses that are there; a cycle without one has no row."""
+    there = [(number, pose) for number, pose in numbered if pose is not None]
+    poses = [pose for _, pose in there]
+    return Table(
+        what,
+        {
+            "cycle": _ints(number for number, _ in there),
+            "time_s": _floats(p.time for p in poses),
+            "position_m": np.array([p.position for p in poses], float).reshape(-1, 3),
+            "orientation": np.array([p.orientation for p in poses], float).reshape(-1, 4),
+            "covariance": np.array([p.covariance for p in poses], float).reshape(-1, 6, 6),
+            "r_squared": _floats(p.r_squared for p in poses),
+            "flip_margin": _floats(p.flip_margin for p in poses),
+            "trusted": _bools(p.trusted for p in poses),
+        },
+    )
+
+
+def _wanted(window: Window | tuple[Window, ...] | None) -> tuple[Window, ...]:
+    return () if window is None else window if isinstance(window, tuple) else (window,)
+
+
+def _windows(what: str, key: str, numbered: Iterable[tuple[int, Iterable[Window]]]) -> Table:
+    """Windows by kind; what a kind does not have is nan, or -1 where it is a count."""
+    rows = [(number, index, window) for number, windows in numbered for index, window in enumerate(windows)]
+    kinds = [window for _, _, window in rows]
+    n_coils = max((len(w.currents) for w in kinds if isinstance(w, Actuate)), default=0)
+
+    def of(kind: type[Any] | tuple[type[Any], ...], get: Callable[[Any], Any], size: int) -> NDArray[np.float64]:
+        nothing = [np.nan] * size
+        values = [get(w) if isinstance(w, kind) else nothing for w in kinds]
+        return np.array(values, float).reshape(len(kinds), size)
+
+    return Table(
+        what,
+        {
+            key: _ints(number for number, _, _ in rows),
+            "index": _ints(index for _, index, _ in rows),
+            "kind": [_KINDS[type(window)] for window in kinds],
+            "duration_s": _floats(window.duration for window in kinds),
+            "currents_a": of(Actuate, lambda w: w.currents, n_coils),
+            "excite_a": of(Excite, lambda w: w.currents, 2),
+            "frequency_hz": of((Excite, Listen, Rotate), lambda w: [w.frequency], 1)[:, 0],
+            "periods": _ints(w.cycles if isinstance(w, Excite) else -1 for w in kinds),
+            "half_periods": _ints(w.half_periods if isinstance(w, Listen) else -1 for w in kinds),
+            "axis": of(Rotate, lambda w: w.axis, 3),
+            "turns": of(Rotate, lambda w: [w.turns], 1)[:, 0],
+            "magnet_to": [w.to if isinstance(w, MoveMagnet) else "" for w in kinds],
+        },
+    )
+
+
+_KINDS: dict[type[Any], str] = {
+    Actuate: "actuate", Excite: "excite", RingDown: "ring-down", Listen: "listen", Rotate: "rotate",
+    MoveMagnet: "move magnet", Rest: "rest",
+}  # fmt: skip
+
+
+def _ints(values: Iterable[int]) -> NDArray[np.int64]:
+    return np.array(list(values), np.int64)
+
+
+def _floats(values: Iterable[float]) -> NDArray[np.float64]:
+    return np.array(list(values), np.float64)
+
+
+def _bools(values: Iterable[bool]) -> NDArray[np.bool_]:
+    return np.array(list(values), np.bool_)

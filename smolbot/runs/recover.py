@@ -1,0 +1,219 @@
+"""After a kill: a whole record from a torn one, and the rest of its run folder from the record."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from smolbot.config.load import AnyMission
+from smolbot.errors import InputError, SmolbotError
+from smolbot.runs.run import Run
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.reader import RecordedRun, read_run, record_path
+from smolbot.runs.recording.recorder import RECORD, McapFile, end_message, lock
+from smolbot.runs.recording.scan import Scan
+from smolbot.runs.folder import CYCLES, PICTURE, PROVENANCE, SUMMARY, json_bytes, write_whole
+from smolbot.runs.outcome import draw, sum_up
+from smolbot.runs.trace import Trace, row
+
+TORN = "run.torn.mcap"
+"""What a record is kept as that was written anew."""
+
+_FLUSH_EVERY = 500  # messages
+
+
+@dataclass
+class Recovery:
+    """What was found, and what was done.
+
+    Attributes
+    ----------
+    found : RecordedRun
+        The record as it was found.
+    torn : Path or None
+        Where the record as found is kept, if it was written anew.
+    written : list of str
+        Files that were written into the folder.
+    unread : int
+        Cycles that ``cycles.csv`` has and the record does not.
+    unwritten : str
+        Why summary and picture could not be made; empty if they could.
+    """
+
+    found: RecordedRun
+    torn: Path | None = None
+    written: list[str] = field(default_factory=list)
+    unread: int = 0
+    unwritten: str = ""
+
+    @property
+    def needed(self) -> bool:
+        """Whether there was anything to recover."""
+        return bool(self.torn or self.written or self.unwritten)
+
+
+def recover(run: str | Path) -> Recovery:
+    """Make a run whole again, as far as its record goes; a whole one is left as it is.
+
+    A record that is torn or damaged is written anew and kept as ``run.torn.mcap``; what the folder lacks is made from
+    it. Nothing is written before everything was read, and no file is overwritten but a torn summary or picture.
+
+    Raises
+    ------
+    InputError
+        If it is no record, its run still goes on, or the disk refuses.
+    """
+    path = _record(run)
+    if path.name == TORN and path.with_name(RECORD).exists():
+        raise InputError(f"{path}: {RECORD} stands beside it; recover that one, or the folder.")
+    _refuse_living(path)
+    done = Recovery(read_run(path))
+    try:
+        target = path.with_name(RECORD) if path.name == TORN else path
+        if not done.found.whole or path != target:
+            done.torn = _rewrite(done.found, target)
+        if target.name == RECORD:
+            _complete(done, target)
+    except OSError as error:
+        raise InputError(f"{path.parent}: the run cannot be completed: {error}.") from error
+    return done
+
+
+def _record(run: str | Path) -> Path:
+    """The record, or what another recovery left of it that was itself cut short."""
+    folder = Path(run)
+    if folder.is_dir() and not (folder / RECORD).exists() and (folder / TORN).is_file():
+        return folder / TORN
+    return record_path(run)
+
+
+def _refuse_living(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            free = lock(file)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from error
+    if not free:
+        raise InputError(f"{path}: is still being written: the run goes on. End it first.")
+
+
+def _rewrite(found: RecordedRun, target: Path) -> Path:
+    """Write a whole record of what was found, in the place of the old one; returns where that is kept."""
+    part = target.with_name(f"{target.name}.part")
+    part.unlink(missing_ok=True)
+    scan, file, last = Scan(found.path), McapFile(part), 0
+    for number, message in enumerate(scan.messages()):
+        if message.topic is not None:
+            file.append(message.topic, message.time, message.data)
+            last = max(last, message.time)
+        if number % _FLUSH_EVERY == 0:
+            file.flush()
+    told = pb.Recovered(lost_bytes=_lost(found), ended=found.end is not None)
+    file.append("/run/recovered", last, told.SerializeToString())
+    if found.end is None:
+        file.append("/run/end", last, end_message(found.run()).SerializeToString())
+    file.close()
+    again = read_run(part)
+    if not again.whole or len(again.moments) != len(found.moments) or len(again.played) != len(found.played):
+        raise InputError(f"{part}: does not hold what was read of {found.path}; that one was left as it is.")
+    if found.path != target:  # the old one is out of the way already
+        part.replace(target)
+        return found.path
+    kept = _free_name(target)
+    if not kept.exists():
+        try:
+            os.link(target, kept)  # so that there is no moment without a record
+        except OSError:
+            target.rename(kept)
+    part.replace(target)
+    return kept
+
+
+def _free_name(target: Path) -> Path:
+    kept, number = target.with_name(f"{target.stem}.torn{target.suffix}"), 2
+    while kept.exists() and not kept.samefile(target):  # the same: another recovery was cut short just here
+        kept, number = target.with_name(f"{target.stem}.torn-{number}{target.suffix}"), number + 1
+    return kept
+
+
+def _complete(done: Recovery, target: Path) -> None:
+    """Make what the folder lacks."""
+    found, folder = done.found, target.parent
+    contents = {**found.begin.files, PROVENANCE: json_bytes(found.provenance)}
+    for name, content in contents.items():
+        if not (folder / name).is_file():
+            write_whole(folder / name, content)
+            done.written.append(name)
+    if found.moments and not (folder / CYCLES).is_file():
+        write_cycles(folder / CYCLES, found)
+        done.written.append(CYCLES)
+    done.unread = max(_rows(folder / CYCLES) - len(found.moments), 0)
+    lacks = [name for name, sound in ((SUMMARY, _is_json), (PICTURE, _is_png)) if not sound(folder / name)]
+    if not lacks:
+        return
+    try:
+        mission = found.mission()
+    except SmolbotError as error:  # e.g. one whose plug-in is not installed here
+        done.unwritten = f"{', '.join(lacks)} cannot be made, since the mission cannot be loaded: {error}"
+        return
+    run, trace = found.run(), found.trace()
+    run.folder = str(folder)
+    run.summary = _figures(done, mission, run, trace)
+    if SUMMARY in lacks:
+        write_whole(folder / SUMMARY, json_bytes(run.summary))
+    if PICTURE in lacks:
+        draw(mission, run, trace, folder / PICTURE)
+    done.written += lacks
+
+
+def _figures(done: Recovery, mission: AnyMission, run: Run, trace: Trace) -> dict[str, Any]:
+    """The figures of a run, from its record, and what of it is lost."""
+    found = done.found
+    figures = sum_up(mission, run, trace, int(found.provenance["seed"]), found.provenance["world"])
+    figures["recording"] = {
+        "dropped": found.dropped,
+        "error": None,
+        "recovered": {"last_s": run.duration, "lost_bytes": _lost(found), "cycles_not_recorded": done.unread},
+    }
+    return figures
+
+
+def _lost(found: RecordedRun) -> int:
+    """Bytes that held nothing readable, in the record as it is and in the one that it was written anew from."""
+    return found.lost + (found.recovered.lost_bytes if found.recovered is not None else 0)
+
+
+def write_cycles(path: Path, found: RecordedRun) -> None:
+    """``cycles.csv`` as the flight would have written it."""
+    part = path.with_name(f"{path.name}.part")
+    rows = [row(number, moment) for number, moment in zip(found.number_of_cycle, found.moments, strict=True)]
+    with part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    part.replace(path)
+
+
+def _rows(path: Path) -> int:
+    if not path.is_file():
+        return 0
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        return sum(1 for _ in csv.reader(file)) - 1
+
+
+def _is_json(path: Path) -> bool:
+    with contextlib.suppress(OSError, ValueError):
+        return isinstance(json.loads(path.read_bytes()), dict)
+    return False
+
+
+def _is_png(path: Path) -> bool:
+    with contextlib.suppress(OSError):
+        content = path.read_bytes()
+        return content.startswith(b"\x89PNG") and content[-8:-4] == b"IEND"
+    return False

@@ -1,0 +1,53 @@
+"""What the localizer believed of sensors, device and coils at any time of a run, from the events of its record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from smolbot.config.load import AnyMission
+from smolbot.runs.run import Event
+from smolbot.localization.noise.actuation_tails import CoilTails, Tail
+from smolbot.core.sensing import Device, SensorArray
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Frozen beliefs; `transients` are time constants in s of the excitation coils' ring-down."""
+
+    sensors: SensorArray
+    device: Device
+    tails: CoilTails = field(default_factory=CoilTails)
+    transients: tuple[float, ...] = ()
+
+    @classmethod
+    def at_start(cls, mission: AnyMission) -> Beliefs:
+        """As the mission's files say."""
+        return cls(mission.rig.sensors, mission.robot.device)
+
+    def after(self, event: Event) -> Beliefs:
+        """With what an event tells; the same where it tells nothing of these."""
+        told: dict[str, Any] = event.detail
+        if event.what == "array learned":
+            gains = told.get("gains")
+            sensors = SensorArray(
+                np.array(told["positions_m"]), np.array(told["axes"]), self.sensors.bandwidth,
+                None if gains is None else np.array(gains),
+            )  # fmt: skip
+            return replace(
+                self, sensors=sensors, device=replace(self.device, moment=told["moment_a_m2"], l0=told["l0_m"])
+            )
+        if event.what == "device retuned":
+            device = replace(self.device, frequency=told["frequency_hz"], damping=told["damping_per_s"])
+            return replace(self, device=device)
+        if event.what == "ring-down learned":
+            return replace(self, transients=tuple(1e-3 * t for t in told["time_constants_ms"]))
+        if event.what == "coil tails learned":
+            sizes = iter(told["sizes_t_per_a"])
+            tails = tuple(
+                None if t is None else Tail(1e-3 * t, np.array(next(sizes))) for t in told["time_constants_ms"]
+            )
+            return replace(self, tails=CoilTails(tails))
+        return self

@@ -1,0 +1,85 @@
+"""Heat and duty of every coil over a run, reckoned from what was commanded as the safety reckoned it in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.core.coil_heat import CoilHeat, mean_squares
+from smolbot.runs.report.flight import Flight
+from smolbot.core.shots import Window
+
+
+@dataclass(frozen=True)
+class Strain:
+    """What coils bear.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Actuation coils, then excitation coils.
+    time : ndarray, shape (n,), in s
+        Beginning and end of every window.
+    duty : ndarray, shape (n, n_coils)
+        Share of the `window` seconds before in which a coil was driven.
+    temperature : ndarray, shape (n, n_coils), in degrees Celsius
+        nan for coils whose thermal constants are not known.
+    limits : tuple of float or None, in degrees Celsius
+    max_duty, window : float
+        Share, and s over which it is taken.
+    """
+
+    names: tuple[str, ...]
+    time: FloatArray
+    duty: FloatArray
+    temperature: FloatArray
+    limits: tuple[float | None, ...]
+    max_duty: float
+    window: float
+
+
+def strain_of(flight: Flight) -> Strain:
+    """Heat and duty over a run, coils beginning as hot as the record says."""
+    rig = flight.mission.rig
+    safety = rig.sections.safety
+    names = (*rig.coil_names, *(f"excitation {coil.name}" for coil in rig.sections.excitation))
+    heat = CoilHeat(rig.thermal, safety.ambient_c)
+    told: Any = flight.run.safety.get("coil_temperature_begin_c", {})
+    heat.temperatures = [float(told.get(name, safety.ambient_c)) for name in names]
+    times, driven, temperatures = [0.0], [[0.0] * len(names)], [list(heat.temperatures)]
+    for start, window in _windows(flight):
+        if start > times[-1]:
+            heat.advance((), start - times[-1])
+            times.append(start)
+            driven.append(driven[-1])
+            temperatures.append(list(heat.temperatures))
+        squares = mean_squares(window, len(rig.coil_names), len(names) - len(rig.coil_names))
+        heat.advance(squares, window.duration)
+        times.append(start + window.duration)
+        driven.append(
+            [t + window.duration * (s > 0.0) for t, s in zip(driven[-1], squares or [0.0] * len(names), strict=True)]
+        )
+        temperatures.append(list(heat.temperatures))
+    time, total = np.array(times), np.array(driven)
+    before = np.stack([np.interp(time - safety.duty_window_s, time, total[:, i]) for i in range(len(names))], axis=1)
+    known = np.array([coil is not None for coil in heat.coils], dtype=bool)
+    return Strain(
+        names,
+        time,
+        (total - before) / safety.duty_window_s,
+        np.where(known, np.array(temperatures), np.nan),
+        tuple(None if coil is None else coil.limit for coil in heat.coils),
+        safety.max_duty,
+        safety.duty_window_s,
+    )
+
+
+def _windows(flight: Flight) -> Iterator[tuple[float, Window]]:
+    """Every window that was played, with its start in s."""
+    for played in flight.record.played:
+        for at, window in played.shot.timed():
+            yield played.shot.start + at, window

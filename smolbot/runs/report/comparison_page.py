@@ -1,0 +1,234 @@
+"""``comparison.html``: several runs on one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+from smolbot.runs.pictures.style import COILS, PLANNED, dots, nothing
+from smolbot.runs.summary import tracking_distance
+from smolbot.runs.report.comparison import Comparison, series_of
+from smolbot.runs.report.figures_of_merit import number
+from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.html import Section, badge, page, table, text
+from smolbot.runs.report.intervals import METHOD, Estimate
+from smolbot.runs.report.svg import page_style, svg_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLORS = (COILS[0], COILS[2], COILS[5], COILS[3], COILS[4], COILS[1])
+
+_SMOOTH = 40  # stretches of a path over which an error is averaged
+
+
+def write_comparison(found: Comparison, path: Path) -> Path:
+    """Write the page of a comparison.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be written.
+    """
+    content = comparison_page(found)
+    try:
+        path.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the comparison cannot be written: {error}.") from error
+    return path
+
+
+def comparison_page(found: Comparison) -> str:
+    """The page of several runs."""
+    with page_style():
+        sections = [_figures(found), _settings(found), _paths(found), _errors(found), _runs(found)]
+    title = " and ".join(found.labels) if len(found.labels) == 2 else f"{len(found.labels)} runs compared"
+    lead = [f"<p>{text(note)}</p>" for note in found.notes]
+    robot = found.flights[0].mission.robot
+    told = f"Robot {robot.name} ({robot.kind}). Changes and differences are against the first run."
+    lead.insert(0, f"<p>{text(told)}</p>")
+    return page(title, text(title), lead, sections)
+
+
+def _figures(found: Comparison) -> Section:
+    section = Section("figures", "Figures side by side")
+    shown = [f for f in found.figures if f.key.endswith("_mm.mean") and any(e and e.low is not None for e in f.of_run)]
+    if shown:
+        section.figure(
+            svg_of(_interval_figure(found, shown), "intervals", "Mean errors with intervals"),
+            "Each run's mean error with its 95 % interval. Where intervals of two runs are far apart, the runs differ; "
+            "the table says by how much.",
+        )
+    header = ["figure", *found.labels]
+    for label in found.labels[1:]:
+        header.append(f"{label} minus {found.labels[0]}")
+    rows = []
+    for figure in found.figures:
+        rows.append([figure.name, *map(said, figure.of_run), *(said(e, signed=True) for e in figure.over_first[1:])])
+    section.add(table(rows, header, wide=True))
+    return section.say(text(METHOD) + " A difference marked with a star is one whose interval does not hold zero.")
+
+
+def _settings(found: Comparison) -> Section:
+    section = Section("settings", "What was changed")
+    if not found.settings:
+        return section.missing("Nothing: mission, rig, robot, gains, seed and versions are the same.")
+    rows = [[name, *("-" if v is None else v for v in values)] for name, values in found.settings]
+    return section.add(table(rows, ["setting", *found.labels], wide=True))
+
+
+def _paths(found: Comparison) -> Section:
+    section = Section("paths", "Paths")
+    return section.figure(
+        svg_of(_path_figure(found), "paths", "Paths of all runs"),
+        "From above: grey is what was planned, coloured where each robot truly went; where no witness knew that, "
+        "where it was tracked.",
+    )
+
+
+def _errors(found: Comparison) -> Section:
+    section = Section("errors", "Errors")
+    along = found.flights[0].steered is not None
+    return section.figure(
+        svg_of(_error_figure(found), "errors", "Errors of all runs"),
+        (
+            f"Dots: each value; lines: mean over every {100 / _SMOOTH:g} % of the path. "
+            if along
+            else "Each pose over the time of its run. "
+        )
+        + "Right: share of the values that are at most so large; a curve further to the left is better everywhere.",
+    )
+
+
+def _runs(found: Comparison) -> Section:
+    section = Section("runs", "Runs")
+    for flight, label in zip(found.flights, found.labels, strict=True):
+        s = flight.summary
+        section.say(
+            f"<b>{text(label)}</b> {badge(s['verdict'])} {text(flight.title)}, {text(s['status'])}: "
+            f"{text(s['stop_reason'])}. {text(flight.record.path)}"
+        )
+    return section
+
+
+def said(estimate: Estimate | None, *, signed: bool = False) -> str:
+    """An estimate with its interval, for people."""
+    if estimate is None:
+        return "-"
+    plus = "+" if signed and estimate.value > 0 else ""
+    shown = f"{plus}{number(estimate.value)}"
+    if estimate.low is None or estimate.high is None:
+        return shown
+    star = " *" if signed and estimate.low * estimate.high > 0 else ""
+    return f"{shown} ({number(estimate.low)} to {number(estimate.high)}){star}"
+
+
+def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
+    from matplotlib.figure import Figure
+
+    n = len(found.labels)
+    figure = Figure(figsize=(11.2, 0.7 + 0.42 * n), layout="constrained")
+    panels: Any = figure.subplots(1, len(shown), squeeze=False, sharey=True)
+    for axes, compared in zip(panels[0], shown, strict=True):
+        for row, estimate in enumerate(compared.of_run):
+            if estimate is None:
+                continue
+            color = COLORS[row % len(COLORS)]
+            axes.plot([estimate.low, estimate.high], [row, row], color=color, lw=3, alpha=0.5, solid_capstyle="butt")
+            axes.plot(estimate.value, row, "o", color=color, ms=7)
+        axes.set_yticks(range(n), found.labels)
+        axes.set_ylim(n - 0.5, -0.5)
+        axes.set_xlim(left=0.0)
+        axes.set_title(compared.name[0].upper() + compared.name[1:])
+        axes.grid(axis="x")
+    return figure
+
+
+def _path_figure(found: Comparison) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.2, 6.4), layout="constrained")
+    axes = figure.subplots()
+    for index, (flight, label) in enumerate(zip(found.flights, found.labels, strict=True)):
+        if flight.steered is not None:
+            planned = 1e3 * flight.steered.path.points
+            axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=8, solid_capstyle="round", zorder=1,
+                      alpha=0.6, label="planned" if index == 0 else None)  # fmt: skip
+        places = flight.trace.true_positions()
+        if not len(places):
+            tracked = [c.tracked for c in flight.run.cycles if c.tracked is not None]
+            places = np.array([p.position for p in tracked]).reshape(-1, 3)
+        color = COLORS[index % len(COLORS)]
+        axes.plot(1e3 * places[:, 0], 1e3 * places[:, 1], color=color, lw=1.5, label=label, zorder=3)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.05)
+    axes.set_xlabel("x in mm")
+    axes.set_ylabel("y in mm")
+    axes.grid()
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def _error_figure(found: Comparison) -> Figure:
+    from matplotlib.figure import Figure
+
+    steered = found.flights[0].steered is not None
+    kinds = (["tracking"] if steered else []) + ["localization"]
+    figure = Figure(figsize=(11.2, 3.0 * len(kinds)), layout="constrained")
+    rows: Any = figure.subplots(len(kinds), 2, width_ratios=[2.2, 1.0], squeeze=False)
+    names = {"tracking": "Tracking error, in mm", "localization": "Localization error of each trusted pose, in mm"}
+    for (course, share), kind in zip(rows, kinds, strict=True):
+        course.set_title(names[kind])
+        share.set_title("Share of values within")
+        any_known = False
+        for index, (flight, label) in enumerate(zip(found.flights, found.labels, strict=True)):
+            place, value = _course(flight, kind)
+            if not len(value):
+                continue
+            any_known = True
+            _draw_course(course, place, value, COLORS[index % len(COLORS)], label, averaged=steered)
+            order = np.sort(series_of(flight).get(kind, value))
+            share.plot(order, np.arange(1, len(order) + 1) / len(order), color=COLORS[index % len(COLORS)], lw=1.5)
+        if not any_known:
+            nothing(course, "no truth on this rig")
+            nothing(share, "no truth on this rig")
+        course.set_ylim(bottom=0.0)
+        share.set_xlim(left=0.0)
+        share.set_ylim(0.0, 1.02)
+        course.grid(axis="y")
+        share.grid()
+    rows[-1, 0].set_xlabel("along the path, in mm" if steered else "time in s")
+    rows[-1, 1].set_xlabel("error in mm")
+    rows[0, 0].legend(loc="upper right", ncol=3)
+    return figure
+
+
+def _course(flight: Flight, kind: str) -> tuple[FloatArray, FloatArray]:
+    """Where along the path, in mm (or when, in s), and how large an error was, in mm."""
+    mission, moments = flight.steered, flight.trace.moments
+    if kind == "tracking" and mission is not None:
+        places = np.vstack([np.zeros((0, 3)), *(m.positions for m in flight.trace.following)])
+        if not len(places):
+            return np.zeros(0), np.zeros(0)
+        return 1e3 * mission.path.project(places)[0], 1e3 * tracking_distance(mission, flight.trace.following)
+    if mission is not None:
+        moments = flight.trace.following
+    pairs = [(m.cycle.pose, m.truth) for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth]
+    value = 1e3 * np.array([np.linalg.norm(p.position - t.position) for p, t in pairs if t is not None])
+    if mission is None or not pairs:
+        return np.array([p.time for p, _ in pairs]), value
+    return 1e3 * mission.path.project(np.array([t.position for _, t in pairs if t is not None]))[0], value
+
+
+def _draw_course(axes: Axes, place: FloatArray, value: FloatArray, color: str, label: str, *, averaged: bool) -> None:
+    dots(axes, place, value, 1.8, color, alpha=0.35 if averaged else 0.7)
+    edges = np.linspace(place.min(), place.max() + 1e-9, _SMOOTH + 1)
+    which = np.digitize(place, edges) - 1
+    known = [i for i in range(_SMOOTH) if np.any(which == i)]
+    means = [float(value[which == i].mean()) for i in known]
+    axes.plot(0.5 * (edges[:-1] + edges[1:])[known], means, color=color, lw=1.8, label=label)

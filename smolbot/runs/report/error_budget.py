@@ -1,0 +1,234 @@
+"""Where the tracking error of a run comes from: an identity for every step from one pose to the next.
+
+Between pose k and pose m the robot was commanded once. With the true place x, the tracked place p, the place y that the
+believed model of motion expects at the end of the command, and the path's nearest point c to x_m,
+
+    x_m - c = (y - c) + (x_k - p_k) + (x_a - x_k) + [(x_m - x_a) - (y - p_k)],
+
+where x_a is the true place when the command begins to act. Projected on the direction of the error x_m - c, the parts
+add up to the tracking error of every step, with nothing left. See docs/decisions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.config.mission import Mission
+from smolbot.motion.gradient import advance
+from smolbot.core.pose import Pose
+from smolbot.runs.trace import Moment
+from smolbot.runs.report.flight import Flight
+from smolbot.core.shots import Actuate, Window
+
+if TYPE_CHECKING:
+    from lookup_tables import FieldTable
+    from smolbot.motion.robot import Robot
+
+PARTS = {
+    "localization": "true minus tracked place, at the pose that the command was made from",
+    "lag": "how far the robot moved from that pose's time to the end of its shot, when the command begins to act; "
+    "the controller takes it to rest",
+    "saturation": "how far off the path the command would have left the robot by the believed model, in steps whose "
+    "command a limit cut short",
+    "aim": "the same in all other steps: what the law had not yet corrected, and corners that it cuts",
+    "mismatch": "how far the robot truly moved, minus how far the believed model moves it under the same command",
+}
+"""Parts of the tracking error, and what they are."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """From one pose to the next, with a command in between; positions (2,) in m, in the horizontal plane.
+
+    Attributes
+    ----------
+    tracked : ndarray
+        The pose that the command was made from, p_k.
+    true : ndarray
+        The truth at its time, x_k.
+    acting : ndarray
+        The truth at the end of its shot, x_a.
+    expected : ndarray
+        Where the believed model of motion ends, y.
+    reached : ndarray
+        The truth at the next pose, x_m.
+    saturated : bool
+        Whether a limit cut the command short.
+    time : float, in s
+        Of the next pose.
+    """
+
+    tracked: FloatArray
+    true: FloatArray
+    acting: FloatArray
+    expected: FloatArray
+    reached: FloatArray
+    saturated: bool
+    time: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The tracking error of each step and its parts.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,), in s
+    arc : ndarray, shape (n,), in m
+        Along the path, where the step ended.
+    error : ndarray, shape (n,), in m
+        Horizontal distance to the path; positive to the left of the way.
+    parts : dict of ndarray, shape (n,), in m
+        By the names of `PARTS`; they add up to `error`.
+    """
+
+    time: FloatArray
+    arc: FloatArray
+    error: FloatArray
+    parts: dict[str, FloatArray]
+
+    @property
+    def total_rms(self) -> float:
+        """In m."""
+        return _rms(self.error)
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Root mean square of each part, in m."""
+        return {name: _rms(values) for name, values in self.parts.items()}
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Part of the mean square error that goes with each part, <e e_i> / <e²>; they add up to one.
+
+        Negative where a part makes up for others.
+        """
+        square = float(np.mean(self.error**2))
+        return {name: float(np.mean(self.error * values)) / square for name, values in self.parts.items()}
+
+    @property
+    def together(self) -> float:
+        """Mean square, in m², that the parts' own mean squares leave unexplained: what goes together, or against."""
+        return self.total_rms**2 - sum(value**2 for value in self.rms.values())
+
+
+def split(mission: Mission, steps: list[Step]) -> Budget | None:
+    """The budget of `steps` along the mission's path; None without any."""
+    if not steps:
+        return None
+    reached = np.array([step.reached for step in steps])
+    arc, distance = mission.path.project(np.column_stack([reached, np.zeros(len(reached))]))
+    nearest, ahead = mission.path.at(arc)[:, :2], mission.path.tangent(arc)[:, :2]
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    off = reached - nearest
+    side = np.where(np.sum(off * left, axis=1) < 0.0, -1.0, 1.0)
+    size = np.linalg.norm(off, axis=1)
+    across = np.where(size[:, None] > 1e-9, side[:, None] * off / np.maximum(size, 1e-30)[:, None], left)
+
+    def along(vectors: list[FloatArray]) -> FloatArray:
+        found: FloatArray = np.sum(across * np.array(vectors), axis=1)
+        return found
+
+    saturated = np.array([step.saturated for step in steps])
+    aim = along([step.expected - c for step, c in zip(steps, nearest, strict=True)])
+    parts = {
+        "localization": along([step.true - step.tracked for step in steps]),
+        "lag": along([step.acting - step.true for step in steps]),
+        "saturation": np.where(saturated, aim, 0.0),
+        "aim": np.where(saturated, 0.0, aim),
+        "mismatch": along([(s.reached - s.acting) - (s.expected - s.tracked) for s in steps]),
+    }
+    return Budget(np.array([step.time for step in steps]), arc, side * distance, parts)
+
+
+def steps_of(flight: Flight) -> list[Step]:
+    """Every step of a run from the path's start on, where the truth is known at both ends and no cycle is missing.
+
+    A helix rests between pauses, so its steps are those from the last pose of a pause to the first of the next.
+    """
+    mission = flight.steered
+    assert mission is not None
+    following = flight.trace.following
+    numbers = flight.record.number_of_cycle[len(flight.trace.moments) - len(following) :]
+    moments = [(i, m) for i, m in zip(numbers, following, strict=True) if m.cycle.tracked is not None]
+    if flight.helical:
+        return _screwed(moments)
+    setup = mission.setup()
+    found = []
+    for (number, before), (next_number, after) in pairwise(moments):
+        believed = before.cycle.tracked
+        if next_number != number + 1 or not _known(before, after) or believed is None:
+            continue
+        step = believed_step(setup.robot, setup.table, believed, after.cycle.shot.windows, setup.device.moment_in_body)
+        if step is not None:
+            found.append(_step(before, after, believed.position[:2] + step))
+    return found
+
+
+def _screwed(moments: list[tuple[int, Moment]]) -> list[Step]:
+    """Steps over each mechanical shot; the tracker's own prediction through it is in the record."""
+    found = []
+    for (number, before), (_, moved), (last, after) in zip(moments, moments[1:], moments[2:], strict=False):
+        if last != number + 2:
+            continue
+        if moved.cycle.shot.listen is None and before.cycle.shot.listen is not None and _known(before, after):
+            assert moved.cycle.tracked is not None
+            found.append(_step(before, after, moved.cycle.tracked.position[:2]))
+    return found
+
+
+def _step(before: Moment, after: Moment, expected: FloatArray) -> Step:
+    believed = before.cycle.tracked
+    assert believed is not None
+    assert before.truth is not None
+    assert before.truth_at_end is not None
+    assert after.truth is not None
+    return Step(
+        believed.position[:2],
+        before.truth.position[:2],
+        before.truth_at_end.position[:2],
+        expected,
+        after.truth.position[:2],
+        before.cycle.command.saturated,
+        after.truth.time,
+    )
+
+
+def _known(before: Moment, after: Moment) -> bool:
+    """Whether both were heard, and the truth is known."""
+    heard = before.cycle.pose is not None and after.cycle.pose is not None
+    return heard and before.truth is not None and before.truth_at_end is not None and after.truth is not None
+
+
+def believed_step(
+    robot: Robot, table: FieldTable, pose: Pose, windows: tuple[Window, ...], moment_in_body: FloatArray
+) -> FloatArray | None:
+    """Step (2,), in m, that the actuation windows cause by the believed model; None outside the table."""
+    from lookup_tables.errors import OutsideTableError
+
+    place, step = np.array(pose.position), np.zeros(2)
+    ahead = pose.rotation @ moment_in_body
+    heading = math.atan2(ahead[1], ahead[0])
+    for window in windows:
+        if not isinstance(window, Actuate) or not any(window.currents):
+            continue
+        try:
+            field, gradient = table.field_and_gradient(place[None, :])
+        except OutsideTableError:
+            return None
+        moved, heading = advance(
+            robot, field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
+        )
+        place[:2] += moved
+        step += moved
+    return step
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,196 @@
+"""The section of a report that says where the error comes from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.config.observation import Observation
+from smolbot.runs.pictures.style import LOCATED, dots
+from smolbot.runs.observation_summary import measurements
+from smolbot.runs.trace import Moment
+from smolbot.runs.report.error_budget import PARTS, Budget, split, steps_of
+from smolbot.runs.report.flight import NO_TRUTH, Flight
+from smolbot.runs.report.html import Section, table, text
+from smolbot.runs.report.svg import FAINT, INK, svg_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLORS = {"localization": LOCATED, "lag": "#7b2d8b", "saturation": "#f2a541", "aim": "#5fa8d3", "mismatch": "#4c956c"}
+
+FORMULA = (
+    "x<sub>m</sub> − c = (x<sub>k</sub> − p<sub>k</sub>) + (x<sub>a</sub> − x<sub>k</sub>) + (y − c) + "
+    "[(x<sub>m</sub> − x<sub>a</sub>) − (y − p<sub>k</sub>)]"
+)
+
+TERMS = (
+    "x is the true place, p the tracked one. k is the pose that a command was made from, a the end of its shot, from "
+    "when the command acts, m the next pose. y is where the believed model of motion, begun at p<sub>k</sub> and at "
+    "rest until a, ends under the command; c is the point of the path nearest to x<sub>m</sub>. From left to right: "
+    "<b>localization</b>, <b>lag</b>, <b>saturation</b> (where a limit cut the command short) or <b>aim</b> (where "
+    "none did), <b>mismatch</b>. Each is projected on the direction from c to x<sub>m</sub>, so they add up to the "
+    "tracking error of every step exactly."
+)
+
+
+def budget_section(flight: Flight) -> Section:
+    """Error budget of a mission that steers, or of poses where nothing is steered."""
+    section = Section("budget", "Error budget")
+    if not flight.knows_truth:
+        return section.missing(NO_TRUTH)
+    mission = flight.steered
+    if mission is None:
+        return _of_poses(section, flight)
+    budget = split(mission, steps_of(flight))
+    if budget is None:
+        return section.missing("The path was not reached, so there is no tracking error to take apart.")
+    section.figure(
+        svg_of(budget_figure(budget), "budget", "Parts of the tracking error, and their course along the path"),
+        "Left: root mean square of the tracking error and of each part. Right: error and parts along the path, signed, "
+        "positive to the left of the way; where a coloured line goes with the black one, that part makes the error.",
+    )
+    header = ("part", "rms, mm", "mean, mm", "share of mean square", "what it is")
+    section.add(table(rows_of(budget), header, wide=True))
+    for line in closing(budget, flight.summary, helical=flight.helical):
+        section.say(text(line))
+    return section.say(f'<span class="formula">{FORMULA}</span>').say(TERMS)
+
+
+def rows_of(budget: Budget) -> list[tuple[str, str, str, str, str]]:
+    """One line for each part, and one for the total."""
+    rms, shares = budget.rms, budget.shares
+    rows = [
+        (name, f"{1e3 * rms[name]:.4f}", _signed(values), _percent(shares[name]), PARTS[name])
+        for name, values in budget.parts.items()
+    ]
+    total = f"tracking error of {len(budget.error)} steps"
+    whole = _percent(sum(shares.values()))
+    return [*rows, ("total", f"{1e3 * budget.total_rms:.4f}", _signed(budget.error), whole, total)]
+
+
+def _signed(values: FloatArray) -> str:
+    return f"{1e3 * float(np.mean(values)):+.4f}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %".replace("-0.0 %", "0.0 %")
+
+
+def closing(budget: Budget, summary: dict[str, Any], *, helical: bool = False) -> list[str]:
+    """How far the parts explain the total, and the total the figure of the summary."""
+    square, alone = budget.total_rms**2, sum(value**2 for value in budget.rms.values())
+    left = float(np.max(np.abs(sum(budget.parts.values()) - budget.error)))
+    exact = "to rounding, so that nothing is left" if left < 1e-12 else f"to within {1e9 * left:.2g} nm"
+    lines = [
+        f"In every step the parts add up to the error {exact}. Their "
+        f"mean squares alone make {100 * alone / square:.0f} % of the total's; the other "
+        f"{100 * (1 - alone / square):+.0f} % is how parts go with each other "
+        f"({'they add' if alone < square else 'they make up for one another'}). A share counts that in: it is the "
+        "mean product of part and error over the mean square of the error, and may be negative."
+    ]
+    told = summary.get("tracking_error_mm")
+    if told is not None:
+        where = "at the first pose of each pause" if helical else "at poses"
+        lines.append(
+            f"The budget is taken {where}: {1e3 * budget.total_rms:.3f} mm rms. The tracking error of this run, taken "
+            f"also at shot ends{' and on the way between pauses' if helical else ''}, is {told['rms']:.3f} mm rms."
+        )
+    return lines
+
+
+def budget_figure(budget: Budget) -> Figure:
+    """Bars of each part, and their course along the path."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.2, 3.5), layout="constrained")
+    bars, course = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
+    names = ["total", *budget.parts]
+    values = [1e3 * budget.total_rms, *(1e3 * value for value in budget.rms.values())]
+    colors = [INK, *(COLORS[name] for name in budget.parts)]
+    bars.barh(range(len(names)), values, color=colors, height=0.62)
+    for row, (name, value) in enumerate(zip(names, values, strict=True)):
+        share = "" if name == "total" else f", {100 * budget.shares[name]:.0f} %".replace("-0 %", "0 %")
+        bars.text(value, row, f"\u2002{value:.3f} mm{share}", va="center", fontsize=9)
+    bars.set_yticks(range(len(names)), names)
+    bars.invert_yaxis()
+    bars.set_xlim(0.0, 1.55 * max(values))
+    bars.set_title("Rms in mm, and share of the mean square")
+    _draw_course(course, budget)
+    return figure
+
+
+def _draw_course(axes: Axes, budget: Budget) -> None:
+    """Error and parts along the path; parts that never matter are left out."""
+    order = np.argsort(budget.arc, kind="stable")
+    arc = 1e3 * budget.arc[order]
+    axes.axhline(0.0, color=FAINT, lw=0.8)
+    for name, values in budget.parts.items():
+        if budget.rms[name] < 0.1 * max(budget.rms.values()):
+            continue
+        shown = 1e3 * values[order]
+        if name in ("saturation", "aim"):  # one or the other in each step
+            here = shown != 0.0
+            dots(axes, arc[here], shown[here], 2.4, COLORS[name], alpha=0.8, label=name)
+        else:
+            axes.plot(arc, shown, color=COLORS[name], lw=1.0, alpha=0.85, label=name)
+    axes.plot(arc, 1e3 * budget.error[order], color=INK, lw=1.5, label="tracking error")
+    axes.set_title("Along the path, in mm, positive to the left", pad=16)
+    axes.set_xlabel("along the path, in mm")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.985), ncol=5, fontsize=8.5, borderaxespad=0.0)
+    axes.grid(axis="y")
+
+
+def _of_poses(section: Section, flight: Flight) -> Section:
+    """Localization error of a device that is not steered: what is always the same, what is foretold, and the rest."""
+    found = pose_budget(_heard(flight))
+    if found is None:
+        return section.missing("No pose could be trusted, so there is no error to take apart.")
+    section.add(table(_pose_rows(found), ("part", "rms, mm", "share of mean square", "what it is"), wide=True))
+    section.say('<span class="formula">⟨|p − x|²⟩ = |⟨p − x⟩|² + tr⟨C⟩ + rest</span>')
+    return section.say(
+        "p is each trusted pose, x the truth at its time, C the covariance of the pose that the fit foretold. The "
+        "three parts add up to the mean square of the error; a rest below zero says that poses scatter less "
+        "than their covariances claim."
+    )
+
+
+def pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None:
+    """Mean squares, in m², of poses against truths: ``total``, ``bias``, ``foretold`` and ``rest``; None without "
+    "any."""
+    if not pairs:
+        return None
+    errors = np.array([pose.position - truth.position for pose, truth in pairs])
+    total = float(np.mean(np.sum(errors**2, axis=1)))
+    bias = float(np.sum(errors.mean(axis=0) ** 2))
+    foretold = float(np.mean([np.trace(pose.covariance[:3, :3]) for pose, _ in pairs]))
+    return {"total": total, "bias": bias, "foretold": foretold, "rest": total - bias - foretold}
+
+
+def _pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]]:
+    said = {
+        "bias": "the same in every pose: sensors out of place, a model that is off everywhere alike",
+        "foretold": "noise, as the covariance of each pose foretells it",
+        "rest": "what is left: sensors out of place that act differently in every place, motion within a window, mains",
+        "total": "localization error of each trusted pose, in space",
+    }
+    rows = []
+    for name in ("bias", "foretold", "rest", "total"):
+        square = found[name]
+        rms = np.sign(square) * np.sqrt(abs(square))
+        rows.append((name, f"{1e3 * rms:.3f}", f"{100 * square / found['total']:.0f} %", said[name]))
+    return rows
+
+
+def _heard(flight: Flight) -> list[tuple[Any, Any]]:
+    moments: list[Moment] = flight.trace.moments
+    if isinstance(flight.mission, Observation) and flight.mission.sections.observe.measurements is not None:
+        moments = measurements(flight.trace)
+    return [
+        (m.cycle.pose, m.truth)
+        for m in moments
+        if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None
+    ]

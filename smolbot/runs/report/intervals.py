@@ -1,0 +1,103 @@
+"""Intervals of figures of one run: a bootstrap over blocks of time, since errors of one moment resemble the next's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+
+RESAMPLES, SEED, LEVEL = 2000, 0, 0.95
+
+METHOD = (
+    f"Intervals hold {100 * LEVEL:.0f} %: circular block bootstrap over time, {RESAMPLES} resamples, seed {SEED}; "
+    "blocks are twice as long as the values stay alike (integrated autocorrelation), at least the cube root of their "
+    "number. They say how sure a figure is of this one run, not how another seed would do: fly several, or smolbot "
+    "simulate."
+)
+"""How intervals are made, for whoever reads them."""
+
+Statistic = Callable[[FloatArray], FloatArray]
+"""Of values (..., n), along the last axis."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure with its interval; without one where a run gives a single number."""
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+
+
+def mean(values: FloatArray) -> FloatArray:
+    """Arithmetic mean."""
+    found: FloatArray = np.mean(values, axis=-1)
+    return found
+
+
+def p95(values: FloatArray) -> FloatArray:
+    """95th percentile."""
+    found: FloatArray = np.percentile(values, 95.0, axis=-1)
+    return found
+
+
+def median(values: FloatArray) -> FloatArray:
+    """Median."""
+    found: FloatArray = np.median(values, axis=-1)
+    return found
+
+
+def alike_for(values: FloatArray) -> float:
+    """Integrated autocorrelation time of a series, in samples: 1 where each is independent of the one before."""
+    n = len(values)
+    off = values - values.mean()
+    square = float(off @ off)
+    if square == 0.0:
+        return 1.0
+    size = 1 << int(np.ceil(np.log2(2 * n)))
+    spectrum = np.fft.rfft(off, size)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[:n] / square
+    total = 1.0
+    for lag in range(1, n):
+        total += 2.0 * float(correlation[lag])
+        if lag >= 5.0 * total:  # Sokal's window: far enough to hold what is alike, and no more
+            break
+    return max(total, 1.0)
+
+
+def block_length(values: FloatArray) -> int:
+    """Length of the blocks, at most a quarter of the series."""
+    n = len(values)
+    return max(min(round(max(2.0 * alike_for(values), n ** (1.0 / 3.0))), n // 4), 1)
+
+
+def resampled(values: FloatArray, rng: np.random.Generator, resamples: int = RESAMPLES) -> FloatArray:
+    """Series (resamples, n) of blocks of `values` (n,), drawn anew; the end goes on at the beginning."""
+    n, length = len(values), block_length(values)
+    starts = rng.integers(0, n, size=(resamples, -(-n // length)))
+    index = (starts[:, :, None] + np.arange(length)) % n
+    return values[index.reshape(resamples, -1)[:, :n]]
+
+
+def estimated(values: FloatArray, statistic: Statistic) -> Estimate:
+    """A statistic of a series with its interval."""
+    value = float(statistic(values))
+    if len(values) < 8:
+        return Estimate(value)
+    drawn = statistic(resampled(values, np.random.default_rng(SEED)))
+    low, high = np.percentile(drawn, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
+    return Estimate(value, float(low), float(high))
+
+
+def difference(values: FloatArray, others: FloatArray, statistic: Statistic) -> Estimate:
+    """By how much the statistic of `values` exceeds that of `others`; both are drawn independently."""
+    value = float(statistic(values) - statistic(others))
+    if min(len(values), len(others)) < 8:
+        return Estimate(value)
+    first, second = (np.random.default_rng([SEED, which]) for which in (1, 2))
+    drawn = statistic(resampled(values, first)) - statistic(resampled(others, second))
+    low, high = np.percentile(drawn, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
+    return Estimate(value, float(low), float(high))

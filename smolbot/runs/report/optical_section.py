@@ -1,0 +1,135 @@
+"""What a camera saw of a run, where ``smolbot track`` left a track in its folder: a reference that a bench has too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import SmolbotError
+from smolbot.runs.optics.opticaltrack import OpticalTrack, read_optical_track
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots
+from smolbot.runs.summary import statistics
+from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.html import Section, table
+from smolbot.runs.report.svg import svg_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FOLDER, TRACK = "optical", "track.csv"
+"""Where in a run folder a track lies; its times are on the run's clock."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Poses of a run beside what the camera saw at their times.
+
+    Attributes
+    ----------
+    track : OpticalTrack
+    times : ndarray, shape (n,), in s
+    located, optical : ndarray, shape (n, 3), in m
+    turned : ndarray, shape (n,), in rad
+        Azimuth of body z as located, less that as seen, within half a turn.
+    """
+
+    track: OpticalTrack
+    times: FloatArray
+    located: FloatArray
+    optical: FloatArray
+    turned: FloatArray
+
+    @property
+    def apart(self) -> FloatArray:
+        """Horizontal distance (n,) between pose and camera, in m."""
+        found: FloatArray = np.linalg.norm((self.located - self.optical)[:, :2], axis=1)
+        return found
+
+
+def seen_of(flight: Flight) -> Seen | None:
+    """Trusted poses of a flight against its track; None where it has none.
+
+    Raises
+    ------
+    InputError
+        Where the track cannot be read.
+    """
+    path = flight.record.folder / FOLDER / TRACK
+    if not path.is_file():
+        return None
+    track = read_optical_track(path)
+    poses = [c.pose for c in flight.run.cycles if c.pose is not None and c.pose.trusted]
+    times = np.array([pose.time for pose in poses])
+    places, headings, known = track.at(times)
+    ahead = np.array([pose.body_axis("z") for pose in poses]).reshape(-1, 3)
+    turned = np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - headings)))
+    located = np.array([pose.position for pose in poses]).reshape(-1, 3)
+    return Seen(track, times[known], located[known], places[known], turned[known])
+
+
+def optical_sections(flight: Flight) -> list[Section]:
+    """The section of a run with an optical track; none for one without."""
+    section = Section("optical", "Optical reference")
+    try:
+        seen = seen_of(flight)
+    except SmolbotError as error:
+        return [section.missing(f"The optical track of this run cannot be used: {error}")]
+    if seen is None:
+        return []
+    if not len(seen.times):
+        return [section.missing("No pose of this run lies between two frames of its optical track.")]
+    section.figure(
+        svg_of(optical_figure(flight, seen), "optical", "Poses against the optical track"),
+        "Left: where the camera saw the robot, and where it was located. Right: horizontal distance of each trusted "
+        "pose to the camera's place at the same time, and the difference of their headings.",
+    )
+    return [section.add(table(optical_rows(flight, seen), ("", "mean", "std", "rms", "95 %", "max"), numbers=True))]
+
+
+def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:
+    """Errors against the camera: of poses, of headings, and of the robot as seen to its path."""
+    rows = [
+        ("pose to camera, mm", 1e3 * seen.apart),
+        ("heading to camera, °", np.degrees(np.abs(seen.turned))),
+    ]
+    following = flight.trace.following
+    if flight.steered is not None and following:
+        since = seen.track.times >= following[0].cycle.shot.end
+        if since.any():
+            off = flight.steered.path.project(seen.track.positions[since])[1]
+            rows.append(("robot as seen to the path, mm", 1e3 * off))
+    names = ("mean", "std", "rms", "p95", "max")
+    return [[name, *(f"{value:.3f}" for value in statistics(values, *names).values())] for name, values in rows]
+
+
+def optical_figure(flight: Flight, seen: Seen) -> Figure:
+    """Track and poses from above; distance and difference of heading over time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.2, 4.6), layout="constrained")
+    panels: Any = figure.subplot_mosaic([["above", "apart"], ["above", "turned"]], width_ratios=[1.0, 1.2])
+    above, apart, turned = panels["above"], panels["apart"], panels["turned"]
+    if flight.steered is not None:
+        above.plot(*(1e3 * flight.steered.path.points[:, :2].T), color=PLANNED, lw=7, alpha=0.7, label="planned")
+    above.plot(*(1e3 * seen.track.positions[:, :2].T), color=TRUE, lw=1.4, label="seen")
+    dots(
+        above, 1e3 * seen.located[:, 0], 1e3 * seen.located[:, 1], 2.6, LOCATED, alpha=0.6, label="each pose", zorder=3
+    )
+    above.set_aspect("equal", adjustable="datalim")
+    above.set_xlabel("x in mm")
+    above.set_ylabel("y in mm")
+    above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3)
+    dots(apart, seen.times, 1e3 * seen.apart, 2.4, LOCATED, alpha=0.7)
+    apart.axhline(1e3 * float(seen.apart.mean()), color=TRUE, lw=1)
+    apart.set_title("Pose to camera, horizontally, in mm; line: mean")
+    apart.set_ylim(bottom=0.0)
+    dots(turned, seen.times, np.degrees(seen.turned), 2.4, LOCATED, alpha=0.7)
+    turned.axhline(0.0, color=TRUE, lw=1)
+    turned.set_title("Heading located minus seen, in degrees")
+    turned.set_xlabel("time in s")
+    for axes in (above, apart, turned):
+        axes.grid()
+    return figure

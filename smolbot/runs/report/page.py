@@ -1,0 +1,244 @@
+"""``report.html``: how a run went, and why, on one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.errors import InputError
+from smolbot.config.observation import Observation
+from smolbot.runs.summary import label_of
+from smolbot.runs.report import machine_figures as machinery
+from smolbot.runs.report import signal_figures as signals
+from smolbot.runs.report import position_figures as whereabouts
+from smolbot.runs.report.error_budget_section import budget_section
+from smolbot.runs.report.figures_of_merit import figures_table, number, verdict_table
+from smolbot.runs.report.flight import NO_SIGNALS, Flight
+from smolbot.runs.report.html import Section, badge, page, table, text, tiles
+from smolbot.runs.report.optical_section import optical_sections
+from smolbot.runs.report.provenance_section import events_section, provenance_section
+from smolbot.runs.report.quiet_noise import QuietNoise, heard_noise, quiet_recordings
+from smolbot.runs.report.residuals import windows_of
+from smolbot.runs.report.coil_load import strain_of
+from smolbot.runs.report.svg import page_style, svg_of
+
+REPORT = "report.html"
+"""File of a run folder."""
+
+
+def save_report(flight: Flight, out: Path | None = None) -> Path:
+    """Write the report of a flight; by default into its run folder.
+
+    Raises
+    ------
+    InputError
+        Where the page cannot be written.
+    """
+    path = flight.record.folder / REPORT if out is None else out
+    content = report_of(flight)
+    try:
+        path.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: the report cannot be written: {error}.") from error
+    return path
+
+
+def report_of(flight: Flight) -> str:
+    """The page of a flight."""
+    with page_style():
+        sections = [
+            _verdict(flight),
+            *_where(flight),
+            *optical_sections(flight),
+            budget_section(flight),
+            _machinery(flight),
+            _cycle(flight),
+            *_signal(flight),
+            events_section(flight),
+            provenance_section(flight),
+        ]
+    summary = flight.summary
+    heading = f"{text(flight.mission.name)} {badge(summary['verdict'])}"
+    lead = [f"<p>{text(line)}</p>" for line in _lead(flight)] + [tiles(key_figures(summary))]
+    return page(f"{flight.title}: {summary['verdict']}", heading, lead, sections, warning=_warning(flight))
+
+
+def _warning(flight: Flight) -> str:
+    record = flight.record
+    if not record.whole:
+        return (
+            f"This record is cut short: it ends after {flight.run.duration:.1f} s without saying how the run ended. "
+            "All figures are of what was recorded until then."
+        )
+    if record.recovered is not None and not record.recovered.ended:
+        return (
+            "This record was recovered: the process was ended before it could say how the run ended. All figures are "
+            f"of the {flight.run.duration:.1f} s that had been written by then."
+        )
+    if record.dropped:
+        return f"The recorder could not take {record.dropped} messages: cycles are missing from this report."
+    return ""
+
+
+def _lead(flight: Flight) -> list[str]:
+    s, mission = flight.summary, flight.mission
+    told = mission.base.description
+    ended = f"{s['status']}: {s['stop_reason']}" if s["stop_reason"] else s["status"]
+    return [
+        *([told] if told else []),
+        f"{mission.robot.name} on {mission.rig.name}{label_of(s)}, seed {flight.seed}. {ended[0].upper()}{ended[1:]}.",
+    ]
+
+
+def key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Value, unit and name of the figures that matter first."""
+    shown = (
+        ("tracking_error_mm", "mean", "mm", "mean tracking error"),
+        ("tracking_error_mm", "p95", "mm", "95 % of the way within"),
+        ("sigma_mm", "distance", "mm", "scatter in space"),
+        ("localization_error_mm", "mean", "mm", "mean localization error"),
+        ("orientation_error_deg", "mean", "°", "mean orientation error"),
+        ("axis_error_deg", "mean", "°", "mean axis error"),
+        ("pose_rate_hz", "", "Hz", "trusted poses"),
+        ("turns", "", "", "turns of the magnet"),
+        ("pauses", "", "", "pauses"),
+        ("loop_rate_hz", "", "Hz", "loop rate"),
+        ("r_squared_median", "", "", "median R²"),
+        ("duration_s", "", "s", "duration"),
+        ("cycles", "", "", "cycles"),
+    )
+    found = []
+    for key, part, unit, name in shown:
+        value = summary.get(key)
+        value = value.get(part) if part and isinstance(value, dict) else value
+        if value is not None and not isinstance(value, dict):
+            found.append((f"{value:.4f}" if key == "r_squared_median" else number(value), unit, name))
+    return found[:8]
+
+
+def _verdict(flight: Flight) -> Section:
+    section = Section("verdict", "Verdict")
+    section.add(verdict_table(flight.mission, flight.summary))
+    for reason in flight.summary["verdict_reasons"]:
+        section.say(text(reason), "missing")
+    return section.add(f"<details><summary>All figures of this run</summary>{figures_table(flight.summary)}</details>")
+
+
+def _where(flight: Flight) -> list[Section]:
+    """Sections on place and error; they differ with what kind of run it is."""
+    place = Section("path", "Where it went")
+    sigmas = f"{whereabouts.SIGMAS:g} standard deviations"
+    if isinstance(flight.mission, Observation):
+        place.title = "Where it was"
+        place.figure(
+            svg_of(whereabouts.track_figure(flight, flight.mission), "track", "Track of the device"),
+            "Measurements about their mean, with the ellipse of one standard deviation."
+            if flight.mission.sections.observe.measurements is not None
+            else "The container from above and from the front; arrows are the tip's axis as localized. Right: the "
+            f"dotted square closely, where the tracked pose was farthest off; ellipses are {sigmas} of its horizontal "
+            "covariance.",
+        )
+        if flight.mission.sections.observe.measurements is not None:
+            return [place]
+        error = Section("errors", "How well it was seen")
+        return [
+            place,
+            error.figure(
+                svg_of(whereabouts.watched_figure(flight, flight.mission), "watched", "Errors and rate over time"),
+                "Each dot is a trusted pose against the truth at its time. Below: trusted poses in every second.",
+            ),
+        ]
+    arrows = " Arrows: propulsion axis, true and tracked, at every pause." if flight.helical else ""
+    place.figure(
+        svg_of(whereabouts.path_figure(flight), "path", "Path planned, true and localized"),
+        f"Grey: planned. Dark: where the robot truly went. Orange ellipses: {sigmas} of the tracked pose's horizontal "
+        "covariance; 1.1 % of normal errors would lie outside. Right: the dotted square closely, where the robot was "
+        f"farthest from its path.{arrows}",
+    )
+    error = Section("errors", "Errors over time and along the path")
+    error.figure(
+        svg_of(whereabouts.errors_figure(flight), "errors", "Tracking and localization error"),
+        "Tracking error is the true robot's horizontal distance to the path as a curve, from the path's start on. "
+        "Localization error is pose minus truth in space; what is large there but not in the tracking error lies along "
+        "the path, or in height.",
+    )
+    sections = [place, error]
+    if flight.helical:
+        helix = Section("helix", "Screwing")
+        s = flight.summary
+        helix.figure(
+            svg_of(whereabouts.helix_figure(flight), "helix", "Distance, axis error and turns along the path"),
+            "Distance to the path on the way, rings where it paused; the angle between located and true propulsion "
+            "axis; turns of the magnet before each pause, of another colour where a step-out made it turn slower.",
+        )
+        helix.say(f"{number(s['turns'])} turns, {s['pauses']} pauses, {s['step_outs']} step-outs.")
+        sections.append(helix)
+    return sections
+
+
+def _machinery(flight: Flight) -> Section:
+    section = Section("coils", "Currents, duty and heat")
+    return section.figure(
+        svg_of(machinery.coils_figure(flight, strain_of(flight)), "coils", "Currents, duty and heat over time"),
+        "Each with the limit that would have ended the run. Heat is reckoned from commanded currents, as the safety "
+        "does it in flight: one thermal node for each coil.",
+    )
+
+
+def _cycle(flight: Flight) -> Section:
+    section = Section("cycle", "One cycle")
+    return section.figure(
+        svg_of(machinery.cycle_figure(flight), "cycle", "Timeline of a typical cycle"),
+        "Windows of a typical shot, to scale, then what the cycle's computing took: bar for the median, line to the "
+        "99th percentile, dotted box for the time that the rig sets aside for it.",
+    )
+
+
+def _signal(flight: Flight) -> list[Section]:
+    """Sections on signals and noise."""
+    fit, noise = Section("fit", "Signal and fit"), Section("noise", "Noise and mains")
+    windows = list(windows_of(flight))
+    heard: QuietNoise | None = None
+    quiet = quiet_recordings(flight)
+    try:
+        heard = heard_noise(quiet)
+    except InputError as error:
+        noise.missing(f"Nothing can be learned from the quiet recordings: {error}")
+    lines = np.zeros(0) if heard is None else heard.line_frequencies
+    if windows:
+        fit.figure(
+            svg_of(signals.fit_figure(flight, windows, lines), "fit", "R², a window, and the spectrum of residuals"),
+            "R² is the flight's own. The rest is reckoned anew: the forward model at each recorded pose, with sensors "
+            "and device as believed then, taken off the raw samples. Where the orange line lies on the broad one, a "
+            "fit leaves nothing but noise; where it stands above, the model misses something. A constant, and "
+            "whatever slope or decay the flight left free in each channel, is taken off all of them, "
+            "which is why the lowest frequencies fall.",
+        )
+    else:
+        fit.missing(NO_SIGNALS)
+    if heard is not None:
+        noise.figure(
+            svg_of(signals.noise_figure(heard), "noise", "Spectral density of the noise of every channel"),
+            f"Heard in {heard.seconds:.0f} s before the first cycle. Dotted: lines that were learned. The dashed "
+            "floor is the median between lines, from 20 Hz to 200 Hz.",
+        )
+        noise.add(table(*_lines(heard), numbers=True))
+    elif not quiet and not windows:
+        noise.missing(NO_SIGNALS)
+    elif not quiet:
+        noise.missing("Nothing was listened to before the first cycle (quiet_s, or an estimator that learns no noise).")
+    return [fit, noise]
+
+
+def _lines(noise: QuietNoise) -> tuple[list[list[str]], list[str]]:
+    """Rows and header of the table of lines and floors."""
+    channels = range(noise.lines.shape[1])
+    rows = [
+        [f"{f:.3f} Hz", f"{1e9 * np.sqrt(np.mean(row**2)):.2f}", *(f"{1e9 * v:.2f}" for v in row)]
+        for f, row in zip(noise.line_frequencies, noise.lines, strict=True)
+    ]
+    floor = noise.floor
+    rows.append(["floor, pT/√Hz", f"{1e12 * np.sqrt(np.mean(floor**2)):.1f}", *(f"{1e12 * v:.1f}" for v in floor)])
+    return rows, ["line: peak in nT", "all", *(f"channel {i}" for i in channels)]

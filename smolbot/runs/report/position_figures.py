@@ -1,0 +1,263 @@
+"""Figures of where the robot was and was thought to be, and how far these are apart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.config.mission import Mission
+from smolbot.config.observation import Observation
+from smolbot.core.pose import Pose
+from smolbot.runs.pictures import helix_run as helixpicture
+from smolbot.runs.pictures import observation as observation_picture
+from smolbot.runs.pictures import gradient_run as picture
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
+from smolbot.runs.summary import tracking_distance
+from smolbot.runs.trace import Moment
+from smolbot.runs.report.flight import Flight
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIGMAS = 3.0
+"""Standard deviations of the ellipses."""
+
+ELLIPSES = 40
+"""Of a whole path; where one place is looked at closely, every pose has its own."""
+
+BELIEVED = "#f2a541"
+_CLOSE = 1.1  # mm to each side of what is looked at closely
+
+
+def path_figure(flight: Flight) -> Figure:
+    """The whole way from above, and the place where the robot was farthest from its path, closely."""
+    from matplotlib.figure import Figure
+
+    mission = flight.steered
+    assert mission is not None
+    figure = Figure(figsize=(11.2, 6.0), layout="constrained")
+    whole, close = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
+    if flight.helical:
+        helixpicture.draw_axes_on_path(whole, mission, flight.trace)
+    else:
+        picture.draw_path(whole, mission, flight.trace)
+    draw_ellipses(whole, spread([m.cycle.tracked for m in _listened(flight)], ELLIPSES))
+    worst = _worst(flight, mission)
+    if worst is None:
+        nothing(close, "the path was not reached")
+        return figure
+    half = max(_CLOSE, 4.0 * worst[1])
+    _draw_close(close, flight, worst[0], half, mission)
+    _frame(whole, worst[0], half)
+    return figure
+
+
+def track_figure(flight: Flight, mission: Observation) -> Figure:
+    """A device that was only watched: from above and from the front, and one place closely."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.2, 6.0), layout="constrained")
+    if mission.sections.observe.measurements is not None:
+        _draw_measurements(figure, flight)
+        return figure
+    grid = figure.add_gridspec(2, 2, height_ratios=[1.5, 1.0], width_ratios=[1.35, 1.0])
+    above, front, close = (figure.add_subplot(grid[at]) for at in ((0, 0), (1, 0), (slice(None), 1)))
+    box = mission.rig.sections.container
+    (cx, cy), (sx, sy) = box.center_mm, box.size_mm
+    sides = [(cx - 0.5 * sx, cx + 0.5 * sx), (cy - 0.5 * sy, cy + 0.5 * sy), (box.floor_z_mm, box.surface_z_mm)]
+    for axes, across in ((above, 1), (front, 2)):
+        observation_picture.draw_view(axes, flight.trace, sides, across)
+    above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, fontsize=9)
+    front.set_xlabel("x in mm")
+    seen = [m for m in flight.trace.moments if m.cycle.tracked is not None and m.cycle.tracked.trusted]
+    if seen:
+        off = [_apart(m) for m in seen]
+        chosen = seen[int(np.argmax(off))] if max(off) > 0 else seen[len(seen) // 2]
+        assert chosen.cycle.tracked is not None
+        half = 2.5
+        _draw_close(close, flight, 1e3 * chosen.cycle.tracked.position[:2], half, None)
+        _frame(above, 1e3 * chosen.cycle.tracked.position[:2], half)
+    return figure
+
+
+def errors_figure(flight: Flight) -> Figure:
+    """Tracking and localization error, over time and along the path."""
+    from matplotlib.figure import Figure
+
+    mission = flight.steered
+    assert mission is not None
+    figure = Figure(figsize=(11.2, 5.0), layout="constrained")
+    rows: Any = figure.subplots(2, 2, sharey="row", sharex="col")
+    moments = [m for m in flight.trace.following if m.truth_at_end is not None]
+    if moments:
+        positions = np.vstack([m.positions for m in moments])
+        off = 1e3 * tracking_distance(mission, moments)
+        arc = 1e3 * mission.path.project(positions)[0]
+        times = np.concatenate([_times(m) for m in moments])
+        rows[0, 0].plot(times, off, color=TRUE, lw=1.1)
+        dots(rows[0, 1], arc, off, 2.4, TRUE, alpha=0.8)
+        for axes in rows[0]:
+            axes.axhline(float(off.mean()), color=LOCATED, lw=1, ls="--")
+            axes.set_ylim(0.0, 1.08 * float(off.max()))
+    else:
+        for axes in rows[0]:
+            nothing(axes, "path not reached" if flight.knows_truth else "no truth on this rig")
+    draw_localization(rows[1, 0], rows[1, 1], flight)
+    told = f"; dashed: mean, {off.mean():.3f}" if moments else ""
+    rows[0, 0].set_title(f"Tracking error: true robot to path, in mm{told}")
+    rows[0, 1].set_title("The same along the path")
+    rows[1, 0].set_title("Localization error in space, in mm")
+    rows[1, 0].set_xlabel("time in s")
+    rows[1, 1].set_xlabel("along the path, in mm")
+    rows[1, 1].set_xlim(0.0, 1e3 * mission.path.length)
+    for axes in rows.flat:
+        axes.grid(axis="y")
+    return figure
+
+
+def draw_localization(over_time: Axes, along: Axes, flight: Flight) -> None:
+    """Distance of each trusted pose to the truth, and of tracked ones."""
+    mission = flight.steered
+    known = [m for m in flight.trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth]
+    if mission is None or not known:
+        for axes in (over_time, along):
+            nothing(axes, "no truth on this rig")
+        return
+    raw = np.array([1e3 * _off(m.cycle.pose, m.truth) for m in known])
+    tracked = np.array([1e3 * _off(m.cycle.tracked, m.truth) for m in known])
+    times = [m.truth.time for m in known if m.truth]
+    dots(over_time, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
+    over_time.plot(times, tracked, color=TRUE, lw=1.1, label="tracked")
+    follows = np.array([m.cycle.command.phase == "follow" for m in known])
+    arc = 1e3 * mission.path.project(np.array([m.truth.position for m in known if m.truth]))[0]
+    dots(along, arc[follows], raw[follows], 2.2, LOCATED, alpha=0.6)
+    dots(along, arc[follows], tracked[follows], 2.2, TRUE, alpha=0.8)
+    over_time.set_ylim(0.0, 1.1 * float(np.nanpercentile(raw, 99.5)))
+    over_time.legend(loc="upper right", ncol=2)
+
+
+def watched_figure(flight: Flight, mission: Observation) -> Figure:
+    """Errors of a device that was only watched, and how steadily it was seen."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.2, 5.4), layout="constrained")
+    errors, turns, rate = figure.subplots(3, 1, sharex=True)
+    observation_picture.draw_errors(errors, turns, flight.trace, along=mission.robot.device.along_cantilever)
+    observation_picture.draw_rate(rate, mission, flight.trace)
+    for axes in (errors, turns, rate):
+        axes.set_title(axes.get_title(loc="left"), fontsize=10.5)
+        axes.grid(axis="y")
+    return figure
+
+
+def helix_figure(flight: Flight) -> Figure:
+    """What a helix adds: distance, error of its axis and turns along the path."""
+    from matplotlib.figure import Figure
+
+    assert flight.steered is not None
+    figure = Figure(figsize=(11.2, 5.4), layout="constrained")
+    distance, axis, turns = figure.subplots(3, 1, sharex=True)
+    helixpicture.draw_distance(distance, flight.steered, flight.trace)
+    helixpicture.draw_axis_error(axis, flight.steered, flight.trace)
+    helixpicture.draw_turns(turns, flight.steered, flight.trace)
+    for axes in (distance, axis, turns):
+        axes.set_title(axes.get_title(loc="left"), fontsize=10.5)
+        axes.grid(axis="y")
+    return figure
+
+
+def draw_ellipses(axes: Axes, poses: list[Pose], *, width: float = 0.8, label: str | None = None) -> None:
+    """Ellipses of the horizontal covariance of `poses`, `SIGMAS` standard deviations wide, in mm."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    if label is not None:
+        axes.plot([], [], color=BELIEVED, lw=1.4, label=label)
+    rings = [1e3 * (p.position[:2] + ellipse(p.covariance[:2, :2], SIGMAS)) for p in poses]
+    if rings:
+        compound = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
+        axes.add_patch(PathPatch(compound, fill=False, ec=BELIEVED, lw=width, zorder=5))
+
+
+def spread(poses: list[Pose | None], most: int) -> list[Pose]:
+    """At most `most` of the trusted ones, equally spread."""
+    good = [pose for pose in poses if pose is not None and pose.trusted]
+    return good[:: max(-(-len(good) // most), 1)]
+
+
+def _draw_close(axes: Axes, flight: Flight, center: FloatArray, half: float, mission: Mission | None) -> None:
+    """One place of the way: path, truth, each pose, and what the tracker made of it with its ellipse."""
+    if mission is not None:
+        planned = 1e3 * mission.path.points
+        axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=5, solid_capstyle="round", label="planned", zorder=1)
+    moments = [m for m in _listened(flight) if m.cycle.tracked is not None]
+    inside = [m for m in moments if m.cycle.tracked and np.all(abs(1e3 * m.cycle.tracked.position[:2] - center) < half)]
+    truth = 1e3 * flight.trace.true_positions()
+    if len(truth):
+        near = np.all(abs(truth[:, :2] - center) < 2.0 * half, axis=1)
+        axes.plot(*np.where(near[:, None], truth[:, :2], np.nan).T, color=TRUE, lw=1.6, label="true", zorder=3)
+    heard = [m.cycle.pose for m in inside if m.cycle.pose is not None and m.cycle.pose.trusted]
+    if heard:
+        places = 1e3 * np.array([p.position for p in heard])
+        dots(axes, places[:, 0], places[:, 1], 4.5, LOCATED, alpha=0.6, label="each pose", zorder=4)
+    tracked = spread([m.cycle.tracked for m in inside], 30)
+    if tracked:
+        places = 1e3 * np.array([p.position for p in tracked])
+        dots(axes, places[:, 0], places[:, 1], 3.2, BELIEVED, zorder=6)
+        draw_ellipses(axes, tracked, label=f"tracked, {SIGMAS:g} sigma")
+    axes.set_aspect("equal")
+    axes.set_xlim(center[0] - half, center[0] + half)
+    axes.set_ylim(center[1] - half, center[1] + half)
+    axes.set_xlabel("x in mm")
+    axes.set_ylabel("y in mm")
+    axes.grid()
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=4)
+
+
+def _draw_measurements(figure: Figure, flight: Flight) -> None:
+    above, front = figure.subplots(1, 2)
+    observation_picture.draw_measurements(above, front, flight.trace)
+
+
+def _listened(flight: Flight) -> list[Moment]:
+    """Cycles in which something was heard: in others the tracker only foretells."""
+    return [m for m in flight.trace.moments if m.cycle.shot.listen is not None]
+
+
+def _frame(axes: Axes, center: FloatArray, half: float) -> None:
+    from matplotlib.patches import Rectangle
+
+    corner = center[0] - half, center[1] - half
+    axes.add_patch(Rectangle(corner, 2 * half, 2 * half, fill=False, ec="#777777", lw=1, ls=":", zorder=7))
+
+
+def _worst(flight: Flight, mission: Mission) -> tuple[FloatArray, float] | None:
+    """Where (x, y) in mm the robot, or its tracked pose, was farthest from the path, and how far."""
+    moments = flight.trace.following
+    known = [m.truth if m.truth is not None else m.cycle.tracked for m in moments if m.cycle.tracked is not None]
+    places = np.array([p.position for p in known if p is not None]).reshape(-1, 3)
+    if not len(places):
+        return None
+    off = mission.path.project(places)[1]
+    worst = int(np.argmax(off))
+    return 1e3 * places[worst, :2], 1e3 * float(off[worst])
+
+
+def _times(moment: Moment) -> FloatArray:
+    """Times of `Moment.positions`: those on the way are spread over the shot."""
+    shot = moment.cycle.shot
+    on_way = np.linspace(shot.start, shot.end, len(moment.way) + 2)[1:-1]
+    known = [p.time for p in (moment.truth, moment.truth_at_end) if p is not None]
+    return np.concatenate([on_way, known])
+
+
+def _off(pose: Pose | None, truth: Pose | None) -> float:
+    return float("nan") if pose is None or truth is None else float(np.linalg.norm(pose.position - truth.position))
+
+
+def _apart(moment: Moment) -> float:
+    off = _off(moment.cycle.tracked, moment.truth)
+    return off if np.isfinite(off) else 0.0

@@ -1,0 +1,86 @@
+"""The sections of a report that say what happened and where a run came from."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.html import Section, folded, table, text
+
+_LONG = 160  # characters of an event's detail that are shown
+
+
+def events_section(flight: Flight) -> Section:
+    """What changed beliefs, or was done to the flight; runs of the same event as one line."""
+    section = Section("events", "Events")
+    events = flight.record.events
+    recovered = {kind: times for kind, times in flight.run.recovered.items() if times}
+    if recovered:
+        told = ", ".join(f"{kind.replace('_', ' ')} {times}" for kind, times in recovered.items())
+        section.say(f"Borne without ending the run: {text(told)}.")
+    if not events:
+        return section.missing("Nothing was recorded.")
+    rows: list[list[str]] = []
+    last, count = "", 0
+    for event in events:
+        count = count + 1 if event.what == last else 1
+        which = f" (number {count} in a row)" if count > 1 else ""
+        row = [f"{event.time:.2f} s", event.what + which, _detail(event.detail)]
+        if count > 2:
+            rows[-1] = row
+        else:
+            rows.append(row)
+        last = event.what
+    return section.add(table(rows, ("time", "what", "detail"), wide=True))
+
+
+def provenance_section(flight: Flight) -> Section:
+    """Version, commit, seed, settings, what was drawn, packages, and the files themselves."""
+    section = Section("provenance", "Provenance")
+    found = dict(flight.record.provenance)
+    world, packages = found.pop("world", {}), found.pop("packages", {})
+    settings = found.pop("settings", {})
+    rows = [(name, "not known" if value is None else value) for name, value in found.items()]
+    rows += [(f"--set {name}", value) for name, value in settings.items()]
+    rows.append(("record", f"{flight.record.path.name}, {flight.record.path.stat().st_size / 1e6:.1f} MB"))
+    section.add(table(rows))
+    if not settings:
+        section.say("No settings were laid over the files.")
+    section.add(folded("What the simulated world drew, hidden from controller and localizer", _flat(world)))
+    section.add(folded("Packages", table(sorted(packages.items()))))
+    for name, content in sorted(flight.record.begin.files.items()):
+        if name.endswith(".toml"):
+            section.add(folded(name, f"<pre>{text(content.decode(errors='replace'))}</pre>"))
+    return section
+
+
+def _flat(world: dict[str, Any]) -> str:
+    """A nested dictionary as a table of dotted names."""
+    rows: list[tuple[str, str]] = []
+
+    def lay(prefix: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                lay(f"{prefix}.{key}" if prefix else str(key), inner)
+        else:
+            rows.append((prefix, json.dumps(value, default=str)))
+
+    lay("", world)
+    return table(rows) if rows else "<p>Nothing.</p>"
+
+
+def _detail(detail: dict[str, object]) -> str:
+    told = {name.replace("_", " "): value for name, value in detail.items() if value not in ("", None)}
+    said = ", ".join(f"{name}: {_short(value)}" for name, value in told.items())
+    return said if len(said) <= _LONG else said[: _LONG - 1] + "…"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return f"{len(value)} by {len(value[0])} values"
+    if isinstance(value, list):
+        return "[" + ", ".join(_short(v) for v in value[:8]) + (", …]" if len(value) > 8 else "]")
+    return str(value)

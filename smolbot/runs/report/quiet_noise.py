@@ -1,0 +1,82 @@
+"""The noise as it was heard before the first cycle, with nothing driven."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.localization.noise.model import BLOCK_RATE, NoiseModel
+from smolbot.localization.noise.spectra import averaged
+from smolbot.runs.report.flight import Flight
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Listen
+
+
+@dataclass(frozen=True)
+class QuietNoise:
+    """Noise of every channel.
+
+    Attributes
+    ----------
+    seconds : float
+        Listened to in all.
+    frequencies : ndarray, shape (n,), in Hz
+    density : ndarray, shape (n_sensors, n), in T per root of Hz
+        With lines; one channel's mains stand as high as the length of a recording makes them.
+    line_frequencies : ndarray, shape (n_lines,), in Hz
+    lines : ndarray, shape (n_lines, n_sensors), in T
+        Peak of each line in each channel, root mean square over the recordings.
+    floor : ndarray, shape (n_sensors,), in T per root of Hz
+        Between the lines, median from 20 Hz to 200 Hz.
+    """
+
+    seconds: float
+    frequencies: FloatArray
+    density: FloatArray
+    line_frequencies: FloatArray
+    lines: FloatArray
+    floor: FloatArray
+
+
+def quiet_recordings(flight: Flight) -> list[Recording]:
+    """Those of shots that only listened, with samples: a reduced world makes none."""
+    return [
+        recording
+        for played, recording in flight.record.recordings()
+        if played.shot.mode == "quiet"
+        and recording.duration > 0.0
+        and all(isinstance(window, Listen) for window in played.shot.windows)
+    ]
+
+
+def heard_noise(recordings: list[Recording]) -> QuietNoise | None:
+    """The noise of quiet recordings; None without any.
+
+    Raises
+    ------
+    InputError
+        Where nothing can be learned from them; see `NoiseModel.learn`.
+    """
+    if not recordings:
+        return None
+    model = NoiseModel.learn(recordings)
+    rate = recordings[0].sample_rate
+    size = max(round(rate / BLOCK_RATE), 1)
+    pieces = [averaged(recording.field, size) for recording in recordings]
+    n = min(piece.shape[1] for piece in pieces)
+    taper = np.hanning(n + 2)[1:-1]
+    power = np.mean([np.abs(np.fft.rfft(piece[:, :n] * taper, axis=1)) ** 2 for piece in pieces], axis=0)
+    power *= 2.0 * size / (rate * np.sum(taper**2))
+    grid = np.asarray(np.fft.rfftfreq(n, size / rate), dtype=np.float64)
+    own = np.sqrt(np.real(np.einsum("fjj->jf", model.spectrum)))
+    middle = (model.frequencies >= 20.0) & (model.frequencies <= 200.0)
+    return QuietNoise(
+        float(sum(recording.duration for recording in recordings)),
+        grid[1:],
+        np.sqrt(power[:, 1:]),
+        model.line_frequencies,
+        np.sqrt(np.real(np.einsum("ljj->lj", model.lines))),
+        np.median(own[:, middle], axis=1),
+    )

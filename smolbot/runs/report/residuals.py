@@ -1,0 +1,180 @@
+"""What the fit leaves of every window: the forward model at the recorded pose, taken off what was heard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.localizer import Localizer
+from smolbot.localization.noise.excitation_transients import decay_columns
+from smolbot.core.pose import Pose
+from smolbot.runs.report.beliefs import Beliefs
+from smolbot.runs.report.flight import Flight
+from smolbot.core.sensing import Recording
+
+BLOCK = 1e-4
+"""Length, in s, of the blocks to which samples are averaged before a model is laid over them."""
+
+MOST = 60
+"""Windows of a run that are looked at, equally spread."""
+
+_LEAD = 10.0  # time constants of the sensors' low pass that the model begins before the recording
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Window:
+    """One recording and its model, both less what is free in every channel; in T.
+
+    Attributes
+    ----------
+    time : float, in s
+    seconds : ndarray, shape (n,)
+        Since the first sample.
+    heard, model : ndarray, shape (n_sensors, n)
+    used : ndarray of bool, shape (n_sensors,)
+        Those that were not saturated.
+    """
+
+    time: float
+    seconds: FloatArray
+    heard: FloatArray
+    model: FloatArray
+    used: BoolArray
+
+    @property
+    def left(self) -> FloatArray:
+        """What the fit leaves, shape (n_used, n), in T."""
+        return (self.heard - self.model)[self.used]
+
+    @property
+    def r_squared(self) -> float:
+        """Of this fit, each sample counting the same: the flight's own is of whitened ones."""
+        heard = self.heard[self.used]
+        return 1.0 - float(np.sum(self.left**2) / np.sum(heard**2))
+
+
+def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
+    """Some windows of a run with a trusted pose, in order, under what was believed then."""
+    beliefs, record, mission = Beliefs.at_start(flight.mission), flight.record, flight.mission
+    events = sorted(record.events, key=lambda event: event.time)
+    played = {shot.number: shot for shot in record.played}
+    chosen = [
+        (moment.cycle.pose, played[number])
+        for moment, number in zip(record.moments, record.shot_of_cycle, strict=True)
+        if moment.cycle.pose is not None and moment.cycle.pose.trusted and played[number].samples is not None
+    ]
+    step = max(len(chosen) / most, 1.0)
+    degree = Localizer(beliefs.sensors, beliefs.device, estimator=mission.base.localization.estimator)
+    for index in np.unique((np.arange(min(most, len(chosen))) * step).astype(int)):
+        pose, shot = chosen[index]
+        assert pose is not None
+        while events and events[0].time < pose.time:
+            beliefs = beliefs.after(events.pop(0))
+        recording = shot.recording(record.converter)
+        if recording is None:
+            continue
+        recording = beliefs.tails.removed(shot.shot, recording)
+        yield compared(recording, pose, beliefs, degree.free_trend(recording))
+
+
+def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0) -> Window:
+    """A recording beside its model at `pose`; amplitude and phase are fitted, each channel is free by a polynomial.
+
+    Parameters
+    ----------
+    trend : int
+        Degree of that polynomial; where coils still ring, their decays are free as well.
+    """
+    size = max(round(BLOCK * recording.sample_rate), 1)
+    n = recording.field.shape[1] // size
+    step = size / recording.sample_rate
+    seconds = (np.arange(n) + 0.5) * step - 0.5 / recording.sample_rate
+    used = ~recording.saturated
+    blocks = recording.field[:, : n * size].reshape(len(recording.field), n, size).mean(axis=2)
+    since = recording.time_since_drive + seconds
+    free = np.column_stack(
+        [np.linspace(-1.0, 1.0, n) ** k for k in range(trend + 1)]
+        + ([decay_columns(since, beliefs.transients)] if beliefs.transients else [])
+    )
+    basis = np.linalg.qr(free)[0]
+
+    def without(field: FloatArray) -> FloatArray:
+        return field - (field @ basis) @ basis.T
+
+    device, place = beliefs.device, (pose.position, pose.orientation)
+    lag = 1.0 / (2.0 * np.pi * beliefs.sensors.bandwidth)
+    before = int(np.ceil(_LEAD * lag / step))
+    times = since[0] + step * np.arange(-before, n)
+
+    def model(swing: FloatArray) -> FloatArray:
+        theta = deflection(device, times, float(np.hypot(*swing)), float(np.arctan2(swing[1], swing[0])))
+        return without(low_passed(sensor_field(beliefs.sensors, device, *place, theta), step, lag)[:, before:])
+
+    heard = without(blocks)
+    swing = _swing(model, heard, used, device.theta_max)
+    return Window(recording.middle, seconds, heard, model(swing), used)
+
+
+def _swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: BoolArray, top: float) -> FloatArray:
+    """Amplitude times (cos, sin) of the phase that fit best, in rad: Gauss-Newton, begun where the model is linear."""
+    tiny = 1e-3 * top
+    rest = model(np.zeros(2))[used]
+    columns = np.column_stack([(model(tiny * axis)[used] - rest).ravel() / tiny for axis in np.eye(2)])
+    first: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - rest).ravel(), rcond=None)[0])
+    swing: FloatArray = first * min(1.0, top / max(float(np.hypot(*first)), 1e-12))
+    for _ in range(_ROUNDS):
+        now = model(swing)[used]
+        columns = np.column_stack([(model(swing + tiny * axis)[used] - now).ravel() / tiny for axis in np.eye(2)])
+        step: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - now).ravel(), rcond=None)[0])
+        swing = swing + step
+    return swing
+
+
+def low_passed(field: FloatArray, step: float, lag: float) -> FloatArray:
+    """The field as a first-order low pass with time constant `lag` s says it, exact between samples joined by lines."""
+    if lag <= 0.0:
+        return field
+    from scipy.signal import lfilter
+
+    decay = np.exp(-step / lag)
+    gain = lag / step * (1.0 - decay)
+    first = np.array([1.0 - gain, gain - decay])
+    initial = field[:, :1] - first[0] * field[:, :1]
+    out: FloatArray = lfilter(first, [1.0, -decay], field, axis=1, zi=initial)[0]
+    return out
+
+
+def density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatArray]:
+    """Frequencies, and spectral density, root mean square over channels and windows, in T per root of Hz.
+
+    Parameters
+    ----------
+    windows : list of ndarray, shape (n_channels, n)
+        Of one length; shorter ones set it.
+    rate : float, in Hz
+    """
+    n = min(window.shape[1] for window in windows)
+    taper = np.hanning(n + 2)[1:-1]
+    power = np.mean(
+        [np.mean(np.abs(np.fft.rfft(window[:, :n] * taper, axis=1)) ** 2, axis=0) for window in windows], axis=0
+    )
+    grid: FloatArray = np.asarray(np.fft.rfftfreq(n, 1.0 / rate), dtype=np.float64)
+    return grid, np.sqrt(2.0 * power / (rate * np.sum(taper**2)))
+
+
+def cut_quiet(recordings: list[Recording], n: int, trend: int) -> list[FloatArray]:
+    """Quiet recordings cut into windows of `n` blocks, each less the polynomial that a fit leaves free."""
+    basis = np.linalg.qr(np.column_stack([np.linspace(-1.0, 1.0, n) ** k for k in range(trend + 1)]))[0]
+    found = []
+    for recording in recordings:
+        size = max(round(BLOCK * recording.sample_rate), 1)
+        count = recording.field.shape[1] // (size * n)
+        heard = recording.field[~recording.saturated, : count * n * size]
+        for piece in heard.reshape(len(heard), count, n, size).mean(axis=3).transpose(1, 0, 2):
+            found.append(piece - (piece @ basis) @ basis.T)
+    return found

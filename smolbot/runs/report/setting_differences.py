@@ -1,0 +1,65 @@
+"""What differs between runs: every setting of their files, gains with their defaults, seeds and versions."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from typing import Any
+
+from smolbot.motion.controller import complete_gains
+from smolbot.errors import PluginError
+from smolbot.config.plugins import load
+from smolbot.runs.recording.files import MISSION, RIG, ROBOT
+from smolbot.runs.report.flight import Flight
+
+Flat = dict[str, str]
+
+
+def settings_of(flight: Flight) -> Flat:
+    """Dotted names and values, as text, of all that a run was told."""
+    found: Flat = {}
+    for name, prefix in ((MISSION, "mission"), (RIG, "rig"), (ROBOT, "robot")):
+        found |= flattened(tomllib.loads(flight.record.begin.files[name].decode()), prefix)
+    if flight.steered is not None:
+        found |= {f"mission.controller.gains.{k}": json.dumps(v) for k, v in _gains(flight).items()}
+    where = flight.record.provenance
+    found |= {key: str(where.get(key)) for key in ("seed", "smolbot", "commit", "python")}
+    return found | flattened(where.get("packages", {}), "package")
+
+
+def changed(flights: list[Flight]) -> list[tuple[str, list[str | None]]]:
+    """Names of settings that differ between `flights`, and their values; None for a run that has none."""
+    told = [settings_of(flight) for flight in flights]
+    names = dict.fromkeys(name for one in told for name in one)
+    rows = [(name, [one.get(name) for one in told]) for name in names]
+    return [(name, values) for name, values in rows if len(set(values)) > 1]
+
+
+def flattened(data: dict[str, Any], prefix: str = "") -> Flat:
+    """A nested dictionary with dotted names.
+
+    Examples
+    --------
+    >>> flattened({"a": {"b": 1.5}, "c": [{"d": "x"}]}, "rig")
+    {'rig.a.b': '1.5', 'rig.c.0.d': '"x"'}
+    """
+    found: Flat = {}
+    for key, value in data.items():
+        name = f"{prefix}.{key}" if prefix else key
+        if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+            value = {str(i): item for i, item in enumerate(value)}
+        if isinstance(value, dict):
+            found |= flattened(value, name)
+        else:
+            found[name] = json.dumps(value, ensure_ascii=False, default=str)
+    return found
+
+
+def _gains(flight: Flight) -> dict[str, float]:
+    """Gains as flown; only the given ones where the law is not installed here."""
+    assert flight.steered is not None
+    given = dict(flight.steered.gains)
+    try:
+        return complete_gains(load("controllers", flight.steered.law).gains, given, flight.steered.law)
+    except PluginError:
+        return given

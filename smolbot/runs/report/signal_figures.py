@@ -1,0 +1,147 @@
+"""Figures of what was heard: how much of it a fit explains, what it leaves, and the noise before the first cycle."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from smolbot.core.arrays import FloatArray
+from smolbot.runs.pictures.style import COILS, LOCATED, TRUE, dots, nothing
+from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.quiet_noise import QuietNoise, quiet_recordings
+from smolbot.runs.report.residuals import BLOCK, Window, cut_quiet, density
+from smolbot.runs.report.svg import FAINT, INK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Places = npt.NDArray[np.intp]
+
+CHANNELS = 4
+"""Of the window that is shown: those that heard most."""
+
+HIGHEST = 2000.0
+"""In Hz: above it sensors hear little."""
+
+
+def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figure:
+    """R² over the run, one window with its model, and the spectrum of what fits leave, against quiet ones."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.2, 6.4), layout="constrained")
+    panels: Any = figure.subplot_mosaic([["r", "window"], ["spectrum", "spectrum"]], height_ratios=[1.0, 1.1])
+    _draw_r_squared(panels["r"], flight)
+    _draw_window(panels["window"], windows)
+    _draw_spectrum(panels["spectrum"], flight, windows, lines)
+    return figure
+
+
+def noise_figure(noise: QuietNoise) -> Figure:
+    """Spectral density of every channel, with the lines that were learned."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.2, 3.6), layout="constrained")
+    axes = figure.subplots()
+    shown = noise.frequencies <= HIGHEST
+    thinned = _thinned(noise.frequencies[shown])
+    for index, channel in enumerate(noise.density[:, shown]):
+        axes.plot(noise.frequencies[shown][thinned], 1e12 * _highest(channel, thinned), color=COILS[index % len(COILS)],
+                  lw=0.7, alpha=0.75, label=f"{index}")  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    _mark_lines(axes, noise.line_frequencies)
+    floor = 1e12 * float(np.median(noise.floor))
+    axes.axhline(floor, color="#999999", lw=1, ls="--")
+    axes.text(1.0, floor, f"floor {floor:.1f} ", fontsize=8.5, color="#777777", va="top", ha="right",
+              transform=axes.get_yaxis_transform())  # fmt: skip
+    axes.set_title("Noise of every channel with nothing driven, in pT per root of Hz", pad=16)
+    axes.set_xlabel("frequency in Hz")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title="channel", fontsize=8, title_fontsize=8)
+    axes.grid()
+    return figure
+
+
+def _draw_r_squared(axes: Axes, flight: Flight) -> None:
+    poses = [c.pose for c in flight.run.cycles if c.pose is not None]
+    good = [p for p in poses if p.trusted]
+    if poses:
+        axes.set_yscale("log")
+        dots(axes, [p.time for p in good], [1.0 - p.r_squared for p in good], 2.4, TRUE, alpha=0.7, label="trusted")
+        bad = [p for p in poses if not p.trusted]
+        if bad:
+            shares = [max(1.0 - p.r_squared, 1e-6) for p in bad]
+            dots(axes, [p.time for p in bad], shares, 4.0, LOCATED, label="not trusted")
+            axes.legend(loc="upper right")
+        median = float(np.median([p.r_squared for p in (good or poses)]))
+        axes.set_title(f"Unexplained share of the signal, 1 - R²; median R² {median:.4f}")
+    else:
+        nothing(axes, "no pose was found")
+    axes.set_xlabel("time in s")
+    axes.grid(axis="y")
+
+
+def _draw_window(axes: Axes, windows: list[Window]) -> None:
+    if not windows:
+        nothing(axes, "this record holds no samples")
+        return
+    chosen = windows[len(windows) // 2]
+    loud = np.argsort(-np.sum(np.where(chosen.used[:, None], chosen.heard, 0.0) ** 2, axis=1))[:CHANNELS]
+    gap = 2.1e9 * float(np.abs(chosen.heard[loud]).max())
+    ms = 1e3 * chosen.seconds
+    for row, channel in enumerate(loud):
+        low = -row * gap
+        axes.plot(ms, low + 1e9 * chosen.model[channel], color=TRUE, lw=1.6, label="model" if row == 0 else None)
+        dots(axes, ms, low + 1e9 * chosen.heard[channel], 2.0, LOCATED, label="heard" if row == 0 else None, zorder=3)
+        place = axes.get_yaxis_transform()
+        axes.text(1.01, low, f"ch. {channel}", transform=place, fontsize=8.5, color=FAINT, va="center")
+    axes.set_title(f"One window, at {chosen.time:.1f} s: its {len(loud)} loudest channels, in nT")
+    axes.set_xlabel("time since the first sample, in ms")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, -0.01), ncol=2, fontsize=8.5)
+    axes.set_ylim(-(len(loud) - 0.4) * gap, 0.62 * gap)
+
+
+def _draw_spectrum(axes: Axes, flight: Flight, windows: list[Window], lines: FloatArray) -> None:
+    if not windows:
+        nothing(axes, "this record holds no samples")
+        return
+    rate, n = 1.0 / BLOCK, min(window.left.shape[1] for window in windows)
+    quiet = cut_quiet(quiet_recordings(flight), n, 0)
+    grid, left = density([window.left for window in windows], rate)
+    _, signal = density([window.heard[window.used] for window in windows], rate)
+    shown = (grid > 0) & (grid <= HIGHEST)
+    axes.set_yscale("log")
+    axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="heard")
+    if quiet:
+        axes.plot(grid[shown], 1e12 * density(quiet, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
+                  label="quiet windows of the same length")  # fmt: skip
+    axes.plot(grid[shown], 1e12 * left[shown], color=LOCATED, lw=1.4, label="what the fit leaves")
+    _mark_lines(axes, lines)
+    axes.set_title(
+        f"Spectrum of what fits leave, mean over {len(windows)} windows and all channels, in pT per root of Hz", pad=16
+    )
+    axes.set_xlabel(f"frequency in Hz (resolution {grid[1]:.0f} Hz)")
+    axes.set_xlim(0.0, 6.0 * max(flight.mission.robot.device.frequency, 100.0))
+    axes.legend(loc="upper right")
+    axes.grid()
+
+
+def _mark_lines(axes: Axes, lines: FloatArray) -> None:
+    for line in lines:
+        axes.axvline(float(line), color=FAINT, lw=0.8, ls=":", zorder=1)
+        axes.annotate(f"{line:.0f} Hz", (float(line), 1.0), xycoords=axes.get_xaxis_transform(), xytext=(0, 2),
+                      textcoords="offset points", ha="center", fontsize=8, color=INK)  # fmt: skip
+
+
+def _thinned(frequencies: FloatArray) -> Places:
+    """Where to begin each stretch of a spectrum, so that on a logarithmic axis none is narrower than a line."""
+    edges = np.unique(np.searchsorted(frequencies, np.geomspace(frequencies[0], frequencies[-1], 420)))
+    return edges[edges < len(frequencies)]
+
+
+def _highest(values: FloatArray, edges: Places) -> FloatArray:
+    """The highest value of each stretch: a line must not get lost."""
+    found: FloatArray = np.maximum.reduceat(values, edges)
+    return found

@@ -1,0 +1,85 @@
+"""What a flight leaves: its cycles and events, and how it ended. Who hears of them while it lasts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+from smolbot.core.arrays import FloatArray
+from smolbot.motion.controller import Command
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Shot
+
+Status = Literal["completed", "stuck", "stopped", "lost", "timeout", "failed"]
+
+
+@dataclass(frozen=True)
+class CycleRecord:
+    """What happened in one cycle. `pose` is as located, `tracked` as believed; `compute` in s.
+
+    `ended` is when the rig had truly played the shot, in s: a hand that moves a magnet is not punctual. `rig` is what
+    the rig says of itself in a line, if it says anything.
+    """
+
+    shot: Shot
+    pose: Pose | None
+    tracked: Pose | None
+    command: Command
+    compute: float
+    ended: float = float("inf")
+    rig: str = ""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that changed what is believed, at a time on the rig's clock in s."""
+
+    time: float
+    what: str
+    detail: dict[str, object] = field(default_factory=dict)
+
+
+@dataclass
+class Run:
+    """A flown mission: how it ended, every cycle and event, and (once summarised) its figures and folder.
+
+    `begun` is when the first cycle started, after the noise was learned; `duration` counts from the start.
+    `recovered` counts what went wrong and ended nothing, by kind; `safety` has duty and heat of the coils.
+
+    `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only. `report` says where the report
+    is, or why there is none.
+    """
+
+    status: Status = "stopped"
+    stop_reason: str = ""
+    duration: float = 0.0
+    wall: float = 0.0
+    begun: float = 0.0
+    events: list[Event] = field(default_factory=list)
+    cycles: list[CycleRecord] = field(default_factory=list)
+    summary: dict[str, object] = field(default_factory=dict)
+    folder: str | None = None
+    true_trail: FloatArray | None = None
+    report: str = ""
+    recovered: dict[str, int] = field(default_factory=dict)
+    safety: dict[str, object] = field(default_factory=dict)
+
+
+class Listener(Protocol):
+    """Hears of every cycle as it ends: recorder, progress."""
+
+    def __call__(self, record: CycleRecord) -> None: ...
+
+
+class Tape(Protocol):
+    """Hears everything that was played and everything that happened, as it comes: the recorder, a live page.
+
+    Called in the loop's thread: it must neither wait nor raise.
+    """
+
+    def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
+        """A shot was played until `ended` s on the rig's clock; the recording is as the rig gave it."""
+
+    def happened(self, event: Event) -> None:
+        """Something changed what is believed, or was done to the flight."""

@@ -1,0 +1,209 @@
+"""The figures of merit of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.runs.run import Run
+from smolbot.config.mission_base import MissionBase
+from smolbot.config.mission import Mission
+from smolbot.core.pose import Pose
+from smolbot.runs.trace import Moment, Trace
+from smolbot.core.rotations import nearer_twin, rotation_error
+from smolbot.core.shots import Actuate, Rotate
+
+
+def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
+    """Figures of a run, in the units that their names carry; those that need the truth only where it is known.
+
+    Tracking error is the true robot's horizontal distance to the path as a curve, from the path's
+    start on (the approach is left out). Localization error is the located pose minus truth, in
+    three dimensions, of every pose that was trusted; `tracked_error_mm` is the same of the tracked one.
+    """
+    out = common_figures(mission, run)
+    out["coil_energy_j"] = coil_energy(mission, run)
+    out["path_length_mm"] = mission.path.length * 1e3
+    out["progress_mm"] = max((c.command.progress for c in run.cycles), default=0.0) * 1e3
+    out["path_time_s"] = path_time(trace)
+    out |= against_truth(mission, trace.moments)
+    if mission.robot.kind == "helical":
+        out |= _screwed(run) | _axis_errors(mission, trace)
+    distance = tracking_distance(mission, trace.following)
+    if distance.size:
+        out["tracking_error_mm"] = statistics(distance * 1e3, "mean", "rms", "p95", "max")
+    out["verdict"], out["verdict_reasons"] = verdict(mission, run, out)
+    return out
+
+
+def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
+    """What is said of every run, whether it steered or only looked."""
+    cycles = run.cycles
+    played = sum(c.shot.duration for c in cycles)
+    duration = run.duration
+    cycling = duration - run.begun
+    poses = [c.pose for c in cycles if c.pose is not None and c.pose.trusted]
+    return {
+        "mission": mission.name,
+        "rig": mission.rig.name,
+        "status": run.status,
+        "stop_reason": run.stop_reason,
+        "cycles": len(cycles),
+        "duration_s": duration,
+        "loop_rate_hz": len(cycles) / cycling if cycling > 0 else 0.0,
+        "timeline_limit_hz": len(cycles) / played if played else 0.0,
+        "turnaround_ms": mission.rig.turnaround * 1e3,
+        "compute_ms": _compute(run),
+        "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
+        "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles if c.shot.listen is not None),
+        **run.safety,
+        "recovered": run.recovered,
+        "events": [{"time_s": e.time, "what": e.what, **e.detail} for e in run.events],
+        "wall_s": run.wall,
+        "realtime_factor": duration / run.wall if run.wall else 0.0,
+    }
+
+
+def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
+    """``passed`` or ``failed``, and every reason for a failure."""
+    wanted = mission.sections.verdict
+    reasons = [] if run.status == "completed" else [run.stop_reason or run.status]
+    for name, limit in (("tracking", wanted.mean_tracking_mm), ("localization", wanted.mean_localization_mm)):
+        error = figures.get(f"{name}_error_mm")
+        if limit is not None and error is not None and error["mean"] > limit:
+            reasons.append(f"mean {name} error {error['mean']:.2f} mm exceeds {limit:g} mm")
+    return ("passed" if not reasons else "failed"), reasons
+
+
+def label_of(figures: Mapping[str, Any]) -> str:
+    """What must stand beside figures wherever they are shown: that mismatches were off, or the plant a reduced one.
+
+    Examples
+    --------
+    >>> label_of({"ideal": False, "plant": "reduced"})
+    ' (reduced plant: pose noise in place of signals)'
+    """
+    parts = ["ideal: all mismatches off"] if figures.get("ideal") else []
+    if figures.get("plant", "full") != "full":
+        parts.append(f"{figures['plant']} plant: pose noise in place of signals")
+    return f" ({'; '.join(parts)})" if parts else ""
+
+
+def coil_energy(mission: Mission, run: Run) -> float:
+    """Heat in the actuation coils, in J, from the commanded currents and the coils' resistance."""
+    resistance = mission.rig.coil_resistances
+    return float(
+        sum(
+            window.duration * np.sum(resistance * np.square(window.currents))
+            for cycle in run.cycles
+            for window in cycle.shot.windows
+            if isinstance(window, Actuate)
+        )
+    )
+
+
+def path_time(trace: Trace) -> float | None:
+    """Time in s from the path's start to its end, or as far as it was followed; None where it was not."""
+    following = trace.following
+    return following[-1].cycle.shot.end - following[0].cycle.shot.end if following else None
+
+
+def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:
+    """Errors of the trusted poses among `moments`; empty where no witness knew the truth."""
+    along = mission.robot.device.along_cantilever
+    heard = [(m.cycle.pose, m.truth) for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    known = [(pose, truth) for pose, truth in heard if truth is not None]
+    tracked = [(m.cycle.tracked, m.truth) for m in moments if m.cycle.shot.listen is not None]
+    out: dict[str, Any] = {}
+    if known:
+        errors = np.array([pose.position - truth.position for pose, truth in known])
+        angles = np.array([orientation_error(pose, truth, along) for pose, truth in known])
+        out["localization_error_mm"] = statistics(np.linalg.norm(errors, axis=1) * 1e3, "mean", "std", "p95")
+        out["localization_bias_mm"] = [float(v) for v in errors.mean(axis=0) * 1e3]
+        out["localization_scatter_mm"] = [float(v) for v in errors.std(axis=0) * 1e3]
+        out["orientation_error_deg"] = statistics(np.degrees(angles), "mean", "p95")
+        out["flips"] = int(np.sum(angles > np.radians(90.0)))
+        believed = np.array([p.position - t.position for p, t in tracked if p is not None and t is not None])
+        out["tracked_error_mm"] = statistics(np.linalg.norm(believed, axis=1) * 1e3, "mean", "std", "p95")
+    return out
+
+
+def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
+    """Distance (n,) of the true robot to the path, in m, at pose times and shot ends."""
+    truths = np.vstack([np.zeros((0, 3)), *(m.positions for m in moments)])
+    if not len(truths):
+        return np.zeros(0)
+    return mission.path.project(truths)[1]
+
+
+def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
+    """Angle between two orientations, in rad; to the nearer twin where a half turn about the moment changes nothing."""
+    estimate = nearer_twin(pose.orientation, truth.orientation) if along_cantilever else pose.orientation
+    return float(np.linalg.norm(rotation_error(estimate, truth.orientation)))
+
+
+def _screwed(run: Run) -> dict[str, Any]:
+    """How much the magnet turned, and how often and how the helix was lost."""
+    turned = [[w for w in c.shot.windows if isinstance(w, Rotate)] for c in run.cycles]
+    return {
+        "turns": float(sum(w.turns for windows in turned for w in windows)),
+        "pauses": sum(bool(windows) for windows in turned),
+        "step_outs": sum(e.what in ("step-out", "gave up") for e in run.events),
+    }
+
+
+def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
+    """Angles between the propulsion axis as estimated and as it is: of every pose, and as tracked when a pause ends.
+
+    ``axis_to_path_deg`` is the angle, seen from above, between the true axis and the path where the magnet is fetched:
+    a screw that bends, drifts and is late goes not quite where it points.
+    """
+    heard = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
+    ends = [m for m in trace.moments if m.cycle.command.mechanical and m.cycle.tracked and m.truth]
+    out = {}
+    located = [axis_angle(m.cycle.pose, m.truth) for m in heard if m.cycle.pose and m.truth]
+    if located:
+        out["axis_error_deg"] = statistics(np.degrees(located), "mean", "rms", "p95", "max")
+    if ends:
+        tracked = [axis_angle(m.cycle.tracked, m.truth) for m in ends if m.cycle.tracked and m.truth]
+        out["axis_error_tracked_deg"] = statistics(np.degrees(tracked), "mean", "rms", "p95", "max")
+        truths = [m.truth for m in ends if m.truth and m.cycle.command.phase == "follow"]
+        if truths:
+            arc, _ = mission.path.project(np.array([t.position for t in truths]))
+            along = mission.path.tangent(arc)[:, :2]
+            axes = np.array([t.body_axis("z")[:2] for t in truths])
+            axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+            angles = np.degrees(np.arccos(np.clip(np.sum(along * axes, axis=1), -1.0, 1.0)))
+            out["axis_to_path_deg"] = statistics(angles, "mean", "p95")
+    return out
+
+
+def axis_angle(pose: Pose, truth: Pose) -> float:
+    """Angle between two propulsion axes (body z), in rad."""
+    return float(np.arccos(np.clip(pose.body_axis("z") @ truth.body_axis("z"), -1.0, 1.0)))
+
+
+def _compute(run: Run) -> dict[str, float | None]:
+    times = np.array([c.compute for c in run.cycles]) * 1e3
+    if not times.size:
+        return {"median": None, "p99": None}
+    return {"median": float(np.median(times)), "p99": float(np.percentile(times, 99))}
+
+
+def statistics(values: FloatArray, *names: str) -> dict[str, float]:
+    """Some of mean, std, rms, p95 and max."""
+    functions: dict[str, Callable[[FloatArray], Any]] = {
+        "mean": np.mean,
+        "std": np.std,
+        "rms": lambda v: np.sqrt(np.mean(np.square(v))),
+        "p95": lambda v: np.percentile(v, 95),
+        "max": np.max,
+    }
+    return {name: float(functions[name](values)) for name in names}
+
+
+def _finite(value: Any) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)

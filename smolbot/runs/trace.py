@@ -1,0 +1,131 @@
+"""A run as arrays: what was planned, heard, believed, commanded and (with a witness) true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.runs.run import CycleRecord
+from smolbot.core.pose import Pose
+from smolbot.core.shots import Actuate
+from smolbot.core.rig import Witness
+
+WAY_STEP = 0.2
+"""Seconds between two places on a robot's way while nothing listens."""
+
+RESTING = 1e-5
+"""A robot that moves less than this (m) in a step rests."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One cycle with the truth at its pose's time and at its end, where a witness knows it.
+
+    `way` (n, 3), in m, is where the robot went during a shot that nothing listened to.
+    """
+
+    cycle: CycleRecord
+    truth: Pose | None
+    truth_at_end: Pose | None
+    way: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def positions(self) -> FloatArray:
+        """Where the robot truly was (n, 3), in m: on its way, when it was heard, and at the end of the shot."""
+        known = [p.position for p in (self.truth, self.truth_at_end) if p is not None]
+        return np.vstack([self.way, np.array(known).reshape(-1, 3)])
+
+
+class Trace:
+    """Collects every cycle of a run; the only holder of the truth besides record and report.
+
+    Attributes
+    ----------
+    knows_truth : bool
+        True with a witness, and for a run that was recorded with one.
+    """
+
+    def __init__(self, witness: Witness | None) -> None:
+        self._witness = witness
+        self.knows_truth = witness is not None
+        self.moments: list[Moment] = []
+
+    def __call__(self, record: CycleRecord) -> None:
+        truth = end = None
+        way = np.zeros((0, 3))
+        if self._witness is not None:
+            end = self._witness.truth(min(record.shot.end, record.ended))
+            truth = self._witness.truth(record.pose.time) if record.pose is not None else end
+            if record.shot.listen is None:
+                way = self._way(self._witness, record.shot.start, record.ended)
+        self.moments.append(Moment(record, truth, end, way))
+
+    @staticmethod
+    def _way(witness: Witness, start: float, end: float) -> FloatArray:
+        """Positions at equal times, those left out in which the robot rested."""
+        times = np.arange(start, end, WAY_STEP)
+        places = np.array([witness.truth(float(time)).position for time in times]).reshape(-1, 3)
+        if len(places) < 2:
+            return places
+        moved = np.linalg.norm(np.diff(places, axis=0), axis=1) > RESTING
+        return places[1:][moved]
+
+    @property
+    def following(self) -> list[Moment]:
+        """The cycles whose command came after the path's start was reached."""
+        begun = next((i for i, m in enumerate(self.moments) if m.cycle.command.phase == "follow" and _begun(m)), None)
+        return [] if begun is None else self.moments[begun:]
+
+    def currents(self, n_coils: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Starts (n,) and durations (n,) of the actuation windows in s, and their currents (n, n_coils) in A."""
+        found = [
+            (m.cycle.shot.start + at, window.duration, window.currents)
+            for m in self.moments
+            for at, window in m.cycle.shot.timed()
+            if isinstance(window, Actuate)
+        ]
+        if not found:
+            return np.zeros(0), np.zeros(0), np.zeros((0, n_coils))
+        starts, durations, currents = zip(*found, strict=True)
+        return np.array(starts), np.array(durations), np.array(currents)
+
+    def true_positions(self) -> FloatArray:
+        """True positions at pose times and shot ends, in order, shape (n, 3), in m."""
+        return np.vstack([np.zeros((0, 3)), *(m.positions for m in self.moments)])
+
+
+def _begun(moment: Moment) -> bool:
+    return moment.cycle.command.window is not None or moment.cycle.command.done
+
+
+def row(number: int, moment: Moment) -> dict[str, Any]:
+    """One line of ``cycles.csv``: SI values with the unit in the name, empty where there is none."""
+    cycle = moment.cycle
+    pose, tracked, truth = cycle.pose, cycle.tracked, moment.truth
+    actuate = next((w for w in cycle.shot.windows if isinstance(w, Actuate)), None)
+    out: dict[str, Any] = {
+        "cycle": number,
+        "mode": cycle.shot.mode,
+        "start_s": cycle.shot.start,
+        "end_s": cycle.shot.end,
+        "actuate_s": actuate.duration if actuate else 0.0,
+        "currents_a": " ".join(f"{c:.4f}" for c in actuate.currents) if actuate else "",
+        "excite_a": " ".join(f"{c:.4f}" for c in cycle.shot.excite.currents) if cycle.shot.excite else "",
+        "pose_time_s": pose.time if pose else None,
+        "r_squared": pose.r_squared if pose else None,
+        "trusted": int(pose.trusted) if pose else None,
+        "believed": int(tracked.trusted) if tracked else None,
+        "phase": cycle.command.phase,
+        "progress_m": cycle.command.progress,
+        "note": cycle.command.note,
+        "compute_s": cycle.compute,
+    }
+    for name, value in (("pose", pose), ("tracked", tracked), ("true", truth)):
+        for index, axis in enumerate("xyz"):
+            out[f"{name}_{axis}_m"] = value.position[index] if value else None
+        for index, part in enumerate("wxyz"):
+            out[f"{name}_q{part}"] = value.orientation[index] if value else None
+    return out

@@ -1,0 +1,296 @@
+"""``smolbot check``: is this rig fit to be used?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from smolbot.ui.cli.show import echo_json
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from smolbot.bench.check.checkup import Checkup
+    from smolbot.config.rig import RigConfig
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("check")(check)
+
+
+def check(
+    rig: Annotated[str, typer.Argument(help="Rig: a name of ours, or a file.", metavar="RIG")],
+    robot: Annotated[
+        str | None, typer.Option(help="What is in the container; default: the robot of a mission of this rig.")
+    ] = None,
+    quiet_s: Annotated[float, typer.Option("--quiet-s", help="How long to listen to nothing, in s.")] = 12.0,
+    seed: Annotated[int, typer.Option(min=0, help="Which tank, where it is a simulated one.")] = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
+) -> None:
+    """Read back every device, listen, drive each coil faintly: noise, offsets, wiring, relays; and what to look at."""
+    from smolbot.bench.check.checkup import check_rig
+    from smolbot.config.plugins import load_world
+    from smolbot.config.rig import load_rig
+    from smolbot.config.robot import load_robot
+
+    config = load_rig(rig)
+    held = load_robot(robot if robot is not None else _robot_of(config))
+    world = load_world(config.world, config.document)
+    middle = tuple(1e-3 * x for x in config.sections.container.center_mm)
+    with _told() as say:
+        opened = world.open(config, held, middle, seed)
+        try:
+            found = check_rig(opened, config, quiet_s, say)
+        finally:
+            opened.close()
+    show(found, config, err=json)
+    if json:
+        echo_json(summary(found, config))
+    raise typer.Exit(0 if found.ok else 1)
+
+
+def _robot_of(config: RigConfig) -> str:
+    """The robot of the first shipped mission on this rig, or on one of the same make."""
+    from smolbot.config.document import Document
+    from smolbot.config.library import shipped
+
+    missions = [Document.read(path).data for path in shipped("missions").values()]
+    for mission in missions:
+        if mission.get("rig") == config.name:
+            return str(mission.get("robot"))
+    return "helical" if config.sections.magnet is not None else "gradient"
+
+
+@contextmanager
+def _told() -> Iterator[Callable[[str], None]]:
+    """Something that says, on a terminal, what is going on."""
+    from rich.console import Console
+
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status("opening") as status:
+        yield lambda what: status.update(what)
+
+
+def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
+    """What ``--json`` prints."""
+    from smolbot.bench.check import checkup
+
+    expected = found.expected
+    return {
+        "rig": config.name,
+        "world": config.world,
+        "ok": found.ok,
+        "faults": found.faults,
+        "notes": list(found.notes),
+        "devices": [
+            {"device": d.device, "what": d.what, "found": d.found, "limit": d.limit, "ok": d.ok} for d in found.devices
+        ],
+        "limits": {
+            "offset_nt": 1e9 * checkup.OFFSET_SHARE * expected.range,
+            "range_nt": 1e9 * expected.range,
+            "noise_1hz_pt_per_rthz": 1e12 * checkup.SLOW_TIMES * expected.slow,
+            "noise_floor_pt_per_rthz": 1e12 * checkup.FLOOR_TIMES * expected.floor,
+            "mains_nt": 1e9 * checkup.HUM_TIMES * expected.mains,
+            "harmonics_nt": 1e9 * checkup.HUM_TIMES * expected.harmonics,
+        },
+        "mains_hz": found.mains_frequency,
+        "sensors": [
+            {
+                "sensor": s.name,
+                "offset_nt": 1e9 * s.offset,
+                "rms_nt": 1e9 * s.rms,
+                "noise_1hz_pt_per_rthz": 1e12 * s.slow,
+                "noise_floor_pt_per_rthz": 1e12 * s.floor,
+                "mains_nt": 1e9 * s.mains,
+                "harmonics_nt": 1e9 * s.harmonics,
+                "gain": s.gain,
+                "faults": list(s.faults),
+            }
+            for s in found.sensors
+        ],
+        "coils": [
+            {
+                "coil": c.name,
+                "probe_ma": 1e3 * c.current,
+                "gain": c.gain,
+                "unexplained": c.unexplained,
+                "close_ms": None if c.closes is None else 1e3 * c.closes,
+                "open_ms": None if c.opens is None else 1e3 * c.opens,
+                "time_constant_ms": None if c.rise is None else 1e3 * c.rise,
+                "faults": list(c.faults),
+            }
+            for c in found.coils
+        ],
+        "by_hand": list(found.by_hand),
+        "simulated": found.simulated,
+    }
+
+
+def show(found: Checkup, config: RigConfig, *, err: bool = False) -> None:
+    """Print the tables: devices, sensors, coils, verdict, and what only a person can verify."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=err, highlight=False)
+    if not console.is_terminal:
+        console = Console(stderr=err, highlight=False, width=120)
+    console.print(Text.assemble(("check of ", "bold"), (config.name, "bold"), f"  {config.sections.description}"))
+    if found.devices:
+        console.print()
+        console.print(_devices(found))
+    console.print()
+    console.print(_sensors(found))
+    if found.coils:
+        console.print()
+        console.print(_coils(found))
+    for note in found.notes:
+        console.print(f"\n{note}")
+    _verdict(console, found)
+    _by_hand(console, found)
+
+
+def _grid(title: str, columns: list[tuple[str, str]]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    grid = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+        header_style="cyan",
+    )
+    for number, (name, justify) in enumerate(columns):
+        right = justify == "right"
+        grid.add_column(
+            name,
+            justify="right" if right else "left",
+            no_wrap=right or number in (0, len(columns) - 1),
+            overflow="fold",
+            vertical="top",
+        )
+    return grid
+
+
+def _mark(faulty: bool) -> Any:
+    """The last cell of a row; what is wrong stands in full below the tables."""
+    from rich.text import Text
+
+    return Text("bad", "bold red") if faulty else Text("ok", "green")
+
+
+def _devices(found: Checkup) -> Table:
+    grid = _grid("devices", [("device", ""), ("read back", ""), ("found", ""), ("should be", ""), ("", "")])
+    last = ""
+    for item in found.devices:
+        device = "" if item.device == last else item.device
+        grid.add_row(device, item.what, item.found, item.limit, _mark(not item.ok))
+        last = item.device
+    return grid
+
+
+def _sensors(found: Checkup) -> Table:
+    from rich.text import Text
+
+    from smolbot.bench.check import checkup, wiring
+
+    grid = _grid(
+        f"sensors, nothing driven; range ±{1e6 * found.expected.range:g} µT, mains {found.mains_frequency:.2f} Hz",
+        [
+            ("sensor", ""), ("offset\nnT", "right"), ("rms\nnT", "right"), ("at 1 Hz\npT/√Hz", "right"),
+            ("floor\npT/√Hz", "right"), ("mains\nnT", "right"), ("harmonics\nnT", "right"), ("gain", "right"), ("", ""),
+        ],
+    )  # fmt: skip
+    for s in found.sensors:
+        gain = "–" if s.gain is None else f"{round(s.gain, 3) + 0.0:.3f}"
+        grid.add_row(
+            s.name, f"{1e9 * s.offset:+.0f}", f"{1e9 * s.rms:.2f}", f"{1e12 * s.slow:.1f}", f"{1e12 * s.floor:.2f}",
+            f"{1e9 * s.mains:.1f}", f"{1e9 * s.harmonics:.2f}", gain, _mark(bool(s.faults)),
+        )  # fmt: skip
+    e = found.expected
+    limits = (
+        "limit", f"±{1e9 * checkup.OFFSET_SHARE * e.range:.0f}", "", f"{1e12 * checkup.SLOW_TIMES * e.slow:.0f}",
+        f"{1e12 * checkup.FLOOR_TIMES * e.floor:.1f}", f"{1e9 * checkup.HUM_TIMES * e.mains:.0f}",
+        f"{1e9 * checkup.HUM_TIMES * e.harmonics:.1f}", f"1 ± {wiring.SENSOR_TOLERANCE:g}*" if found.coils else "", "",
+    )  # fmt: skip
+    grid.add_section()
+    grid.add_row(*(Text(limit, "dim") for limit in limits))
+    if found.coils:
+        grid.caption = "* and more where half a millimetre or half a degree changes what it hears"
+        grid.caption_justify = "left"
+    return grid
+
+
+def _coils(found: Checkup) -> Table:
+    from rich.text import Text
+
+    from smolbot.bench.check import coils, wiring
+
+    grid = _grid(
+        "coils, each driven faintly and heard by all sensors",
+        [
+            ("coil", ""), ("probe\nmA", "right"), ("gain", "right"), ("residue\n%", "right"),
+            ("closes\nms", "right"), ("opens\nms", "right"), ("time constant\nms", "right"), ("", ""),
+        ],
+    )  # fmt: skip
+    for c in found.coils:
+        rise = "–" if c.rise is None else f"{1e3 * c.rise:.2f} of {1e3 * c.time_constant:.2f}"
+        grid.add_row(
+            c.name, f"{1e3 * c.current:.0f}", f"{c.gain:.3f}", f"{100 * c.unexplained:.1f}",
+            _milliseconds(c.closes), _milliseconds(c.opens), rise, _mark(bool(c.faults)),
+        )  # fmt: skip
+    late, slow = 1e3 * coils.LATE, 100 * coils.SLOW_TOLERANCE
+    limits = (
+        "limit", "", f"1 ± {wiring.GAIN_TOLERANCE:g}", f"{100 * wiring.LIKENESS:.0f}",
+        *(f"{1e3 * max(getattr(c, side) for c in found.coils) + late:.1f}" for side in ("close_limit", "open_limit")),
+        f"± {slow:.0f} %", "",
+    )  # fmt: skip
+    grid.add_section()
+    grid.add_row(*(Text(limit, "dim") for limit in limits))
+    return grid
+
+
+def _milliseconds(time: float | None) -> str:
+    return "never" if time is None else f"{abs(1e3 * time) if abs(time) < 5e-6 else 1e3 * time:.2f}"
+
+
+def _verdict(console: Console, found: Checkup) -> None:
+    from rich.text import Text
+
+    faults = found.faults
+    console.print()
+    if not faults:
+        what = "every device, sensor and coil" if found.coils else "every device and sensor"
+        console.print(Text.assemble(("passed", "bold green"), f": {what} is as the rig file says"))
+        return
+    count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+    console.print(Text.assemble(("failed", "bold red"), f": {count}"))
+    for fault in faults:
+        console.print(Text(f"  {fault}"))
+
+
+def _by_hand(console: Console, found: Checkup) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    title = Text("only a person can verify", "bold")
+    if found.simulated:
+        title.append(" (on a bench; this one is simulated)", "dim")
+    console.print()
+    console.print(title)
+    boxes = Table.grid(padding=(0, 1))
+    boxes.add_column(width=3, justify="right")
+    boxes.add_column()
+    for line in found.by_hand:
+        boxes.add_row("☐", Text(line))
+    console.print(boxes)

@@ -1,0 +1,92 @@
+"""``console`` and ``stop``: a page that shows missions, and the end of all of them without one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smolbot.errors import InputError
+from smolbot.ui.cli.show import echo_json, table
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command("console")(console)
+    app.command("stop")(stop)
+
+
+def console(
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; one that others can reach gets a token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8420,
+    token: Annotated[
+        str | None, typer.Option(help="Token that a browser must show; made and printed where one is needed.")
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Folder of the runs to browse.")] = Path("runs"),
+    follow: Annotated[bool, typer.Option("--follow", help="End once no mission and no page is left.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object once the page is open.")] = False,
+) -> None:
+    """Open a page to watch, start, pause and stop missions, draw paths, and look through runs."""
+    try:
+        from smolbot.ui.console.console import OpenConsole, ending
+    except ImportError as error:
+        raise InputError(
+            f"The console needs viser, which is not installed ({error}): pip install smolbot[console]"
+        ) from error
+    with ending() as over:
+        opened = OpenConsole(host, port, token, runs, _say)
+        try:
+            rows = [("page", opened.door.address), ("runs", str(runs.absolute())), ("to end it", "Ctrl-C")]
+            table("console", rows, err=True)
+            if json:
+                echo_json(
+                    {"address": opened.door.address, "link": opened.console.link, "process": opened.console.process}
+                )
+            opened.wait(over, follow=follow)
+        finally:
+            opened.close()
+
+
+def stop(
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
+) -> None:
+    """Stop every mission that a console of this user watches: outputs to zero, at once, without a browser."""
+    from smolbot.ui.link.consoles import answering
+    from smolbot.ui.link.frames import LinkError
+    from smolbot.ui.link.gate import stop_through
+
+    told = []
+    silent: list[str] = []
+    found = 0
+    for each, sock in answering(silent):
+        found += 1
+        with sock:
+            try:
+                told += stop_through(sock, "smolbot stop")
+            except LinkError as error:
+                silent.append(f"{each.address}: {error}")
+    rows = [
+        (
+            str(one["mission"]),
+            f"stopped, outputs at zero after {one['took_ms']:.1f} ms" if one["stopped"] else "NO ANSWER",
+        )
+        for one in told
+    ]
+    if json:
+        echo_json({"stopped": told, "silent": silent})
+    if rows:
+        table("stopped", rows, err=json)
+    if silent or not all(one["stopped"] for one in told):
+        typer.echo("\n".join([*silent, "A mission whose console says nothing stops by itself within 2 s."]), err=True)
+        raise typer.Exit(3)
+    if not found:
+        raise InputError("No console of this user runs, so none watches a mission. One without --live ends by Ctrl-C.")
+    if not told:
+        typer.echo("No mission flies.", err=True)
+
+
+def _say(line: str) -> None:
+    typer.echo(line, err=True)

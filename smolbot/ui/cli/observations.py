@@ -1,0 +1,76 @@
+"""How the commands show a mission that only looks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from smolbot.ui.cli.show import as_json, echo_json, table
+
+if TYPE_CHECKING:
+    from smolbot.config.observation import Observation
+    from smolbot.flight.preview.observation import ObservationPreview
+
+
+def observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """What an observation's summary adds to the table of a run; nothing for a mission that steers."""
+    rows: list[tuple[str, str]] = []
+    if "pose_rate_hz" in summary:
+        gaps = summary["gaps"]
+        text = (
+            f"{gaps['count']}, {gaps['shots']} shots in all, longest {gaps['longest_s']:.2f} s"
+            if gaps["count"]
+            else "none"
+        )
+        rows += [("trusted poses", f"{summary['pose_rate_hz']:.2f} Hz"), ("gaps", text)]
+    if "sigma_mm" in summary:
+        place, turn = summary["sigma_mm"], summary["sigma_deg"]
+        rows += [
+            ("measurements", f"{summary['measurements']}, {summary['shots_per_measurement']:.1f} shots each"),
+            ("mean position", "({:.2f}, {:.2f}, {:.2f}) mm".format(*summary["mean_mm"])),
+            (
+                "sigma",
+                f"x {place['x']:.3f}, y {place['y']:.3f}, z {place['z']:.3f}, in space {place['distance']:.3f} mm",
+            ),
+            (
+                "sigma of orientation",
+                f"x {turn['x']:.2f}, y {turn['y']:.2f}, z {turn['z']:.2f}, angle {turn['angle']:.2f}°",
+            ),
+        ]
+    elif "measurements" in summary:
+        rows.append(("measurements", str(summary["measurements"])))
+    return rows
+
+
+def show_observation_preview(mission: Observation, seen: ObservationPreview, json: bool) -> None:
+    """The table or JSON of ``smolbot preview``; exits with 0 for go, 1 for no-go."""
+    error = 1e3 * seen.noise_error
+    rows = [
+        ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
+        ("loop rate", f"{seen.rate:.2f} Hz (timeline allows {seen.rate_limit:.2f} Hz)"),
+        ("expected duration", f"{seen.duration:.0f} s, about {seen.cycles} cycles"),
+        (
+            "noise alone",
+            f"{error.min():.3f} to {error.max():.3f} mm rms in space, each pose; sensors out of place add to it",
+        ),
+        ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons)),
+    ]
+    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=json)
+    if json:
+        echo_json(
+            {
+                "mission": mission.name,
+                "rig": mission.rig.name,
+                "go": seen.go,
+                "reasons": seen.reasons,
+                "cycle": str(seen.shot),
+                "cycle_ms": seen.shot.duration * 1e3,
+                "timeline_limit_hz": seen.rate_limit,
+                "loop_rate_hz": seen.rate,
+                "expected_duration_s": as_json(seen.duration),
+                "expected_cycles": seen.cycles,
+                "noise_error_mm": {"min": error.min(), "max": error.max()},
+            }
+        )
+    raise typer.Exit(0 if seen.go else 1)

@@ -1,0 +1,171 @@
+"""What a person sees while a mission flies: how far, where, how well, how fast, how long still."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from smolbot.config.load import AnyMission
+from smolbot.config.mission import Mission
+from smolbot.config.observation import Observation
+from smolbot.runs.run import CycleRecord
+
+
+class Shown:
+    """Hears every cycle and says so: a bar on a terminal, a line now and then elsewhere.
+
+    What `total` counts in, and what is said of a cycle, is each kind of mission's own.
+    """
+
+    def __init__(self, name: str, total: float, every: float = 0.1, quiet_every: float = 10.0) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn
+        from rich.progress import Progress as Bar
+
+        self._name, self._total = name, total
+        self._console = Console(stderr=True, highlight=False)
+        self._terminal = self._console.is_terminal
+        self._every = every if self._terminal else quiet_every
+        self._bar = Bar(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TextColumn("{task.fields[state]}"),
+            console=self._console,
+            transient=True,
+            auto_refresh=False,
+        )
+        self._task = self._bar.add_task(name, total=total, state="")
+        self._shown = time.monotonic()
+        self._cycles = 0
+
+    def start(self) -> None:
+        if self._terminal:
+            self._bar.start()
+
+    def stop(self) -> None:
+        if self._terminal:
+            self._bar.stop()
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Out of the way while the block asks or tells something."""
+        self.stop()
+        try:
+            yield
+        finally:
+            self.start()
+
+    def __call__(self, record: CycleRecord) -> None:
+        self._cycles += 1
+        self.hear(record)
+        now = time.monotonic()
+        if now - self._shown < self._every:
+            return
+        self._shown = now
+        state, done = "  ".join(filter(None, [self.describe(record), record.rig])), self.done(record)
+        if self._terminal:
+            self._bar.update(self._task, completed=done, state=state, refresh=True)
+        else:
+            self._console.print(f"{self._name}: {100.0 * done / self._total:.0f} %  {state}")
+
+    def hear(self, record: CycleRecord) -> None:
+        """Keep what later ones need; called for every cycle."""
+
+    def done(self, record: CycleRecord) -> float:
+        """How much of the total lies behind."""
+        raise NotImplementedError
+
+    def describe(self, record: CycleRecord) -> str:
+        """One line about a cycle."""
+        raise NotImplementedError
+
+
+class Progress(Shown):
+    """Of a robot on a path."""
+
+    def __init__(self, mission: Mission, every: float = 0.1, quiet_every: float = 10.0) -> None:
+        super().__init__(mission.name, mission.path.length, every, quiet_every)
+        self._mission = mission
+        self._begun: tuple[float, float] | None = None
+
+    def hear(self, record: CycleRecord) -> None:
+        """When the path was begun."""
+        command = record.command
+        if self._begun is None and command.phase == "follow" and command.window is not None:
+            self._begun = (record.shot.end, command.progress)
+
+    def done(self, record: CycleRecord) -> float:
+        """Arc length, in m."""
+        return record.command.progress
+
+    def describe(self, record: CycleRecord) -> str:
+        """Pose, error to the path as believed, loop rate, time left."""
+        parts: list[str] = [record.shot.mode]
+        pose = record.tracked
+        if pose is not None:
+            off = float(self._mission.path.project(pose.position[None, :])[1][0])
+            parts.append(f"({pose.position[0] * 1e3:+.1f}, {pose.position[1] * 1e3:+.1f}) mm")
+            parts.append(f"{off * 1e3:.2f} mm off" if record.command.phase == "follow" else "approaching")
+        end = record.shot.end
+        parts.append(f"{self._cycles / end:.1f} Hz")
+        left = self._left(record)
+        parts.append(f"{end:.0f} s" + (f", {left:.0f} s left" if left is not None else ""))
+        return "  ".join(parts)
+
+    def _left(self, record: CycleRecord) -> float | None:
+        if self._begun is None:
+            return None
+        gone, done = record.shot.end - self._begun[0], record.command.progress - self._begun[1]
+        if done <= 0.0:
+            return None
+        return gone / done * (self._mission.path.length - record.command.progress)
+
+
+class Watching(Shown):
+    """Of a device that is only watched: seconds, or measurements."""
+
+    def __init__(self, mission: Observation, every: float = 0.1, quiet_every: float = 10.0) -> None:
+        section = mission.sections.observe
+        super().__init__(mission.name, section.duration_s or float(section.measurements or 1), every, quiet_every)
+        self._counts = section.measurements is not None
+        self._begun: float | None = None
+        self._made = 0
+
+    def hear(self, record: CycleRecord) -> None:
+        """When the device was first seen, and what was measured."""
+        if record.pose is None or not record.pose.trusted:
+            return
+        self._begun = record.shot.end if self._begun is None else self._begun
+        self._made += record.shot.mode == "hold"
+
+    def done(self, record: CycleRecord) -> float:
+        """Seconds, or measurements."""
+        if self._counts:
+            return float(self._made)
+        return 0.0 if self._begun is None else record.shot.end - self._begun
+
+    def describe(self, record: CycleRecord) -> str:
+        """Mode, pose, and how far."""
+        parts: list[str] = [record.shot.mode]
+        if record.pose is not None:
+            x, y, z = 1e3 * record.pose.position
+            parts.append(f"({x:+.1f}, {y:+.1f}, {z:.1f}) mm")
+        parts.append(f"{self._made} measurements" if self._counts else f"{self._cycles / record.shot.end:.1f} Hz")
+        left = (
+            "" if self._counts or self._begun is None else f", {max(self._total - self.done(record), 0.0):.0f} s left"
+        )
+        parts.append(f"{record.shot.end:.0f} s{left}")
+        return "  ".join(parts)
+
+
+@contextmanager
+def shown_progress(mission: AnyMission) -> Iterator[Shown]:
+    """Progress that is shown while the block runs."""
+    progress = Watching(mission) if isinstance(mission, Observation) else Progress(mission)
+    progress.start()
+    try:
+        yield progress
+    finally:
+        progress.stop()

@@ -1,0 +1,78 @@
+"""``smolbot recover``: a run that was killed, made whole as far as its record goes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from smolbot.ui.cli.options import JsonOption
+
+if TYPE_CHECKING:
+    from smolbot.runs.recover import Recovery
+
+
+def recover(
+    run: Annotated[Path, typer.Argument(help="Run folder, or the record in it.", metavar="RUN")],
+    json: JsonOption = False,
+) -> None:
+    """Complete the folder of a run that was killed: record, summary, cycles, picture. A whole run is left as it is."""
+    from smolbot.runs.recover import recover as make_whole
+    from smolbot.ui.cli.show import echo_json, table
+
+    done = make_whole(run)
+    told = as_told(done)
+    table(f"recover {run}", _rows(done, told), err=json)
+    if json:
+        echo_json(told)
+
+
+def as_told(done: Recovery) -> dict[str, Any]:
+    """What was found, what is missing, what was done."""
+    found = done.found
+    flown = found.run()
+    numbers = found.number_of_cycle
+    return {
+        "record": str(found.path),
+        "needed": done.needed,
+        "whole": found.whole,
+        "ended": found.end is not None,
+        "status": flown.status,
+        "stop_reason": flown.stop_reason,
+        "messages": found.messages,
+        "shots": len(found.played),
+        "cycles": len(numbers),
+        "last_s": flown.duration,
+        "lost_bytes": found.lost,
+        "dropped": found.dropped,
+        "cycles_missing_between": numbers[-1] + 1 - len(numbers) if numbers else 0,
+        "cycles_not_recorded": done.unread,
+        "torn": None if done.torn is None else str(done.torn),
+        "written": done.written,
+        "not_written": done.unwritten or None,
+    }
+
+
+def _rows(done: Recovery, told: dict[str, Any]) -> list[tuple[str, str]]:
+    held = f"{told['shots']} shots, {told['cycles']} cycles, until {told['last_s']:.3f} s"
+    rows = [("found", f"{told['messages']} messages: {held}"), ("run", f"{told['status']}: {told['stop_reason']}")]
+    missing = [
+        (told["lost_bytes"], "bytes hold nothing that can be read"),
+        (told["dropped"], "messages were dropped while it flew"),
+        (told["cycles_missing_between"], "cycles before the last are missing"),
+        (told["cycles_not_recorded"], "more cycles stand in cycles.csv than in the record"),
+    ]
+    said = [f"{count} {what}" for count, what in missing if count]
+    if not told["ended"]:
+        said.append("what the last half second before the end held, if anything")
+    rows.append(("missing", "; ".join(said) or "nothing"))
+    if not done.needed:
+        return [*rows, ("done", "nothing to recover")]
+    if done.torn is not None:
+        rows.append(("record", f"written anew; as found it is kept as {done.torn.name}"))
+    if done.written:
+        rows.append(("written", ", ".join(done.written)))
+    if done.unwritten:
+        rows.append(("not written", done.unwritten))
+    return rows

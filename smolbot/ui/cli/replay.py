@@ -1,0 +1,120 @@
+"""``smolbot replay``: locates again in what a run heard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from smolbot.errors import InputError
+from smolbot.ui.cli.options import JsonOption
+
+if TYPE_CHECKING:
+    from smolbot.flight.replay import Replay
+
+ESTIMATORS = ("whitened", "paper")
+
+FIGURES = (".png", ".svg", ".pdf")
+
+
+def replay(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or its run.mcap.", show_default=False)],
+    estimator: Annotated[
+        str | None, typer.Option("--estimator", help=f"Locate with this one: {' or '.join(ESTIMATORS)}.")
+    ] = None,
+    half_periods: Annotated[
+        int | None, typer.Option("--half-periods", help="Use only so many half-periods of each window.")
+    ] = None,
+    device: Annotated[
+        Path | None, typer.Option("--device", help="Believe in this device file, from smolbot calibrate.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Figure to write; default: replay.png in the run folder.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Locate again in what a run heard: the same poses bit for bit, or those of other settings, compared."""
+    from smolbot.flight.replay import apart, figures
+    from smolbot.flight.replay import replay as play
+    from smolbot.runs.pictures.replay import draw_replay
+
+    if estimator is not None and estimator not in ESTIMATORS:
+        raise InputError(f"--estimator must be one of {', '.join(ESTIMATORS)}; got '{estimator}'.")
+    if out is not None and out.suffix.lower() not in FIGURES:
+        raise InputError(f"--out {out}: a figure is one of {', '.join(FIGURES)}; got '{out.suffix}'.")
+    if out is not None and not out.absolute().parent.is_dir():
+        raise InputError(f"--out {out}: there is no folder {out.parent}.")
+    played = play(run, estimator=estimator, half_periods=half_periods, device=device)
+    difference = played.first_difference()
+    found: dict[str, Any] = {
+        "run": str(played.record.folder),
+        "changed": played.changed,
+        "whole": played.record.whole,
+        "cycles": len(played.cycles),
+        "identical": difference is None,
+        "first_difference": difference,
+        "apart": apart(played),
+        **figures(played),
+    }
+    if played.changed:
+        picture = out or played.record.folder / "replay.png"
+        said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in played.changed.items())
+        moments = played.moments
+        draw_replay(
+            picture, getattr(played.mission, "path", None), played.record.moments[: len(moments)], moments, said
+        )
+        found["figure"] = str(picture)
+    _show(played, found, json=json)
+    if not played.changed and difference is not None:
+        raise typer.Exit(1)
+
+
+def _show(played: Replay, found: dict[str, Any], *, json: bool) -> None:
+    from smolbot.ui.cli.show import columns, echo_json
+
+    if json:
+        echo_json(found)
+        return
+    same = found["identical"]
+    lines = ["every pose is the same, bit for bit" if same else f"first difference: {found['first_difference']}"]
+    if not played.record.whole:
+        lines.append("the record was cut short; what is in it was replayed")
+    if played.stop_reason:
+        lines.append(f"the replay ended early: {played.stop_reason}")
+    title = f"{played.mission.name}: {found['cycles']} cycles replayed"
+    rows = [(label, _said(found["recorded"], *keys), _said(found["replayed"], *keys)) for label, keys in _ROWS]
+    columns(title, ("", "recorded", "replayed"), [row for row in rows if row[1] or row[2]])
+    for line in lines:
+        typer.echo(line)
+    far = found["apart"]
+    if played.changed and far:
+        typer.echo(
+            f"replayed to recorded poses: {far['distance_mm']['mean']:.3f} mm, {far['angle_deg']['mean']:.2f} deg on "
+            f"average, {far['distance_mm']['p95']:.3f} mm, {far['angle_deg']['p95']:.2f} deg at the 95th percentile"
+        )
+    if "figure" in found:
+        typer.echo(f"figure: {found['figure']}")
+
+
+_ROWS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("windows heard", ("windows",)),
+    ("poses trusted", ("poses_trusted",)),
+    ("R² (median)", ("r_squared_median",)),
+    ("sigma per axis (median, mm)", ("sigma_mm_median",)),
+    ("localization error (mean, mm)", ("localization_error_mm", "mean")),
+    ("                   (p95, mm)", ("localization_error_mm", "p95")),
+    ("tracked error (mean, mm)", ("tracked_error_mm", "mean")),
+    ("orientation error (mean, deg)", ("orientation_error_deg", "mean")),
+    ("                  (p95, deg)", ("orientation_error_deg", "p95")),
+    ("flips", ("flips",)),
+)
+
+
+def _said(figures: dict[str, Any], *keys: str) -> str:
+    value: Any = figures
+    for key in keys:
+        value = value.get(key) if isinstance(value, dict) else None
+    if value is None:
+        return ""
+    return str(value) if isinstance(value, int) else f"{value:.4f}"

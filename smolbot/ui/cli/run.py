@@ -1,0 +1,156 @@
+"""``smolbot run``: flies a mission, and tells how it went."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from smolbot.ui.cli.show import echo_json, table
+
+if TYPE_CHECKING:
+    from smolbot.config.load import AnyMission
+    from smolbot.runs.run import Listener, Run
+
+from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+
+
+def run(
+    mission: MissionArgument,
+    rig: RigOption = None,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same run, bit for bit.")] = 1,
+    out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
+    set_: SetOption = None,
+    gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")
+    ] = False,
+    report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
+    json: JsonOption = False,
+) -> None:
+    """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
+    from smolbot.config.load import load_mission
+    from smolbot.core.operator import TerminalOperator
+    from smolbot.flight.safety.stop_latch import Latch
+    from smolbot.flight.safety.stop_signals import stop_signals
+    from smolbot.flight.session import fly, new_folder
+    from smolbot.runs.folder import RunFolder
+    from smolbot.ui.cli.live import watched
+    from smolbot.ui.cli.progress import shown_progress
+    from smolbot.ui.cli.stop_key import KEY, Keyboard
+
+    settings = settings_from(set_)
+    loaded = load_mission(mission, rig, settings)
+    folder = RunFolder(out) if out is not None else new_folder(loaded, seed)
+    latch, operator = Latch(), TerminalOperator()
+    keyboard = Keyboard(partial(latch.shut, KEY, "stopped"))
+    with stop_signals(latch), shown_progress(loaded) as progress, keyboard:
+        operator.pauses += [progress.paused, keyboard.paused]
+        if keyboard.active:
+            operator.say("q, Esc or Ctrl-C stops the run")
+
+        def listeners(_: AnyMission) -> tuple[Listener, ...]:
+            return (progress,)
+
+        with watched(loaded, seed, latch, operator.say) if live else nullcontext((None, None)) as (pause, pump):
+            flown = fly(
+                loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator,
+                latch=latch, report=report, pause=pause, live=pump,
+            )  # fmt: skip
+    _show_run(loaded, flown, json)
+    raise typer.Exit(_exit_code(flown))
+
+
+def _exit_code(run: Run) -> int:
+    if run.status in ("stopped", "failed"):
+        return 3
+    return 0 if run.summary["verdict"] == "passed" else 1
+
+
+def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
+    from smolbot.runs.summary import label_of
+    from smolbot.ui.cli.observations import observation_rows
+
+    s = run.summary
+    rows = [
+        ("status", f"{s['status']}: {s['stop_reason']}"),
+        ("verdict", "; ".join([str(s["verdict"]), *_texts(s["verdict_reasons"])])),
+        ("robot time" if "path_length_mm" in s else "time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
+        ("loop rate", f"{s['loop_rate_hz']:.2f} Hz (timeline allows {s['timeline_limit_hz']:.2f} Hz)"),
+        ("computing", _compute(s)),
+    ]
+    for key, label in (
+        ("localization_error_mm", "localization error"),
+        ("tracked_error_mm", "tracked pose error"),
+        ("orientation_error_deg", "orientation error"),
+        ("axis_error_deg", "axis error"),
+        ("axis_error_tracked_deg", "axis error, tracked"),
+        ("axis_to_path_deg", "axis against path"),
+        ("tracking_error_mm", "tracking error"),
+    ):
+        if key in s:
+            unit = key.rsplit("_", 1)[1]
+            rows.append((label, ", ".join(f"{name} {value:.2f}" for name, value in s[key].items()) + f" {unit}"))  # type: ignore[attr-defined]
+    rows += observation_rows(s)
+    if s["r_squared_median"] is not None:
+        rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
+    if "turns" in s:
+        rows.append(("magnet", f"{s['turns']:g} turns, {s['pauses']} pauses, {s['step_outs']} step-outs"))
+    elif "coil_energy_j" in s:
+        rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
+    if s.get("duty_peak"):
+        rows.append(("coils", _coils(s)))
+    if told := _recovered(s):
+        rows.append(("recovered", told))
+    if told := _not_recorded(s.get("recording", {})):
+        rows.append(("not recorded", told))
+    rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
+    rows.append(("picture", f"{run.folder}/path.png"))
+    if run.report:
+        rows.append(("report", run.report))
+    table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
+    if json:
+        echo_json(s)
+
+
+def _coils(summary: dict[str, Any]) -> str:
+    """How long and how hot: of all coils, the one that came nearest to its limit from 20 °C."""
+    duty: dict[str, float] = summary["duty_peak"]
+    busiest = max(duty, key=lambda name: duty[name])
+    told = f"driven for at most {100 * duty[busiest]:.0f} % of the time ({busiest})"
+    peaks, limits = summary["coil_temperature_peak_c"], summary["coil_temperature_limit_c"]
+    if not peaks:
+        return told
+    hottest = max(peaks, key=lambda name: (peaks[name] - 20.0) / (limits[name] - 20.0))
+    return f"{told}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
+
+
+def _recovered(summary: dict[str, Any]) -> str:
+    return ", ".join(f"{kind.replace('_', ' ')}: {times}" for kind, times in summary["recovered"].items() if times)
+
+
+def _not_recorded(recording: Any) -> str:
+    """What the record lacks, and why; nothing where it lacks nothing.
+
+    Examples
+    --------
+    >>> _not_recorded({"dropped": 3, "error": "OSError: the disk is full"})
+    '3 messages: OSError: the disk is full'
+    """
+    dropped = recording.get("dropped")
+    parts = [f"{dropped} messages" if dropped else "", str(recording.get("error") or "")]
+    return ": ".join(part for part in parts if part)
+
+
+def _texts(value: Any) -> list[str]:
+    return [str(v) for v in value]
+
+
+def _compute(summary: dict[str, Any]) -> str:
+    times = summary["compute_ms"]
+    if times["median"] is None:
+        return "no cycle was played"
+    return f"median {times['median']:.2f} ms, p99 {times['p99']:.2f} ms (turnaround {summary['turnaround_ms']:g} ms)"

@@ -1,0 +1,184 @@
+"""The bar over the page: how the mission is, in a word, and the buttons that must work whatever else does not."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from smolbot.ui.console.flight import Flight
+from smolbot.ui.link.frames import Kind
+
+EVERY = 0.2
+"""Seconds between two looks at the mission."""
+
+GREEN, BLUE, AMBER, RED, GREY = "#15803d", "#1d4ed8", "#b45309", "#dc2626", "#5b6675"
+
+_MODES = {
+    "quiet": ("LISTENING", BLUE),
+    "search": ("SEARCHING", BLUE),
+    "lost": ("SIGNAL LOST", AMBER),
+    "hold": ("HOLDING", BLUE),
+}
+_ENDINGS = {"completed": GREEN, "stopped": AMBER}
+
+Order = Callable[[Kind, str], None]
+
+
+def state_of(flight: Flight, time_: float | None = None) -> tuple[str, str]:
+    """A run's state in a word, and its colour."""
+    ended = flight.ending
+    if ended is not None and (time_ is None or time_ >= flight.latest):
+        return ended.status.upper(), _ENDINGS.get(ended.status, RED)
+    said = flight.word(time_)
+    if said is None:
+        return ("LEARNING" if flight.mission is not None else "STARTING"), BLUE
+    if flight.paused(time_):
+        return "PAUSED", AMBER
+    if said.mode == "track":
+        return ("APPROACHING", BLUE) if said.phase == "approach" else ("FLYING", GREEN)
+    if said.mode == "hold" and not flight.steers:
+        return "WATCHING", GREEN
+    return _MODES.get(said.mode, (said.mode.upper(), BLUE))
+
+
+def told(
+    flight: Flight | None, flying: bool, waiting: str, time_: float | None = None, replay: str = ""
+) -> dict[str, Any]:
+    """What the bar shows, as its script wants it.
+
+    Parameters
+    ----------
+    flight : Flight or None
+    flying : bool
+        Whether a mission is connected that can be paused.
+    waiting : str
+        Of a mission that was started and has not joined yet.
+    time_ : float, optional
+        In s on the rig's clock; the latest unless given.
+    replay : str
+        What to say beside the name of a run that is over.
+    """
+    if flight is None:
+        word = ("STARTING", BLUE) if waiting else ("IDLE", GREY)
+        note = f"{waiting} loads" if waiting else "Choose a mission and start it, or open a run."
+        return _bar(word, "smolbot console", note, flying=False)
+    said = flight.word(time_)
+    values = flight.cycles.values(time_)
+    error, progress = (values[-1, 0], values[-1, 2]) if len(values) else (math.nan, math.nan)
+    allowed = flight.tolerance
+    happened = flight.events(time_)
+    note = (said.note if said else "it listens, and learns the noise and the coils") or (
+        happened[-1][1] if happened else ""
+    )
+    if flight.ending is not None and (time_ is None or time_ >= flight.latest):
+        note = flight.ending.reason
+    state = state_of(flight, time_)
+    fine = allowed is None or not error > allowed
+    return _bar(
+        (f"▶ {state[0]}" if replay else state[0], state[1]),
+        flight.name + (f", seed {flight.seed}" if flight.seed is not None else "") + replay,
+        note,
+        flying=flying and flight.ending is None,
+        paused=flight.paused(),
+        error=f"{error:.2f} mm" if math.isfinite(error) else "–",
+        tolerance=f"error to path, {allowed:g} allowed" if allowed is not None else "error to path",
+        error_colour="#86efac" if fine else "#fca5a5",
+        progress=f"{100 * progress:.0f} %" if math.isfinite(progress) else "–",
+        time=f"{flight.latest if time_ is None else time_:.1f}",
+        truth=len(flight.true) > 0,
+    )
+
+
+def _bar(state: tuple[str, str], mission: str, note: str, *, flying: bool, **figures: Any) -> dict[str, Any]:
+    shown = {
+        "error": "–", "progress": "–", "time": "–", "tolerance": "error to path", "error_colour": "", "paused": False,
+        "truth": False,
+    }  # fmt: skip
+    return {
+        **shown,
+        **figures,
+        "state": state[0],
+        "colour": state[1],
+        "mission": mission,
+        "note": note,
+        "flying": flying,
+    }
+
+
+class Bar:
+    """Answers for the page itself and for what its bar asks, in the event loop of the page's server.
+
+    Parameters
+    ----------
+    look : callable
+        What to show, see `told`.
+    order : callable
+        Passes an order on to every mission; must not wait.
+    may_order : callable
+        Whether a path shows the key of a page that was let in.
+    key : str
+    """
+
+    def __init__(
+        self, look: Callable[[], dict[str, Any]], order: Order, may_order: Callable[[str], bool], key: str
+    ) -> None:
+        self._look, self._order, self._may_order = look, order, may_order
+        self._page = page(key)
+        self.heard: list[float] = []
+        self.open = 0
+
+    def answer(self, path: str) -> tuple[int, str, bytes] | None:
+        """Of plain requests; see `door.open_viser`."""
+        place = path.partition("?")[0]
+        if place in ("/", "/index.html"):
+            return 200, "text/html; charset=utf-8", self._page
+        if place != "/stop":
+            return None
+        if not self._may_order(path):
+            return 403, "text/plain", b"Only a page of this console may stop a mission.\n"
+        self._take("stop")
+        return 200, "text/plain", b"stopping\n"
+
+    async def serve(self, connection: Any) -> None:
+        """The socket of one page's bar."""
+        if not self._may_order(connection.request.path):
+            await connection.close(1008, "only a page of this console may use this")
+            return
+        telling = asyncio.ensure_future(self._tell(connection))
+        self.open += 1
+        try:
+            async for word in connection:
+                self._take(word if isinstance(word, str) else "")
+        finally:
+            self.open -= 1
+            telling.cancel()
+
+    def _take(self, word: str) -> None:
+        if word == "stop":
+            self.heard.append(time.monotonic())
+            self._order(Kind.STOP, "page")
+        elif word in ("pause", "resume"):
+            self._order(Kind.PAUSE if word == "pause" else Kind.RESUME, "page")
+
+    async def _tell(self, connection: Any) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        with contextlib.suppress(ConnectionClosed):
+            while True:  # again and again, so that a page notices when nobody tells it anything
+                await connection.send(json.dumps(self._look()))
+                await asyncio.sleep(EVERY)
+
+
+def page(key: str) -> bytes:
+    """viser's page with our bar over it."""
+    import viser
+
+    html = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text(encoding="utf-8")
+    ours = (Path(__file__).parent / "bar.html").read_text(encoding="utf-8").replace("@KEY@", key)
+    return html.replace("<title>Viser</title>", "").replace("<body>", f"<body>{ours}", 1).encode()

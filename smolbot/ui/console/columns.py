@@ -1,0 +1,51 @@
+"""Numbers that come in one by one and are looked at as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+
+
+class Columns:
+    """Rows of equal width behind a time that does not fall. Grows by doubling, so that a look costs nothing.
+
+    Examples
+    --------
+    >>> columns = Columns(2)
+    >>> columns.append(0.5, (1.0, 2.0)); columns.append(1.0, (3.0, 4.0))
+    >>> columns.values().tolist(), columns.values(0.7).tolist()
+    ([[1.0, 2.0], [3.0, 4.0]], [[1.0, 2.0]])
+    """
+
+    def __init__(self, width: int) -> None:
+        self._data = np.empty((64, width + 1))
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, time: float, values: Sequence[float] | FloatArray) -> None:
+        """Add a row; a time before the last one counts as the last one's."""
+        if self._count == len(self._data):
+            self._data = np.vstack([self._data, np.empty_like(self._data)])
+        row = self._data[self._count]
+        row[0] = max(time, self._data[self._count - 1, 0]) if self._count else time
+        row[1:] = values
+        self._count += 1
+
+    def until(self, time: float | None = None) -> int:
+        """How many rows there are, or were at `time`."""
+        if time is None:
+            return self._count
+        return int(np.searchsorted(self._data[: self._count, 0], time, side="right"))
+
+    def times(self, time: float | None = None) -> FloatArray:
+        """Times (n,)."""
+        return self._data[: self.until(time), 0]
+
+    def values(self, time: float | None = None) -> FloatArray:
+        """Rows (n, width)."""
+        return self._data[: self.until(time), 1:]

@@ -1,0 +1,105 @@
+"""Opens a console and keeps it open: gate, page, and the file by which it is found."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import secrets
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from smolbot.errors import InputError
+from smolbot.ui.console.door import LOOPBACK, Door, must_be_free
+from smolbot.ui.console.hub import Hub, Log
+from smolbot.ui.link.consoles import Console, new_secret, read, running, write_down
+from smolbot.ui.link.gate import Gate
+
+PORT = 8420
+"""Of the page, unless another one is named."""
+
+LINGER = 5.0
+"""Seconds that a console that a mission has opened stays without a mission and without a page."""
+
+AWAIT = 30.0
+"""Seconds that it waits for that mission."""
+
+
+class OpenConsole:
+    """A console from when it is made until it is closed.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Of the page.
+    token : str, optional
+        That a page must show; one is made for a host that others can reach.
+    runs : Path
+        Folder of the runs that it shows.
+    tell : callable
+        Told what happens, in lines.
+
+    Raises
+    ------
+    InputError
+        If a console of this user shows these runs already, or the port is busy.
+    """
+
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = PORT, token: str | None = None, runs: Path = Path("runs"),
+        tell: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
+    ) -> None:  # fmt: skip
+        for other in running():
+            if Path(other.runs) == runs.absolute() or other.port == port:
+                raise InputError(
+                    f"A console runs already (process {other.process}) and shows {other.runs} at {other.address}. "
+                    "Use that one, or end it with Ctrl-C where it was started; another needs other --runs and --port."
+                )
+        if token is None:
+            token = "" if host in LOOPBACK else secrets.token_urlsafe(18)
+        self.door = Door(host, port, token)
+        must_be_free(host, port)
+        from smolbot.ui.console.page import Page
+
+        for name in ("websockets.server", "websockets"):  # what strangers send is answered, and not worth a traceback
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self.hub = Hub(Log(tell))
+        secret = new_secret()
+        self.page = Page(self.door, self.hub, runs)
+        self.hub.gate = Gate(secret, self.hub, self.hub.stop, self.hub.log)
+        self.console = Console(
+            os.getpid(), self.hub.gate.port, secret, self.door.address, port, str(runs.absolute())
+        )  # fmt: skip
+        self.file = self.hub.file = write_down(self.console)
+
+    def wait(self, over: threading.Event, *, follow: bool = False) -> None:
+        """Until `over` is set; where it is to `follow`, until no mission and no page is left."""
+        left = 0.0
+        seen = False
+        while not over.wait(0.25):
+            seen |= self.hub.flying
+            left = 0.0 if self.hub.busy or self.page.bar.open else left + 0.25
+            if follow and left >= (LINGER if seen else AWAIT):
+                return
+
+    def close(self) -> None:
+        """Stop every mission, and end."""
+        self.hub.close()
+        if read(self.file) == self.console:
+            self.file.unlink(missing_ok=True)
+        self.page.close()
+
+
+@contextlib.contextmanager
+def ending() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set."""
+    over = threading.Event()
+    before = {number: signal.signal(number, lambda *_: over.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield over
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

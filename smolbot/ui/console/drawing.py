@@ -1,0 +1,151 @@
+"""The panel in which a path is drawn by clicks on the liquid's surface, previewed and flown."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.config.load import AnyMission
+from smolbot.config.mission import Mission
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError, SmolbotError
+from smolbot.ui.console import previewing
+from smolbot.ui.console.scene import PLANNED, Scene
+from smolbot.ui.console.starting import Starting
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+NEAREST = 0.1
+"""Two clicks nearer than this, in mm, are one."""
+
+
+def on_surface(origin: FloatArray, direction: FloatArray, height: float) -> FloatArray | None:
+    """Where a ray (in mm) meets the level plane at `height`: (x, y) in mm; None if it does not.
+
+    Examples
+    --------
+    >>> on_surface(np.array([0.0, 0.0, 100.0]), np.array([0.1, 0.0, -1.0]), 60.0).tolist()
+    [4.0, 0.0]
+    """
+    if direction[2] == 0.0 or (height - origin[2]) / direction[2] <= 0.0:
+        return None
+    met: FloatArray = origin + (height - origin[2]) / direction[2] * direction
+    return met[:2]
+
+
+class Drawing:
+    """Made in the container that is open. What is drawn takes the path's place in the mission that is chosen."""
+
+    def __init__(self, server: ViserServer, scene: Scene, starting: Starting, folder: Path) -> None:
+        self._server, self._scene, self._starting, self._folder = server, scene, starting, folder
+        self.points: list[tuple[float, float]] = []
+        self.active = False
+        gui = server.gui
+        gui.add_html(
+            '<div style="margin:4px 12px;font-size:13px">Clicks on the liquid add corners; the first one is where the '
+            "robot is put down. Rig, law and robot are those of the mission that is chosen.</div>"
+        )
+        self.toggle = gui.add_checkbox("Draw by clicks", False)
+        self.name = gui.add_text("Name", "drawn")
+        self.radius = gui.add_number("Corner radius, mm", 1.0, min=0.0, max=20.0, step=0.1)
+        undo = gui.add_button_group("", ("Undo", "Clear"))
+        look = gui.add_button("Preview the drawing", color="blue")
+        fly = gui.add_button("Fly the drawing", color="green")
+        self.said = gui.add_html("")
+        self.toggle.on_update(lambda _: self._turn(self.toggle.value))
+        undo.on_click(lambda _: self._take_back(undo.value))
+        look.on_click(lambda _: self._try(self.preview))
+        fly.on_click(lambda _: self._try(self.fly))
+
+    def _turn(self, on: bool) -> None:
+        self.active = on
+        self._server.scene.remove_click_callback()
+        if on:
+            self._server.scene.on_click()(self._clicked)
+
+    def _clicked(self, event: Any) -> None:
+        met = on_surface(np.array(event.ray_origin), np.array(event.ray_direction), self._scene.height)
+        if met is None:
+            return
+        point = (round(float(met[0]), 2), round(float(met[1]), 2))
+        if not self.points or np.hypot(point[0] - self.points[-1][0], point[1] - self.points[-1][1]) > NEAREST:
+            self.points.append(point)
+            self.show()
+
+    def _take_back(self, which: str) -> None:
+        self.points = self.points[:-1] if which == "Undo" else []
+        self.show()
+
+    def show(self) -> None:
+        """Draw what was clicked so far."""
+        points = np.array([(x, y, self._scene.height + 0.6) for x, y in self.points]).reshape(-1, 3)
+        self._scene.trail("drawn", points, PLANNED, 4.0)
+        self._scene.mark("drawn", points, PLANNED)
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        self.said.content = previewing.waiting(f"{len(points)} corners, {steps.sum():.1f} mm") if len(points) else ""
+
+    def write(self) -> Path:
+        """A mission file with this drawing as its path.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to follow, or the chosen mission follows nothing.
+        """
+        if len(self.points) < 2:
+            raise InputError("Click two points at least: the path's start, and where it goes.")
+        mission = self._starting.loaded()
+        text = mission_text(mission, self.points, float(self.radius.value), self.name.value)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._folder / f"{_stem(self.name.value)}.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    def preview(self) -> None:
+        """Go or no-go."""
+        self._starting.preview(str(self.write()), self.said)
+
+    def fly(self) -> None:
+        """Go, if the preview says so."""
+        path = str(self.write())
+        if self._starting.preview(path, self.said):
+            self._starting.start(path, self.said)
+
+    def _try(self, do: Any) -> None:
+        try:
+            do()
+        except (SmolbotError, OSError) as error:
+            self.said.content = previewing.told(False, str(error).splitlines(), [])
+
+
+def mission_text(mission: AnyMission, points: list[tuple[float, float]], radius: float, name: str) -> str:
+    """A mission file like `mission`, along `points` (mm).
+
+    Raises
+    ------
+    InputError
+        If the mission follows no path.
+    """
+    from smolbot.runs.settings_toml import toml_text
+
+    if not isinstance(mission, Mission):
+        raise InputError(f"'{mission.name}' only looks; choose a mission that steers a robot, such as r_path.")
+    data: dict[str, Any] = dict(mission.document.data)
+    kept = {k: v for k, v in data["path"].items() if k in ("speed_mm_s", "lateral_mm_s2", "acceleration_mm_s2")}
+    data["path"] = {"points_mm": [list(point) for point in points], "corner_radius_mm": radius, **kept}
+    data["name"] = _stem(name)
+    data["description"] = f"drawn on a console, after {mission.name}"
+    data.pop("start", None)
+    beside = mission.document.path.parent
+    for key in ("rig", "robot"):
+        if (beside / str(data[key])).is_file():
+            data[key] = str((beside / str(data[key])).absolute())
+    return toml_text(data)
+
+
+def _stem(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]", "_", name).strip("_") or "drawn"

@@ -1,0 +1,163 @@
+"""The live figures of a flight: a table, and how four of them went over the last seconds."""
+
+from __future__ import annotations
+
+import html
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.ui.console.flight import Flight
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+SHOWN = 400
+"""Points of a plot; more are thinned."""
+
+LAST = 20.0
+"""Seconds of currents that are shown: they change with every pull."""
+
+ALLOWED, FONT = "allowed", "11px sans-serif"
+
+COLORS = ("#2563eb", "#ea580c", "#16a34a", "#9333ea", "#0891b2", "#be123c")
+
+
+def color_of(name: str, place: int) -> str:
+    """Of a line: a coil has the same one wherever it is drawn or named."""
+    known = {"+x": 0, "-x": 1, "+y": 2, "-y": 3, "excitation x": 4, "excitation y": 5}
+    return COLORS[known.get(name, place) % len(COLORS)]
+
+
+class Figures:
+    """A table and four plots in the container that is open when this is made."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self._gui: Any = server.gui
+        self._table = self._gui.add_html("")
+        self._plots: dict[str, Any] = {}
+        self._shape: tuple[Any, ...] = ()
+        self._folder = self._gui.add_folder("Over time, s")
+
+    def show(self, flight: Flight, time: float | None = None) -> None:
+        """What is known of a flight, up to a time on the rig's clock in s."""
+        self._table.content = table(flight, time)
+        shape = (flight.steers, flight.coils, flight.heated)
+        if shape != self._shape:
+            self._shape = shape
+            self._lay_out(flight)
+        for name, (times, values) in series(flight, time).items():
+            plot = self._plots.get(name)
+            if plot is not None and len(times) > 1:
+                plot.data = (times, *values.T)
+
+    def _lay_out(self, flight: Flight) -> None:
+        for plot in self._plots.values():
+            plot.remove()
+        self._plots = {}
+        lines = {
+            "error to path, mm (dashed: allowed)" if flight.steers else "uncertainty, mm": (
+                ("error", ALLOWED) if flight.steers else ("sigma",)
+            ),
+            "R²": ("R²",),
+            "currents, A" if "magnet" not in flight.coils else "magnet, turns a second": flight.coils,
+            "coils, °C": flight.heated,
+        }
+        with self._folder:
+            for (title, names), key in zip(lines.items(), ("error", "squared", "currents", "heat"), strict=True):
+                if names:
+                    self._plots[key] = self._plot(title, names)
+
+    def _plot(self, title: str, names: tuple[str, ...]) -> Any:
+        drawn: list[dict[str, Any]] = [{"label": "s"}]
+        for i, name in enumerate(names):
+            dashed = {"dash": [6, 4], "stroke": "#dc2626", "points": {"show": False}}
+            line = {"label": name, "width": 1.5, "stroke": color_of(name, i), "points": {"show": False}}
+            drawn.append(line | (dashed if name == ALLOWED else {}))
+        empty = tuple(np.array([0.0, 1.0]) for _ in range(len(names) + 1))
+        return self._gui.add_uplot(
+            empty, tuple(drawn), title=title, height=118, padding=(2, 10, 2, 0), scales={"x": {"time": False}},
+            legend={"show": False}, axes=({"size": 32, "font": FONT}, {"size": 44, "font": FONT}),
+        )  # fmt: skip
+
+
+def series(flight: Flight, time: float | None) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Times (n,) and values (n, lines) of each plot, thinned."""
+    with flight.lock:
+        cycles, at = flight.cycles.values(time), flight.cycles.times(time)
+        if flight.steers:
+            known = np.isfinite(cycles[:, 0])
+            first = (at[known], np.column_stack([cycles[known, 0], np.full(known.sum(), flight.tolerance)]))
+        else:
+            first = (flight.tracked.times(time), flight.tracked.values(time)[:, 7:8])
+        found = {
+            "error": first,
+            "squared": (at[np.isfinite(cycles[:, 1])], cycles[np.isfinite(cycles[:, 1]), 1:2]),
+            "currents": _last(flight.currents.times(time), flight.currents.values(time)),
+            "heat": (flight.heat.times(time), flight.heat.values(time)),
+        }
+        return {name: thinned(times, values) for name, (times, values) in found.items()}
+
+
+def _last(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    begin = np.searchsorted(times, times[-1] - LAST) if len(times) else 0
+    return times[begin:], values[begin:]
+
+
+def thinned(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Every so manieth row, the last one always; copies."""
+    step = max(-(-len(times) // SHOWN), 1)
+    keep = np.arange(len(times) - 1, -1, -step)[::-1]
+    return times[keep].copy(), values[keep].copy()
+
+
+def table(flight: Flight, time: float | None) -> str:
+    """The figures of now, as HTML."""
+    with flight.lock:
+        tracked, cycles = flight.tracked.values(time)[-1:], flight.cycles.values(time)
+        currents, heat = flight.currents.values(time)[-1:], flight.heat.values(time)[-1:]
+    said = flight.word(time)
+    rows: list[tuple[str, str, bool]] = []
+    if flight.steers:
+        errors = cycles[:, 0][np.isfinite(cycles[:, 0])]
+        allowed = flight.tolerance or math.inf
+        now = f"{errors[-1]:.2f} mm" if len(errors) else "–"
+        rms = f", rms {np.sqrt(np.mean(errors**2)):.2f}" if len(errors) else ""
+        rows.append(("error to path", f"<b>{now}</b> of {allowed:g}{rms}", bool(len(errors) and errors[-1] > allowed)))
+    rate = flight.rate(time)
+    rows.append(("rate", f"<b>{rate:.1f}</b> a second" if math.isfinite(rate) else "–", False))
+    squared = cycles[-1, 1] if len(cycles) else math.nan
+    rows.append(("R²", f"<b>{squared:.4f}</b>" if math.isfinite(squared) else "–", squared < 0.9))
+    for place in tracked:
+        x, y, z = place[:3]
+        rows.append(("position", f"<b>{x:+.1f}, {y:+.1f}, {z:.1f}</b> mm ± {place[7]:.2f}", not place[8]))
+    for driven in currents:
+        if flight.coils == ("magnet",):
+            rows.append(("magnet", f"<b>{driven[0]:g}</b> turns a second", False))
+        elif flight.coils:
+            amperes = "&ensp;".join(
+                f'<span style="color:{color_of(name, i)}">{html.escape(name)}&nbsp;<b>{a:.1f}</b></span>'
+                for i, (name, a) in enumerate(zip(flight.coils, driven, strict=True))
+            )
+            rows.append(("currents", f"{amperes} A", False))
+    for warm in heat:
+        limits = flight.heat_limits()
+        worst = int(np.argmax((warm - 20.0) / (limits - 20.0))) if len(warm) else -1
+        if worst >= 0:
+            text = f"<b>{warm[worst]:.0f} °C</b> of {limits[worst]:g} ({html.escape(flight.heated[worst])})"
+            rows.append(("hottest coil", text, warm[worst] > 0.9 * limits[worst]))
+    compute = cycles[:, 3]
+    if len(compute):
+        rows.append(("computing", f"{np.median(compute):.1f} ms a cycle, median", False))
+    if flight.dropped:
+        rows.append(("not shown", f"{flight.dropped} messages were dropped", True))
+    if said is not None and said.rig:
+        rows.append(("rig", html.escape(said.rig), False))
+    cells = "".join(
+        f'<tr style="color:{"#dc2626" if bad else "inherit"}">'
+        f'<td style="color:#64748b;padding:1px 10px 1px 0">{name}</td><td>{text}</td></tr>'
+        for name, text, bad in rows
+    )
+    return f'<table style="font-size:13px;margin:4px 12px;border-spacing:0">{cells}</table>'

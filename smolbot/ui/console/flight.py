@@ -1,0 +1,218 @@
+"""One run as the page sees it, made of the stream of its record: the same for one that flies and one on disk."""
+
+from __future__ import annotations
+
+import bisect
+import json
+import tempfile
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.config.load import AnyMission
+from smolbot.config.mission import Mission
+from smolbot.core.arrays import FloatArray
+from smolbot.core.coil_heat import CoilHeat, mean_squares
+from smolbot.core.shots import Actuate, Excite, Rotate, Shot
+from smolbot.runs.recording import messages
+from smolbot.runs.recording.files import RunFiles
+from smolbot.ui.console.columns import Columns
+
+RATE_OVER = 12
+"""Cycles over which the rate is taken."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a cycle said in words."""
+
+    time: float
+    mode: str
+    phase: str
+    note: str
+    rig: str
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended."""
+
+    status: str
+    reason: str
+    time: float
+
+
+class Flight:
+    """Takes the messages of one run; what it holds may be looked at from any thread, whole or up to a time.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    mission : Mission, Observation or None
+        None until the record's first message came.
+    tracked : Columns
+        Position in mm (3), quaternion (4), sigma in mm, whether it is trusted.
+    raw : Columns
+        Position in mm (3).
+    true : Columns
+        Position in mm (3): empty in a world that does not tell.
+    cycles : Columns
+        Error to the path in mm (nan off the path), R², progress (0 to 1), computing in ms.
+    currents : Columns
+        Of each actuation coil during a shot's pull, in A; of the magnet, turns in Hz, where a rig has one.
+    heat : Columns
+        Temperature of each coil whose constants are known, in degrees Celsius.
+    """
+
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+        self.mission: AnyMission | None = None
+        self.lock = threading.Lock()
+        self.seed: int | None = None
+        self.ending: Ending | None = None
+        self.latest = 0.0
+        self.dropped = 0
+        self.version = 0
+        self.tracked, self.raw, self.true = Columns(9), Columns(3), Columns(3)
+        self.cycles = Columns(4)
+        self.currents, self.heat = Columns(0), Columns(0)
+        self.coils: tuple[str, ...] = ()
+        self.heated: tuple[str, ...] = ()
+        self.said: list[Said] = []
+        self.happened: list[tuple[float, str]] = []
+        self._heat: CoilHeat | None = None
+        self._parts: dict[str, Any] = {}
+        self._modes: dict[int, str] = {}
+        self._cooled = 0.0
+
+    def take(self, topic: str, data: bytes) -> None:
+        """One message of the record. Topics that a page has no use for are left aside."""
+        kind = messages.TOPICS.get(topic)
+        if kind is None or topic == "/windows":
+            return
+        message = kind.FromString(data)
+        with self.lock:
+            self._take(topic, message)
+            self.version += 1
+
+    def _take(self, topic: str, message: Any) -> None:
+        match topic:
+            case "/run/begin":
+                self._begin(message)
+            case "/shots":
+                self._shot(message.number, messages.shot_of(message), message.ended)
+            case "/poses/raw" | "/poses/tracked" | "/poses/true" | "/commands":
+                self._parts[topic] = message
+            case "/timing":
+                self._cycle(message)
+                self._parts = {}
+            case "/events":
+                self.happened.append((message.time, message.what))
+            case "/run/dropped":
+                self.dropped = message.messages
+            case "/run/end":
+                self.ending = Ending(message.status, message.stop_reason, message.duration)
+                self.latest = max(self.latest, message.duration)
+
+    def _begin(self, message: Any) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            for name, content in message.files.items():
+                (Path(folder) / Path(name).name).write_bytes(content)
+            mission = RunFiles(dict(message.files), dict(message.names)).load(Path(folder))
+        self.seed = json.loads(message.provenance).get("seed")
+        rig = mission.rig
+        self.coils = rig.coil_names if rig.sections.magnet is None else ("magnet",)
+        self.currents = Columns(len(self.coils))
+        self._heat = CoilHeat(rig.thermal, rig.sections.safety.ambient_c)
+        self.heated = tuple(coil.name for coil in self._heat.coils if coil is not None)
+        self.heat = Columns(len(self.heated))
+        self.name = f"{mission.name} on {rig.name}"
+        self.mission = mission
+
+    def _shot(self, number: int, shot: Shot, ended: float) -> None:
+        self._modes[number] = shot.mode
+        self.latest = max(self.latest, ended)
+        if self.mission is None or self._heat is None:
+            return
+        driven = np.zeros(len(self.coils))
+        n, m = len(self.mission.rig.coil_names), len(self.mission.rig.sections.excitation)
+        self._heat.advance((), shot.start - self._cooled)
+        for window in shot.windows:
+            if isinstance(window, Actuate) and len(window.currents) == len(driven):
+                driven = np.array(window.currents)
+            elif isinstance(window, Rotate):
+                driven = np.full(len(self.coils), window.frequency)
+            self._heat.advance(
+                mean_squares(window, n, m) if isinstance(window, Actuate | Excite) else (), window.duration
+            )
+        self._cooled = shot.end
+        self.currents.append(shot.start, driven)
+        pairs = zip(self._heat.coils, self._heat.temperatures, strict=True)
+        self.heat.append(shot.end, [t for coil, t in pairs if coil is not None])
+
+    def _cycle(self, timing: Any) -> None:
+        parts = self._parts
+        time = float(timing.ended)
+        raw, tracked, true = (parts.get(f"/poses/{name}") for name in ("raw", "tracked", "true"))
+        command = parts.get("/commands")
+        phase = command.phase if command is not None else ""
+        error = progress = np.nan
+        if raw is not None:
+            self.raw.append(raw.time, 1e3 * np.array(raw.position))
+        if tracked is not None:
+            place = np.array(tracked.position)
+            sigma = 1e3 * float(np.sqrt(max(np.trace(np.reshape(tracked.covariance, (6, 6))[:3, :3]), 0.0) / 3.0))
+            self.tracked.append(tracked.time, [*(1e3 * place), *tracked.orientation, sigma, float(tracked.trusted)])
+            if isinstance(self.mission, Mission) and phase == "follow":
+                error = 1e3 * float(self.mission.path.project(place[None, :])[1][0])
+        if true is not None:
+            for place in np.array(true.way).reshape(-1, 3):
+                self.true.append(time, 1e3 * place)
+            for pose in (true.pose, true.end):
+                if pose.position:
+                    self.true.append(pose.time, 1e3 * np.array(pose.position))
+        if command is not None and isinstance(self.mission, Mission):
+            progress = command.progress / self.mission.path.length
+        squared = raw.r_squared if raw is not None else np.nan
+        self.cycles.append(time, [error, squared, progress, 1e3 * timing.compute])
+        note = command.note if command is not None else ""
+        self.said.append(Said(time, self._modes.pop(timing.shot, "track"), phase, note, timing.rig))
+        self.latest = max(self.latest, time)
+
+    @property
+    def steers(self) -> bool:
+        return isinstance(self.mission, Mission)
+
+    @property
+    def tolerance(self) -> float | None:
+        """In mm; None where no path is followed."""
+        return 1e3 * self.mission.tolerance if isinstance(self.mission, Mission) else None
+
+    def rate(self, time: float | None = None) -> float:
+        """Cycles a second, of the last ones; nan before there are two."""
+        times = self.cycles.times(time)[-RATE_OVER:]
+        return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 and times[-1] > times[0] else np.nan
+
+    def word(self, time: float | None = None) -> Said | None:
+        """What the last cycle said."""
+        n = self.cycles.until(time)
+        return self.said[n - 1] if n else None
+
+    def paused(self, time: float | None = None) -> bool:
+        """Whether it was held."""
+        known = self.events(time)
+        return next((what == "paused" for _, what in reversed(known) if what in ("paused", "resumed")), False)
+
+    def events(self, time: float | None = None) -> list[tuple[float, str]]:
+        """What happened, and when, in order."""
+        if time is None:
+            return list(self.happened)
+        return self.happened[: bisect.bisect_right([at for at, _ in self.happened], time)]
+
+    def heat_limits(self) -> FloatArray:
+        """Of each coil in `heated`, in degrees Celsius."""
+        return np.array([coil.limit for coil in self._heat.coils if coil is not None]) if self._heat else np.zeros(0)

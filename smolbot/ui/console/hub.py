@@ -1,0 +1,199 @@
+"""The missions that a console watches: those that joined it, and those that it has started."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from smolbot.errors import InputError
+from smolbot.ui.console.flight import Ending, Flight
+from smolbot.ui.link.consoles import ENVIRONMENT
+from smolbot.ui.link.frames import Kind
+from smolbot.ui.link.gate import Gate, Line
+
+ANSWER = 1.0
+"""Seconds that a mission has to say that its outputs are at zero; after that, what is said is that it did not."""
+
+KEPT = 200
+"""Lines of the log."""
+
+
+@dataclass
+class Child:
+    """A mission that this console has started."""
+
+    process: subprocess.Popen[bytes]
+    name: str
+    output: IO[bytes]
+    joined: bool = False
+
+    def words(self) -> str:
+        """The last lines that it said."""
+        self.output.seek(0)
+        return self.output.read().decode(errors="replace").strip()[-2000:]
+
+
+class Log:
+    """What the console has to say, newest last; each line is also handed to `also`, but no more than some a second."""
+
+    def __init__(self, also: Callable[[str], None]) -> None:
+        self.lines: deque[str] = deque(maxlen=KEPT)
+        self._also = also
+        self._second, self._said = 0, 0
+
+    def __call__(self, line: str) -> None:
+        second = int(time.monotonic())
+        self._said = self._said + 1 if second == self._second else 0
+        self._second = second
+        if self._said < 10:  # whoever knocks ten times a second is not worth more lines
+            self.lines.append(f"{time.strftime('%H:%M:%S')} {line}")
+            self._also(line)
+
+
+class Hub:
+    """Hears of missions in the threads of their lines, and gives orders to all of them.
+
+    Attributes
+    ----------
+    gate : Gate
+        Set by whoever opens it, once the hub is there to hear.
+    live : Flight or None
+        The one that joined last.
+    """
+
+    def __init__(self, log: Log) -> None:
+        self.log = log
+        self.gate: Gate | None = None
+        self.file: Path | None = None
+        self.live: Flight | None = None
+        self._flights: dict[Line, Flight] = {}
+        self._children: list[Child] = []
+        self._lock = threading.Lock()
+
+    def joined(self, line: Line) -> None:
+        """See `Missions`."""
+        about = line.about
+        flight = Flight(str(about.get("mission", "a mission")))
+        with self._lock:
+            self._flights[line] = flight
+            self.live = flight
+            for child in self._children:
+                child.joined |= child.process.pid == about.get("process")
+        self.log(f"{flight.name} joined (process {about.get('process')}).")
+
+    def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None:
+        """See `Missions`."""
+        flight = self._flights[line]
+        try:
+            flight.take(topic, data)
+        except Exception as error:  # a page that cannot draw must still be able to stop
+            flight.dropped += 1
+            self.log(f"A message of {topic} cannot be shown: {type(error).__name__}: {error}")
+
+    def stopped(self, line: Line) -> None:
+        """See `Missions`."""
+        told = line.stopped or {}
+        took = 1e3 * (told.get("zero", 0.0) - told.get("heard", 0.0))
+        self.log(
+            f"{self._flights[line].name}: stopped, outputs at zero {took:.1f} ms after the order ({told.get('asked')})."
+        )
+
+    def left(self, line: Line, why: str) -> None:
+        """See `Missions`."""
+        with self._lock:
+            flight = self._flights.pop(line)
+        if flight.ending is None:
+            flight.ending = Ending("failed", f"its process is gone: {why}" if why else "it ended", flight.latest)
+        self.log(f"{flight.name} left{': ' + why if why else ''}.")
+
+    @property
+    def flying(self) -> bool:
+        """Whether any mission is connected."""
+        return bool(self._flights)
+
+    @property
+    def busy(self) -> str:
+        """Which mission flies or is about to; empty where none."""
+        names = [flight.name for flight in list(self._flights.values())]
+        names += [child.name for child in self._alive() if not child.joined]
+        return ", ".join(names)
+
+    def order(self, kind: Kind, words: str = "") -> None:
+        """To every mission, without waiting for an answer; one that has not joined yet is ended."""
+        for line in self.gate.lines if self.gate else []:
+            line.order(kind, words)
+        if kind is Kind.STOP:
+            for child in self._alive():
+                if not child.joined:
+                    child.process.terminate()
+
+    def stop(self, asked: str) -> list[dict[str, Any]]:
+        """Stop every mission and wait for what each says; for ``smolbot stop``."""
+        lines = self.gate.lines if self.gate else []
+        waiting = [child for child in self._alive() if not child.joined]
+        begun = time.monotonic()
+        self.order(Kind.STOP, asked)
+        told: list[dict[str, Any]] = []
+        for line in lines:
+            line.answered.wait(max(begun + ANSWER - time.monotonic(), 0.0))
+            name, process = line.about.get("mission"), line.about.get("process")
+            answer = {"mission": name, "process": process, "stopped": line.stopped is not None or not line.open}
+            told.append({**answer, "took_ms": 1e3 * (time.monotonic() - begun)})
+        for child in waiting:
+            told.append({"mission": child.name, "process": child.process.pid, "stopped": True, "took_ms": 0.0})
+        return told
+
+    def start(self, arguments: Sequence[str], name: str) -> Child:
+        """Start ``smolbot run`` with these arguments as a process of its own, which joins this console.
+
+        Raises
+        ------
+        InputError
+            If a mission flies.
+        """
+        if self.busy:
+            raise InputError(f"{self.busy} flies; stop it before the next one is started.")
+        output = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the child has ended)
+        command = [sys.executable, "-P", "-m", "smolbot", "run", *arguments, "--live"]
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
+            env=os.environ | {ENVIRONMENT: str(self.file), "COLUMNS": "120"},
+            start_new_session=os.name == "posix",
+        )  # fmt: skip
+        child = Child(process, name, output)
+        self._children.append(child)
+        self.log(f"Started: smolbot {' '.join(command[4:])} (process {process.pid}).")
+        threading.Thread(target=self._await_end, args=(child,), name="child", daemon=True).start()
+        return child
+
+    def close(self) -> None:
+        """Have every mission stop, and wait for those that this console has started."""
+        self.order(Kind.STOP, "the console was ended")
+        for child in self._alive():
+            try:
+                child.process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                child.process.send_signal(signal.SIGTERM)
+        if self.gate is not None:
+            self.gate.close()
+
+    def _alive(self) -> list[Child]:
+        return [child for child in list(self._children) if child.process.poll() is None]
+
+    def _await_end(self, child: Child) -> None:
+        code = child.process.wait()
+        meaning = {0: "passed", 1: "verdict failed", 2: "bad input", 3: "stopped"}.get(code, "ended from outside")
+        words = child.words().splitlines()
+        self.log(f"{child.name}: {meaning} (exit code {code})." + ("" if child.joined else f" {' '.join(words[-3:])}"))
+        child.output.close()
+        self._children.remove(child)

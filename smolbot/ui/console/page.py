@@ -1,0 +1,176 @@
+"""The page: the scene, the panels, and the thread that brings both up to date."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smolbot.config.load import AnyMission, load_mission
+from smolbot.ui.console.bar import Bar, told
+from smolbot.ui.console.door import Door, open_viser
+from smolbot.ui.console.drawing import Drawing
+from smolbot.ui.console.figures import Figures
+from smolbot.ui.console.flight import Flight
+from smolbot.ui.console.hub import Hub
+from smolbot.ui.console.runs import Runs
+from smolbot.ui.console.scene import BELIEVED, TRUE, Scene
+from smolbot.ui.console.starting import Starting
+from smolbot.ui.link.feed import BEAT
+
+EVERY = 0.2
+"""Seconds between two looks at the robot."""
+
+FIGURES_EVERY = 3
+"""Looks between two of the figures: people do not read faster."""
+
+ABOVE = np.array([0.0, 0.0, 0.3])
+"""mm by which what is believed is drawn above what is true, to be seen."""
+
+POINTS = 3000
+"""Of a trace; longer ones are thinned."""
+
+
+class Page:
+    """Everything that a browser sees. Opens its port when it is made.
+
+    Raises
+    ------
+    InputError
+        If the port is busy.
+    """
+
+    def __init__(self, door: Door, hub: Hub, runs: Path, mission: str = "r_path") -> None:
+        self.hub = hub
+        self.bar = Bar(self.look, hub.order, door.may_order, door.key)
+        self.server = open_viser(door, self.bar.answer, {"/bar": self.bar.serve}, hub.log)
+        self.scene = Scene(self.server)
+        self._over = threading.Event()
+        self._drawn: Any = None
+        self._seen: tuple[int, float | None] = (-1, None)
+        self._lay_out(runs)
+        self.draw(load_mission(mission))
+        self._thread = threading.Thread(target=self._go_on, name="page", daemon=True)
+        self._thread.start()
+        self._beating = asyncio.run_coroutine_threadsafe(self._beat(), self.server.get_event_loop())
+
+    def _lay_out(self, runs: Path) -> None:
+        gui = self.server.gui
+        left = gui.add_panel()
+        with left.add_tab("Figures"):
+            self.figures = Figures(self.server)
+        left.dock_left()
+        left.set_width(340)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Mission"):
+            self.starting = Starting(self.server, self.hub, runs, self.choose)
+        with tabs.add_tab("Draw"):
+            self.drawing = Drawing(self.server, self.scene, self.starting, runs / "drawn")
+        with tabs.add_tab("Runs"):
+            self.runs = Runs(self.server, runs, self._shown_is)
+        with tabs.add_tab("Log"):
+            self.log = gui.add_html("")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(320)
+
+    @property
+    def flight(self) -> Flight | None:
+        """The run that is looked at: a recorded one, or the one that joined last."""
+        return self.runs.flight or self.hub.live
+
+    def look(self) -> dict[str, Any]:
+        """What the bar shows."""
+        replayed = self.runs.flight
+        at = self.runs.at.value if replayed is not None else None
+        shown = told(
+            self.flight, self.hub.flying and replayed is None, self.hub.busy, at, ", recorded" if replayed else ""
+        )
+        return {**shown, "drawn": bool(self.drawing.points)}
+
+    def draw(self, mission: AnyMission) -> None:
+        """Draw a mission, in the place of what is there."""
+        self.scene.draw(mission)
+        self._drawn = mission
+        self.drawing.show()
+
+    def choose(self, mission: AnyMission) -> None:
+        """Draw a mission that is not flown yet; what flew before it is over and is not looked at any more."""
+        self.runs.leave()
+        if not self.hub.flying:
+            self.hub.live = None
+        self.draw(mission)
+
+    def _shown_is(self, flight: Flight | None) -> None:
+        """Another run is looked at."""
+        self._seen = (-1, None)
+
+    def close(self) -> None:
+        """Show nothing any more."""
+        self._over.set()
+        self._thread.join(2.0)
+        self._beating.cancel()
+        self.server.stop()
+
+    async def _beat(self) -> None:
+        """Signs of life come from where a STOP passes through: if that hangs, missions must stop by themselves."""
+        while not self._over.is_set():
+            if self.hub.gate is not None:
+                self.hub.gate.beat()
+            await asyncio.sleep(BEAT)
+
+    def _go_on(self) -> None:
+        turn = 0
+        while not self._over.wait(EVERY):
+            try:
+                self._update(turn)
+            except Exception as error:  # a page that cannot draw must still be able to stop
+                self.hub.log(f"The page cannot draw: {type(error).__name__}: {error}")
+            turn += 1
+
+    def _update(self, turn: int) -> None:
+        if turn % FIGURES_EVERY == 0:
+            lines = list(self.hub.log.lines)[-30:]
+            text = "".join(f"<div>{html.escape(line)}</div>" for line in reversed(lines))
+            content = f'<div style="margin:4px 12px;font-size:12px;overflow-wrap:anywhere">{text}</div>'
+            if self.log.content != content:
+                self.log.content = content
+        flight, at = self.flight, self.runs.now()
+        if flight is None or flight.mission is None:
+            return
+        if flight.mission is not self._drawn:
+            self.draw(flight.mission)
+            self._seen = (-1, None)
+        seen = (flight.version, at)
+        if seen == self._seen:
+            return
+        with self.server.atomic():
+            self._move(flight, at)
+        if turn % FIGURES_EVERY == 0:
+            self._seen = seen
+            self.figures.show(flight, at)
+
+    def _move(self, flight: Flight, at: float | None) -> None:
+        """The robot, its traces and the coils."""
+        with flight.lock:
+            tracked, true = flight.tracked.values(at), flight.true.values(at)
+            believed, truth = _thinned(tracked[:, :3]), _thinned(true)
+            currents = flight.currents.values(at)[-1:]
+        self.scene.trail("believed", believed + ABOVE, BELIEVED, 3.5)
+        if len(flight.true):
+            self.scene.trail("true", truth, TRUE, 2.0)
+        if len(tracked):
+            self.scene.place_robot(tracked[-1, :3], tracked[-1, 3:7])
+        else:
+            self.scene.place_robot(None, None)
+        over = flight.ending is not None and (at is None or at >= flight.latest)
+        if flight.mission is not None and len(currents) and flight.coils != ("magnet",):
+            allowed = flight.mission.rig.limits.max_current
+            self.scene.drive(np.zeros(len(flight.coils)) if over else currents[0] / allowed)
+
+
+def _thinned(points: Any) -> Any:
+    return points[:: max(-(-len(points) // POINTS), 1)].copy()

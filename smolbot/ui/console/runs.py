@@ -1,0 +1,131 @@
+"""The panel in which recorded runs are opened and looked through."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from smolbot.errors import SmolbotError
+from smolbot.runs.recording.reader import stream
+from smolbot.runs.recording.recorder import RECORD
+from smolbot.ui.console import previewing
+from smolbot.ui.console.flight import Flight
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+NONE = "–"
+SHOWN = 100
+"""Runs that are offered, the newest first."""
+
+
+def runs_in(folder: Path) -> list[str]:
+    """Names of the run folders with a record, the newest first."""
+    found = [path.parent for path in folder.glob(f"*/{RECORD}")]
+    return [path.name for path in sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)[:SHOWN]]
+
+
+def described(folder: Path) -> str:
+    """A run in a line, of its summary."""
+    try:
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return "it has no summary: it flies, or was ended from outside"
+    tracking = summary.get("tracking_error_mm")
+    words = [f"{summary['status']}: {summary['stop_reason']}", f"verdict {summary['verdict']}"]
+    words += [f"true robot to path {tracking['mean']:.2f} mm on average"] if tracking else []
+    return "; ".join(words)
+
+
+def read_flight(path: Path) -> Flight:
+    """A recorded run, through the very messages that it was made of.
+
+    Raises
+    ------
+    InputError
+        If there is no record, or none that can be read.
+    """
+    flight = Flight(path.name)
+    for topic, data in stream(path):
+        flight.take(topic, data)
+    return flight
+
+
+class Runs:
+    """Made in the container that is open. `show` is told of the run that is looked at, or None for the live one."""
+
+    def __init__(self, server: ViserServer, folder: Path, show: Callable[[Flight | None], None]) -> None:
+        self._folder, self._show = folder, show
+        self.flight: Flight | None = None
+        self._lock = threading.Lock()
+        self._since = 0.0
+        self._from = 0.0
+        gui: Any = server.gui
+        self.choice = gui.add_dropdown("Run", [NONE, *runs_in(folder)], initial_value=NONE)
+        refresh = gui.add_button("Look for new runs")
+        self.at = gui.add_slider("Time, s", 0.0, 1.0, 0.1, 0.0, disabled=True)
+        self.speed = gui.add_dropdown("Speed", ("1", "2", "5", "10"), initial_value="5")
+        self.playing = gui.add_checkbox("Play", False)
+        back = gui.add_button("Back to the live mission")
+        self.said = gui.add_html("")
+        self.choice.on_update(lambda _: self.open(self.choice.value))
+        refresh.on_click(lambda _: self.refresh())
+        self.playing.on_update(lambda _: self._begin())
+        back.on_click(lambda _: self.leave())
+
+    def refresh(self) -> None:
+        """Offer runs that came since."""
+        kept = self.choice.value
+        self.choice.options = (NONE, *runs_in(self._folder))
+        self.choice.value = kept if kept in self.choice.options else NONE
+
+    def leave(self) -> None:
+        """Back to what flies."""
+        self.playing.value = False
+        if self.choice.value != NONE:
+            self.choice.value = NONE
+        self.open(NONE)
+
+    def open(self, name: str) -> None:
+        """Read a run, and show its end."""
+        with self._lock:
+            if name == NONE:
+                self.flight = None
+                self.at.disabled = True
+                self.said.content = ""
+                self._show(None)
+                return
+            self.said.content = previewing.waiting("reading …")
+            try:
+                flight = read_flight(self._folder / name)
+            except (SmolbotError, OSError) as error:
+                self.said.content = previewing.told(False, str(error).splitlines(), [])
+                return
+            self.playing.value = False
+            self.at.max = math.ceil(10.0 * max(flight.latest, 0.2)) / 10.0
+            self.at.value = self.at.max
+            self.at.disabled = False
+            self.said.content = previewing.waiting(described(self._folder / name))
+            self.flight = flight
+            self._show(flight)
+
+    def _begin(self) -> None:
+        self._from = 0.0 if self.at.value >= self.at.max else self.at.value
+        self._since = time.monotonic()
+
+    def now(self) -> float | None:
+        """The time that is looked at, in s on that run's clock; None of a live one. Moves on while it plays."""
+        if self.flight is None:
+            return None
+        if self.playing.value:
+            at = self._from + float(self.speed.value) * (time.monotonic() - self._since)
+            self.at.value = round(min(at, self.at.max), 1)
+            if at >= self.at.max:
+                self.playing.value = False
+        value: float = self.at.value
+        return value

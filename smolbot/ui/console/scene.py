@@ -1,0 +1,241 @@
+"""The 3-D scene: tank, coils, sensors and path of a mission, and where its robot was seen to go. In mm."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smolbot.config.load import AnyMission
+from smolbot.config.mission import Mission
+from smolbot.core.arrays import FloatArray
+from smolbot.core.rotations import quaternion_from_matrix
+from smolbot.ui.console.meshes import circle, placed, rectangle, ribbon, tube, turned
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+PATH = (37, 99, 235)
+BELIEVED = (234, 88, 12)
+TRUE = (22, 163, 74)
+ROBOT = (30, 41, 59)
+COPPER = (184, 115, 51)
+GLOW = (255, 72, 0)
+BOBBIN = (120, 113, 108)
+LIQUID = (96, 165, 250)
+SENSOR = (71, 85, 105)
+PLANNED = (124, 58, 237)
+
+AT_REST = 0.2
+"""Opacity of a coil that does not pull: what it stands in front of is to be seen."""
+
+Color = tuple[int, int, int]
+
+
+def mixed(a: Color, b: Color, share: float) -> Color:
+    """A colour between two; `share` 0 is the first.
+
+    Examples
+    --------
+    >>> mixed((0, 0, 0), (100, 200, 50), 0.5)
+    (50, 100, 25)
+    """
+    s = min(max(share, 0.0), 1.0)
+    r, g, b_ = (round(p + s * (q - p)) for p, q in zip(a, b, strict=True))
+    return (r, g, b_)
+
+
+class Scene:
+    """What viser shows; drawn anew for each mission, moved for each look at its flight."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self.server = server
+        self._handles: list[Any] = []
+        self._coils: list[Any] = []
+        self._robot: Any = None
+        self._trails: dict[str, Any] = {}
+        self.height = 0.0
+        server.scene.set_up_direction("+z")
+        server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
+        server.scene.configure_environment_map(None)
+        camera = server.initial_camera
+        camera.position, camera.look_at, camera.up = (0.0, -68.0, 180.0), (0.0, -3.0, 45.0), (0.0, 0.0, 1.0)
+        camera.fov = float(np.radians(38.0))
+        camera.near, camera.far = 1.0, 5000.0
+
+    def draw(self, mission: AnyMission) -> None:
+        """Everything that stands still."""
+        with self.server.atomic():
+            for handle in [*self._handles, *self._trails.values()]:
+                handle.remove()
+            self._handles, self._coils, self._trails, self._robot = [], [], {}, None
+            self._draw_vessel(mission)
+            self._draw_coils(mission)
+            self._draw_sensors(mission)
+            if isinstance(mission, Mission):
+                self._draw_path(mission)
+            self._draw_robot(mission)
+
+    def _keep(self, handle: Any) -> Any:
+        self._handles.append(handle)
+        return handle
+
+    def _draw_vessel(self, mission: AnyMission) -> None:
+        scene, box = self.server.scene, mission.rig.sections.container
+        (x, y), (width, depth) = box.center_mm, box.size_mm
+        floor, surface, wall = box.floor_z_mm, box.surface_z_mm, 1.5
+        self.height = surface
+        top = floor + box.wall_height_mm
+        vertices, faces = tube(rectangle(width, depth), rectangle(width + 2 * wall, depth + 2 * wall), top - floor)
+        middle = np.array([x, y, 0.5 * (floor + top)])
+        add = scene.add_mesh_simple
+        self._keep(
+            add(
+                "/tank/walls",
+                vertices + middle,
+                faces,
+                color=(100, 116, 139),
+                opacity=0.3,
+                flat_shading=True,
+                cast_shadow=False,
+            )
+        )
+        self._keep(
+            scene.add_box(
+                "/tank/floor", (226, 232, 240), (width + 2 * wall, depth + 2 * wall, wall),
+                position=(x, y, floor - 0.5 * wall), opacity=0.9,
+            )
+        )  # fmt: skip
+        self._keep(
+            scene.add_box(
+                "/tank/liquid", LIQUID, (width, depth, surface - floor),
+                position=(x, y, 0.5 * (floor + surface)), opacity=0.16, cast_shadow=False, receive_shadow=False,
+            )
+        )  # fmt: skip
+        self._keep(
+            scene.add_grid(
+                "/floor", 400.0, 400.0, plane="xy", cell_size=10.0, section_size=50.0, cell_color=(226, 232, 240),
+                section_color=(148, 163, 184), position=(0.0, 0.0, -5.0), fade_distance=900.0, shadow_opacity=0.0,
+            )
+        )  # fmt: skip
+        self._keep(scene.add_frame("/axes", axes_length=15.0, axes_radius=0.5, position=(-90.0, -90.0, -4.0)))
+
+    def _draw_coils(self, mission: AnyMission) -> None:
+        scene, rig = self.server.scene, mission.rig.sections
+        for coil in rig.coils:
+            vertices, faces = tube(circle(coil.inner_radius_mm), circle(coil.outer_radius_mm), coil.length_mm)
+            where = placed(vertices, np.array(coil.center_mm), np.array(coil.axis, dtype=float))
+            handle = scene.add_mesh_simple(
+                f"/coils/{coil.name}", where, faces, color=COPPER, opacity=AT_REST, flat_shading=True,
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            self._coils.append(self._keep(handle))
+            place = np.array(coil.center_mm) + np.array([0.0, 0.0, coil.outer_radius_mm + 4.0])
+            self._keep(scene.add_label(f"/names/{coil.name}", f"coil {coil.name}", position=tuple(place)))
+        for bobbin in rig.excitation:
+            inner = rectangle(bobbin.width_mm - 4.0, max(bobbin.height_mm - 4.0, 2.0))
+            vertices, faces = tube(inner, rectangle(bobbin.width_mm, bobbin.height_mm), bobbin.length_mm)
+            where = placed(vertices, np.array(bobbin.center_mm), np.array(bobbin.axis, dtype=float))
+            self._keep(
+                scene.add_mesh_simple(
+                    f"/excitation/{bobbin.name}",
+                    where,
+                    faces,
+                    color=BOBBIN,
+                    opacity=0.25,
+                    flat_shading=True,
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
+            )
+        if rig.magnet is not None:
+            side, center = rig.magnet.side_mm, np.array(rig.magnet.center_mm)
+            self._keep(scene.add_box("/magnet", (185, 28, 28), (side, side, side), position=tuple(center), opacity=0.5))
+
+    def _draw_sensors(self, mission: AnyMission) -> None:
+        sensors = mission.rig.sensors
+        for i, (place, axis) in enumerate(zip(1e3 * sensors.positions, sensors.axes, strict=True)):
+            self._keep(
+                self.server.scene.add_cylinder(
+                    f"/sensors/{i}", 2.0, 10.0, color=SENSOR, position=tuple(place),
+                    wxyz=tuple(quaternion_from_matrix(turned(axis))), cast_shadow=False, receive_shadow=False,
+                )
+            )  # fmt: skip
+
+    def _draw_path(self, mission: Mission) -> None:
+        points = 1e3 * mission.path.points
+        points = points - np.array([0.0, 0.0, 0.9])  # under the robot's trace, which would be hidden where it is good
+        spread = 1e3 * mission.path.at(np.linspace(0.0, mission.path.length, 400))
+        vertices, faces = ribbon(spread - np.array([0.0, 0.0, 1.0]), 1e3 * mission.tolerance)
+        self._keep(
+            self.server.scene.add_mesh_simple(
+                "/path/tolerance",
+                vertices,
+                faces,
+                color=PATH,
+                opacity=0.18,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        )
+        self._keep(self._line("/path/line", points, PATH, 3.0))
+        self._keep(self.server.scene.add_icosphere("/path/start", 0.7, color=PATH, position=tuple(points[0])))
+
+    def _draw_robot(self, mission: AnyMission) -> None:
+        """A body with an arrow ahead; hidden until it was seen."""
+        scene, robot = self.server.scene, mission.robot
+        self._robot = self._keep(scene.add_frame("/robot", show_axes=False, visible=False))
+        section = robot.sections.body
+        size = (3.0, 3.0, 3.0) if section is None else section.size_mm
+        center = (0.0, 0.0, 0.0) if section is None else section.center_mm
+        if robot.kind == "helical":
+            vertices, faces = tube(circle(0.05), circle(0.5 * size[0]), size[2])
+            scene.add_mesh_simple("/robot/body", vertices + np.array(center), faces, color=ROBOT)
+        else:
+            scene.add_box("/robot/body", ROBOT, size, position=center)
+        nose = 0.5 * size[2] + 2.5
+        tip, faces = tube(circle(0.01), circle(0.9), 0.01)
+        n = len(tip) // 4
+        tip[n : 3 * n] = [0.0, 0.0, 2.5]
+        tip[:, 2] += nose - 2.0
+        scene.add_mesh_simple("/robot/nose", tip, faces, color=BELIEVED, side="double")
+
+    def _line(self, name: str, points: FloatArray, color: Color, width: float) -> Any:
+        pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        return self.server.scene.add_line_segments(name, pieces, color, thickness=width, thickness_units="screen")
+
+    def trail(self, name: str, points: FloatArray, color: Color, width: float = 3.0) -> None:
+        """Draw a line through `points` (n, 3) in mm, in the place of the one of that name."""
+        before = self._trails.pop(name, None)
+        if len(points) > 1:
+            self._trails[name] = self._line(f"/trails/{name}", points, color, width)
+        elif before is not None:
+            before.remove()
+
+    def place_robot(self, position: FloatArray | None, orientation: FloatArray | None) -> None:
+        """Where it is believed to be: (3,) in mm, and a quaternion; None where it is not known."""
+        if self._robot is None:
+            return
+        self._robot.visible = position is not None
+        if position is not None and orientation is not None:
+            self._robot.position, self._robot.wxyz = tuple(position), tuple(orientation)
+
+    def drive(self, shares: FloatArray) -> None:
+        """Colour the coils by their currents (n_coils,), as shares of what is allowed."""
+        for handle, share in zip(self._coils, np.abs(shares), strict=False):
+            wanted = mixed(COPPER, GLOW, float(share))
+            if tuple(handle.color) != wanted:
+                handle.color = wanted
+                handle.opacity = AT_REST + 0.4 * min(float(share), 1.0)
+
+    def mark(self, name: str, points: FloatArray, color: Color) -> None:
+        """Draw dots at `points` (n, 3) in mm, in the place of those of that name."""
+        key = f"{name} dots"
+        before = self._trails.pop(key, None)
+        if before is not None:
+            before.remove()
+        if len(points):
+            self._trails[key] = self.server.scene.add_point_cloud(
+                f"/dots/{name}", points.astype("float32"), color, point_size=1.2, point_shape="circle"
+            )

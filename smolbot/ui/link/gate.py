@@ -1,0 +1,195 @@
+"""The console's end of the link: takes missions and stop orders in, and anything else is shown the door."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from smolbot.ui.link.frames import LONGEST, LONGEST_ORDER, Kind, LinkError, frame, parse_message, receive
+from smolbot.ui.link.handshake import PATIENCE, welcome
+
+STRANGERS = 16
+"""Connections at a time that have not proved themselves; more are closed unheard."""
+
+QUIET = 10.0
+"""Seconds after which a mission that says nothing counts as gone."""
+
+
+ROLES = ("mission", "stop", "look")
+"""What a peer may come for; one that only looks whether a console is there says nothing more."""
+
+
+class Line:
+    """One mission, as its console reaches it."""
+
+    def __init__(self, sock: socket.socket, about: dict[str, Any]) -> None:
+        self._sock = sock
+        self._sending = threading.Lock()
+        self.about = about
+        self.open = True
+        self.stopped: dict[str, Any] | None = None
+        self.answered = threading.Event()
+
+    def order(self, kind: Kind, words: str = "") -> bool:
+        """Send one order; False if the mission is gone."""
+        try:
+            with self._sending:
+                self._sock.sendall(frame(kind, words.encode()))
+        except OSError:
+            return False
+        return True
+
+
+class Missions(Protocol):
+    """Who hears of missions; called in the threads of their lines."""
+
+    def joined(self, line: Line) -> None: ...
+
+    def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None: ...
+
+    def stopped(self, line: Line) -> None: ...
+
+    def left(self, line: Line, why: str) -> None: ...
+
+
+class Gate:
+    """Listens on a free loopback port until it is closed.
+
+    Parameters
+    ----------
+    secret : str
+        In hexadecimal; who does not know it is not heard.
+    missions : Missions
+    stop : callable
+        Carries out the order of ``smolbot stop``: told who asks, returns what was stopped, as JSON holds it.
+    tell : callable
+        Told in one line why somebody was shown the door.
+    """
+
+    def __init__(
+        self,
+        secret: str,
+        missions: Missions,
+        stop: Callable[[str], list[dict[str, Any]]],
+        tell: Callable[[str], None],
+    ) -> None:
+        self._secret = bytes.fromhex(secret)
+        self._missions, self._stop, self._tell = missions, stop, tell
+        self._strangers = threading.BoundedSemaphore(STRANGERS)
+        self._lines: list[Line] = []
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._socket.getsockname()[1]
+        threading.Thread(target=self._accept, name="gate", daemon=True).start()
+
+    @property
+    def lines(self) -> list[Line]:
+        """Missions that are connected."""
+        return list(self._lines)
+
+    def beat(self) -> None:
+        """A sign of life to every mission: whoever must be alive for a STOP to get through calls this."""
+        for line in self.lines:
+            line.order(Kind.BEAT)
+
+    def close(self) -> None:
+        """Say good-bye to every mission, which ends it, and listen no more."""
+        for line in self.lines:
+            line.order(Kind.BYE)
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                sock, _ = self._socket.accept()
+            except OSError:
+                if self._socket.fileno() < 0:
+                    return
+                time.sleep(0.05)  # out of descriptors: somebody holds too many connections
+                continue
+            if not self._strangers.acquire(blocking=False):
+                sock.close()
+                continue
+            threading.Thread(target=self._serve, args=(sock,), name="line", daemon=True).start()
+
+    def _serve(self, sock: socket.socket) -> None:
+        with sock:
+            try:
+                about = self._admit(sock)
+            except (LinkError, OSError, ValueError) as error:
+                self._tell(f"A connection to the link was closed: {error}.")
+                return
+            finally:
+                self._strangers.release()
+            if about["role"] == "mission":
+                self._carry(sock, about)
+            elif about["role"] == "stop":
+                told = self._stop(str(about.get("asked", "smolbot stop")))
+                with contextlib.suppress(OSError):
+                    sock.sendall(frame(Kind.STOPPED, json.dumps(told).encode()))
+
+    def _admit(self, sock: socket.socket) -> dict[str, Any]:
+        """What a peer says of itself, once it has proved itself."""
+        sock.settimeout(PATIENCE)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        welcome(sock, self._secret)
+        kind, words = receive(sock, LONGEST_ORDER)
+        about = json.loads(words) if kind is Kind.HELLO else None
+        if not isinstance(about, dict) or about.get("role") not in ROLES:
+            message = f"say first who you are: a HELLO with a role, one of {', '.join(ROLES)}"
+            sock.sendall(frame(Kind.ERROR, message.encode()))
+            raise LinkError(message)
+        return about
+
+    def _carry(self, sock: socket.socket, about: dict[str, Any]) -> None:
+        sock.settimeout(QUIET)
+        line, why = Line(sock, about), "its process ended"
+        self._lines.append(line)
+        self._missions.joined(line)
+        try:
+            while True:
+                kind, words = receive(sock, LONGEST)
+                if kind is Kind.MESSAGE:
+                    self._missions.said(line, *parse_message(words))
+                elif kind is Kind.STOPPED:
+                    line.stopped = json.loads(words)
+                    line.answered.set()
+                    self._missions.stopped(line)
+                elif kind is Kind.BYE:
+                    why = ""
+                    return
+        except TimeoutError:
+            why = f"it said nothing for {QUIET:g} s"
+        except (LinkError, ValueError) as error:
+            why = str(error)
+        finally:
+            line.open = False
+            line.answered.set()
+            self._lines.remove(line)
+            self._missions.left(line, why)
+
+
+def stop_through(sock: socket.socket, asked: str, timeout: float = 5.0) -> list[dict[str, Any]]:
+    """Have a console stop its missions, over a connection that was proved; what it says of each.
+
+    Raises
+    ------
+    LinkError
+        If it does not answer.
+    """
+    sock.settimeout(timeout)
+    try:
+        sock.sendall(frame(Kind.HELLO, json.dumps({"role": "stop", "asked": asked}).encode()))
+        kind, words = receive(sock, LONGEST)
+    except OSError as error:
+        raise LinkError(f"the console does not answer: {error}") from error
+    told = json.loads(words) if kind is Kind.STOPPED else None
+    if not isinstance(told, list):
+        raise LinkError(f"the console answers {kind.name}: {words.decode(errors='replace')}")
+    return told

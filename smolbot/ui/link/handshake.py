@@ -1,0 +1,57 @@
+"""Both ends of a link prove that they know its secret, without saying it."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import socket
+
+from smolbot.ui.link.frames import LinkError, exactly
+
+GREETING = b"smolbot link 1\n"
+_NONCE = 32
+
+PATIENCE = 2.0
+"""Seconds that a peer has for each step."""
+
+
+def _proof(secret: bytes, role: bytes, ours: bytes, theirs: bytes) -> bytes:
+    return hmac.digest(secret, GREETING + role + ours + theirs, hashlib.sha256)
+
+
+def welcome(sock: socket.socket, secret: bytes) -> None:
+    """The accepting end: nothing that the other sends is looked at before it has proved itself.
+
+    Raises
+    ------
+    LinkError
+        If it did not.
+    """
+    nonce = os.urandom(_NONCE)
+    sock.sendall(GREETING + nonce)
+    theirs = exactly(sock, _NONCE)
+    if not hmac.compare_digest(exactly(sock, 32), _proof(secret, b"caller", nonce, theirs)):
+        raise LinkError("it does not know the secret")
+    sock.sendall(_proof(secret, b"console", nonce, theirs))
+
+
+def call(sock: socket.socket, secret: bytes) -> None:
+    """The connecting end.
+
+    Raises
+    ------
+    LinkError
+        If the other is no console, or not ours.
+    """
+    try:
+        greeting = exactly(sock, len(GREETING))
+        if greeting != GREETING:
+            raise LinkError(f"no console answers there, but something that says {greeting!r}")
+        theirs, nonce = exactly(sock, _NONCE), os.urandom(_NONCE)
+        sock.sendall(nonce + _proof(secret, b"caller", theirs, nonce))
+        answer = exactly(sock, 32)
+    except TimeoutError as error:
+        raise LinkError("no console answers there") from error
+    if not hmac.compare_digest(answer, _proof(secret, b"console", theirs, nonce)):
+        raise LinkError("what answers there does not know the secret of our console")

@@ -1,0 +1,107 @@
+"""A mission joins the console that watches it, and opens one where none runs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from smolbot.errors import InputError
+from smolbot.flight.safety.stop_latch import Latch
+from smolbot.ui.link.consoles import ENVIRONMENT, Console, read, running
+from smolbot.ui.link.feed import Feed, Pausing
+from smolbot.ui.link.frames import LinkError
+
+if TYPE_CHECKING:
+    from smolbot.runs.recording.jobs import Message
+
+PATIENCE = 30.0
+"""Seconds that a console has to open its page."""
+
+
+class Sent:
+    """A sink of a record's messages: those of a mission go to its console."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+
+    def write(self, message: Message) -> None:
+        """Let one be sent."""
+        self._feed.put(message.topic, message.nanoseconds, message.content.SerializeToString())
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def close(self) -> None:
+        """The feed is ended by whoever began it."""
+
+
+def join(console: Console, about: Mapping[str, Any], latch: Latch, pause: Pausing) -> Feed:
+    """Let a console watch this mission from now on.
+
+    Raises
+    ------
+    InputError
+        If it does not answer. Nothing has moved by then.
+    """
+    try:
+        feed = Feed(console.connect(), {"process": os.getpid(), **about}, latch, pause)
+    except (LinkError, OSError) as error:
+        raise InputError(f"The console of process {console.process} cannot be joined: {error}.") from error
+    feed.begin()
+    return feed
+
+
+def find_console(port: int | None = None) -> tuple[Console, bool]:
+    """The console that a mission belongs to: the one that has started it, else one that runs, else a new one.
+
+    Returns
+    -------
+    console : Console
+    opened : bool
+        Whether it was opened for this mission; it ends by itself then, once its page is closed.
+
+    Raises
+    ------
+    InputError
+        If none can be had.
+    """
+    named = os.environ.get(ENVIRONMENT)
+    if named:
+        console = read(Path(named))
+        if console is None:
+            raise InputError(f"{ENVIRONMENT} names {named}, where no console is written down. Did it end?")
+        return console, False
+    known = [console for console in running() if port is None or console.port == port]
+    return (known[0], False) if known else (_opened(port), True)
+
+
+def _opened(port: int | None) -> Console:
+    command = [sys.executable, "-P", "-m", "smolbot", "console", "--follow"]
+    command += [] if port is None else ["--port", str(port)]
+    apart: dict[str, Any] = (
+        {"start_new_session": True}
+        if os.name == "posix"
+        else {"creationflags": 0x00000200}  # a process group of its own
+    )
+    with tempfile.TemporaryFile("w+") as said:  # not a pipe: the console goes on to write when nobody reads any more
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, **apart
+        )  # fmt: skip
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end and process.poll() is None:
+            for console in running():
+                if console.process == process.pid:
+                    return console
+            time.sleep(0.1)
+        if process.poll() is None:
+            process.kill()
+            raise InputError(f"No console opened within {PATIENCE:g} s.")
+        said.seek(0)
+        why = said.read().strip() or f"exit code {process.returncode}"
+    raise InputError(f"No console could be opened: {why}")
