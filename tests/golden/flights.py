@@ -34,7 +34,7 @@ REPLAYS: dict[str, tuple[str, dict[str, str]]] = {
 """By name: the record, and settings that were not the flight's own."""
 
 FLIGHTS: dict[str, tuple[str, int, dict[str, str]]] = {
-    "tank_line": ("line", 11, {"stop.max_duration_s": "6"}),
+    "tank_line": ("line", 11, {"stop.max_duration_s": "6", "controller.law": "force_pursuit"}),
     "tank_r_path": ("r_path", 12, {"stop.max_duration_s": "6"}),
     "tank_s_path": ("s_path", 13, {"stop.max_duration_s": "120"}),
     "tank_endoscope": ("endoscope", 14, {"observe.duration_s": "3"}),
