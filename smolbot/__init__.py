@@ -8,8 +8,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
-
 _HOME = {
     "Actuate": "core.shots",
     "Command": "motion.controller",
@@ -39,6 +37,7 @@ _HOME = {
     "SmolbotError": "errors",
     "Tracker": "flight.tracking.tracker",
     "Witness": "core.rig",
+    "__version__": "core.version",
     "load_mission": "config.load",
     "load_rig": "config.rig",
     "read_run": "runs.recording.reader",
@@ -104,6 +103,7 @@ if TYPE_CHECKING:
     from smolbot.core.rig import Rig, Witness
     from smolbot.core.sensing import Device, Recording, SensorArray
     from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot
+    from smolbot.core.version import __version__
     from smolbot.errors import SmolbotError
     from smolbot.flight.replay import replay
     from smolbot.flight.session import run

@@ -1,7 +1,7 @@
 """A pinhole camera over the tank, not quite upright, with what a lens leaves of its distortion.
 
-Its projection is written here and nowhere else: `smolbot.runs.optics`, which has to find its way back from pixels, has its
-own.
+Its projection is written here and nowhere else: `smolbot.runs.optics`, which has to find its way back from pixels,
+has its own.
 """
 
 from __future__ import annotations

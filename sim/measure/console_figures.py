@@ -1,8 +1,9 @@
 """How quickly a STOP on the console brings the twin's outputs to zero, and what a console costs the loop.
 
-Run it with ``python -m sim.measure.console_figures`` on a machine with nothing else to do. Twin, console, browser and the
-process that flies stay; every stop begins a fresh loop, on a rig that is opened anew. A press is timed by the browser
-when its input arrives, outputs by the twin's journal of commanded currents, both on the machine's monotonic clock.
+Run it with ``python -m sim.measure.console_figures`` on a machine with nothing else to do. Twin, console, browser and
+the process that flies stay; every stop begins a fresh loop, on a rig that is opened anew. A press is timed by the
+browser when its input arrives, outputs by the twin's journal of commanded currents, both on the machine's monotonic
+clock.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Kills missions with -9 at random moments and asks whether what is left can be recovered, and is true.
 
-``python -m sim.measure.kills --kills 50 --seed 1`` flies a mission again and again in a process of its own, which prints every
-cycle as it is played and every count that the recorder says is flushed. Each is killed at a drawn moment: just after
-the folder is made, while it learns, while it flies, while it ends. Then the run is recovered, and what it holds is
-compared with what the process had printed.
+``python -m sim.measure.kills --kills 50 --seed 1`` flies a mission again and again in a process of its own, which
+prints every cycle as it is played and every count that the recorder says is flushed. Each is killed at a drawn moment:
+just after the folder is made, while it learns, while it flies, while it ends. Then the run is recovered, and what it
+holds is compared with what the process had printed.
 """
 
 from __future__ import annotations

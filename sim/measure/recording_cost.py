@@ -1,9 +1,9 @@
 """What recording costs: the same flights with and without a recorder, in turn, in one process.
 
-``python -m sim.measure.recording_cost --mission r_path --pairs 5`` prints the processor time of the loop's thread and of the
-whole process with a recorder against without, what the recorder's own thread took, what one call costs the loop, and
-how large the record is. The simulated tank is part of what is measured; on a rig that does not wait, a cycle lasts as
-long as it lasts, and the share of it that goes to recording is told beside.
+``python -m sim.measure.recording_cost --mission r_path --pairs 5`` prints the processor time of the loop's thread and
+of the whole process with a recorder against without, what the recorder's own thread took, what one call costs the loop,
+and how large the record is. The simulated tank is part of what is measured; on a rig that does not wait, a cycle lasts
+as long as it lasts, and the share of it that goes to recording is told beside.
 """
 
 from __future__ import annotations

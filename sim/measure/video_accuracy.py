@@ -1,7 +1,8 @@
 """How well ``smolbot track`` finds the robot in the tank's own videos, against where it truly was.
 
-``python -m sim.measure.video_accuracy RUN … --seeds 1..3`` films each run with each camera, tracks it as a user would, and
-prints the error of the centre and of the heading. The tracker gets the video and the lab's file of markers, no more.
+``python -m sim.measure.video_accuracy RUN … --seeds 1..3`` films each run with each camera, tracks it as a user
+would, and prints the error of the centre and of the heading. The tracker gets the video and the lab's file of markers,
+no more.
 """
 
 from __future__ import annotations

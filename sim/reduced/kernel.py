@@ -28,7 +28,7 @@ LIVE = 2e-2
 # would rest (rad), phasor (2, rad) of its swing about there: now, and a quarter of a period ago
 STATE_LENGTH = 10
 SWING = slice(8, 10)
-# Entries of `device` and `hull` are those of `sim.tank.magnetics.cantilever` and `sim.tank.carriers.hydrodynamics.Hull`.
+# Entries of `device` and `hull`: see `sim.tank.magnetics.cantilever` and `sim.tank.carriers.hydrodynamics.Hull`.
 # Entries of `grid`: origin x, y (m), 1 / spacing (1/m), height of the plane (m)
 
 

@@ -151,7 +151,7 @@ class ReducedRig:
 
 
 def open_reduced(mission: AnyMission, seed: int, *, ideal: bool = False) -> ReducedRig:
-    """The reduced plant of a mission: pass it to `smolbot.flight.session.fly` as ``opener``. Raises as `require_flyable`."""
+    """The reduced plant of a mission: an ``opener`` for `smolbot.flight.session.fly`. Raises as `require_flyable`."""
     require_flyable(mission)
     settings, faults = validate(TankSettings, mission.rig.sections.tank, ("tank",))
     if settings is None:

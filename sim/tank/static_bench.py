@@ -1,7 +1,7 @@
 """A bench without liquid, coils or Bullet: the tank's sensors, noise and magnet, with a device held where it is put.
 
-For studies of localization alone. What is heard is computed by `sim.tank.magnetics.sensors`, as in the tank; only the oscillation is
-given in closed form, and places come from a stage instead of hydrodynamics.
+For studies of localization alone. What is heard is computed by `sim.tank.magnetics.sensors`, as in the tank; only
+the oscillation is given in closed form, and places come from a stage instead of hydrodynamics.
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-import smolbot
 from smolbot.config.load import AnyMission
 from smolbot.config.mission_base import MissionBase
 from smolbot.core.blas_threads import kernel
 from smolbot.core.pose import Pose
+from smolbot.core.version import __version__
 from smolbot.flight.assembly import make_loop
 from smolbot.flight.loop import Loop, StopRules
 from smolbot.flight.playback import PlayedPilot, PlayedRig, PlayedScheduler, require_windows
@@ -72,7 +72,7 @@ class Replay:
     def _elsewhere(self) -> str:
         """That the record comes from another kind of machine, where it does: last bits may differ then."""
         there = {name: self.record.provenance.get(name) for name in ("linear_algebra", "packages", "smolbot")}
-        here = {"linear_algebra": kernel(), "packages": packages(), "smolbot": smolbot.__version__}
+        here = {"linear_algebra": kernel(), "packages": packages(), "smolbot": __version__}
         other = [name.replace("_", " ") for name, value in here.items() if there[name] != value]
         return f" (recorded with other {', '.join(other)})" if other else ""
 

@@ -12,8 +12,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TextIO
 
-import smolbot
 from smolbot.core.blas_threads import kernel
+from smolbot.core.version import __version__
 from smolbot.errors import InputError
 from smolbot.runs.trace import Moment, row
 
@@ -96,7 +96,7 @@ def json_bytes(data: Any) -> bytes:
 def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
     """Where a run came from: version, commit, seed, settings, drawn mismatches, packages."""
     return {
-        "smolbot": smolbot.__version__,
+        "smolbot": __version__,
         "commit": _commit(),
         "seed": seed,
         "settings": dict(settings),
@@ -121,7 +121,7 @@ def packages() -> dict[str, str]:
 
 def _commit() -> str | None:
     """Commit of the source tree that is running, if it is one and git is there."""
-    home = Path(smolbot.__file__).parent.parent
+    home = Path(__file__).parents[2]
     if not (home / ".git").exists():
         return None
     try:

@@ -168,7 +168,8 @@ def test_mesh_axis_includes_both_ends_and_never_steps_too_far():
 
 def test_importing_the_package_loads_nothing_heavy():
     code = (
-        "import sys, lookup_tables, lookup_tables.cache, lookup_tables.table, lookup_tables.plot, smolbot.ui.cli.table; "
+        "import sys, smolbot.ui.cli.table; "
+        "import lookup_tables, lookup_tables.cache, lookup_tables.table, lookup_tables.plot; "
         "print([m for m in ('scipy', 'magpylib', 'matplotlib', 'numba') if m in sys.modules]); "
         "print(callable(lookup_tables.build))"
     )

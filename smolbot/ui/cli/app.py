@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 # Small matrices gain nothing from a linear algebra library's threads, and stall when cores are shared.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import smolbot
+from smolbot.core.version import __version__
 from smolbot.errors import InterlockError, OperatorStopError, PluginError, RigError, SmolbotError
 from smolbot.flight.safety.stop_signals import CTRL_C
 
@@ -80,7 +80,7 @@ app = typer.Typer(
 
 def _version(value: bool) -> None:
     if value:
-        typer.echo(f"smolbot {smolbot.__version__}")
+        typer.echo(f"smolbot {__version__}")
         raise typer.Exit
 
 

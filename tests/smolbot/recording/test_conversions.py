@@ -191,10 +191,10 @@ def test_ways_of_a_truth(way):
 
 def test_the_generated_messages_are_those_that_the_description_makes(tmp_path):
     pytest.importorskip("grpc_tools")
-    root = Path(messages.__file__).parents[2]
+    root = Path(messages.__file__).parents[3]
     where = f"--python_out={tmp_path}", f"--pyi_out={tmp_path}"
     order = [sys.executable, "-m", "grpc_tools.protoc", "-I.", *where, "smolbot/runs/recording/run.proto"]
     subprocess.run(order, cwd=root, check=True)
     for name in ("run_pb2.py", "run_pb2.pyi"):
-        made = (tmp_path / "smolbot" / "recording" / name).read_text()
-        assert made == (root / "smolbot" / "recording" / name).read_text(), f"{name}: run make proto"
+        made = (tmp_path / "smolbot" / "runs" / "recording" / name).read_text()
+        assert made == (root / "smolbot" / "runs" / "recording" / name).read_text(), f"{name}: run make proto"

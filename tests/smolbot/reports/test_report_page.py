@@ -175,7 +175,8 @@ def test_a_report_that_fails_costs_the_report_alone(tmp_path, monkeypatch):
 
 
 def test_flying_loads_no_matplotlib():
-    code = "import sys, smolbot.flight.session, smolbot.runs.report.page, smolbot.ui.cli.report; sys.exit('matplotlib' in sys.modules)"
+    modules = "smolbot.flight.session, smolbot.runs.report.page, smolbot.ui.cli.report"
+    code = f"import sys, {modules}; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
