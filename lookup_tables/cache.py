@@ -19,7 +19,8 @@ import numpy.typing as npt
 from lookup_tables.builder import build
 from lookup_tables.coils import Coil
 from lookup_tables.errors import TableError
-from lookup_tables.table import FORMAT_VERSION, FieldTable
+from lookup_tables.files import FORMAT_VERSION
+from lookup_tables.table import FieldTable
 
 FloatArray = npt.NDArray[np.float64]
 _warned: set[Path] = set()

@@ -12,14 +12,11 @@ import io
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from lookup_tables.comsol_faults import Faults, find_axis, locate_rows, numbers_or_none
 from lookup_tables.comsol_header import Expression, Header, arrange, parse_expressions, parse_header
 from lookup_tables.errors import TableError
-from lookup_tables.files import Samples
-
-FloatArray = npt.NDArray[np.float64]
+from lookup_tables.samples import FloatArray, Samples
 
 
 def read_comsol(path: Path) -> Samples:

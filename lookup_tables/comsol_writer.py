@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lookup_tables.errors import TableError
-
-if TYPE_CHECKING:
-    from lookup_tables.table import FieldTable
+from lookup_tables.samples import Samples
 
 LAYOUTS = ("spreadsheet", "grid")
 
 
-def write_comsol(table: FieldTable, path: Path, layout: str) -> None:
+def write_comsol(samples: Samples, path: Path, layout: str) -> None:
     """Write the samples at 1 A in mm and mT; the coils' names stand where COMSOL puts those of a sweep.
 
     Raises
@@ -26,13 +23,13 @@ def write_comsol(table: FieldTable, path: Path, layout: str) -> None:
     """
     if layout not in LAYOUTS:
         raise TableError(f"{path}: unknown layout {layout!r}; known layouts: {', '.join(LAYOUTS)}.")
-    for name in table.names:
+    for name in samples.names:
         if set(name) & set("()%@\r\n") or name != " ".join(name.split()):
             raise TableError(f"{path}: the text format cannot hold a coil named {name!r}: no ( ) % @ or line breaks.")
     titles = [
-        f"mf.B{letter} (mT) @ {coil}: coil={name}" for coil, name in enumerate(table.names, 1) for letter in "xyz"
+        f"mf.B{letter} (mT) @ {coil}: coil={name}" for coil, name in enumerate(samples.names, 1) for letter in "xyz"
     ]
-    axes = [axis * 1e3 for axis in (table.x, table.y, table.z)]
+    axes = [axis * 1e3 for axis in (samples.x, samples.y, samples.z)]
     head = [
         "% Model:              lookup_tables",
         "% Version:            smolbot",
@@ -42,7 +39,7 @@ def write_comsol(table: FieldTable, path: Path, layout: str) -> None:
         "% Description:        Magnetic flux density at 1 A, three components for each coil",
         "% Length unit:        mm",
     ]
-    columns = np.moveaxis(table.samples * 1e3, 4, 1).reshape(len(titles), *table.samples.shape[1:4])
+    columns = np.moveaxis(samples.field * 1e3, 4, 1).reshape(len(titles), *samples.field.shape[1:4])
     columns = columns.transpose(0, 3, 2, 1)  # x runs fastest in both layouts
     out = io.StringIO()
     if layout == "spreadsheet":

@@ -5,48 +5,32 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from lookup_tables.comsol import read_comsol
+from lookup_tables.comsol_writer import write_comsol
 from lookup_tables.errors import TableError
-from lookup_tables.table import FORMAT_VERSION, FieldTable
+from lookup_tables.samples import FloatArray, Samples
 
-FloatArray = npt.NDArray[np.float64]
-
-
-class Samples(NamedTuple):
-    """What a file holds: axes in m, field (n_coils, nx, ny, nz, 3) in T, coil names, and a fit if there is one."""
-
-    x: FloatArray
-    y: FloatArray
-    z: FloatArray
-    field: FloatArray
-    names: tuple[str, ...]
-    potential: FloatArray | None = None
+FORMAT_VERSION = 1
 
 
-def read_table(
+def read_samples(
     path: Path,
     current: float,
     names: Sequence[str] | None,
     origin: Sequence[float] | FloatArray,
     rotation: FloatArray | None,
-) -> FieldTable:
-    """The work of `FieldTable.read`."""
+) -> Samples:
+    """The work of `FieldTable.read`: samples at 1 A in the world frame."""
     if not path.is_file():
         beside = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))[:10] if path.parent.is_dir() else []
         there = f"; that folder has {', '.join(beside)}" if beside else ""
         raise TableError(f"{path}: there is no such file{there}.")
     if not (np.isfinite(current) and current != 0.0):
         raise TableError(f"{path}: current must be a number other than 0, in A; got {current}.")
-    if path.suffix == ".npz":
-        samples = _read_npz(path)
-    else:
-        from lookup_tables.comsol import read_comsol
-
-        samples = read_comsol(path)
+    samples = _read_npz(path) if path.suffix == ".npz" else read_comsol(path)
     if names is not None:
         if len(names) != len(samples.names):
             raise TableError(f"{path}: the table has {len(samples.names)} coils; got {len(names)} names.")
@@ -56,35 +40,31 @@ def read_table(
         raise TableError(f"{path}: origin must be three finite numbers, in m; got {origin!r}.")
     if current != 1.0 or shift.any() or rotation is not None:
         samples = _to_world(samples._replace(field=samples.field / current, potential=None), shift, rotation, path)
-    try:
-        return FieldTable(*samples)
-    except TableError as error:
-        raise TableError(f"{path}: {error}") from error
+    return samples
 
 
-def write_table(table: FieldTable, path: Path, layout: str) -> None:
+def write_samples(samples: Samples, path: Path, layout: str) -> None:
     """The work of `FieldTable.write`."""
     try:
         if path.suffix == ".npz":
-            _write_npz(table, path)
+            _write_npz(samples, path)
         else:
-            from lookup_tables.comsol_writer import write_comsol
-
-            write_comsol(table, path, layout)
+            write_comsol(samples, path, layout)
     except OSError as error:
         raise TableError(f"{path}: the table cannot be written ({error.strerror or error}).") from error
 
 
-def _write_npz(table: FieldTable, path: Path) -> None:
+def _write_npz(samples: Samples, path: Path) -> None:
+    assert samples.potential is not None  # every table has its fit
     np.savez(
         path,
         format=np.array(FORMAT_VERSION),
-        x=table.x,
-        y=table.y,
-        z=table.z,
-        field=table.samples,
-        names=np.array(table.names),
-        potential=table.spline.coefficients,
+        x=samples.x,
+        y=samples.y,
+        z=samples.z,
+        field=samples.field,
+        names=np.array(samples.names),
+        potential=samples.potential,
     )
 
 

@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from lookup_tables.coils import as_points
 from lookup_tables.errors import OutsideTableError, TableError
+from lookup_tables.samples import FloatArray, Samples
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-FORMAT_VERSION = 1
 SLACK = 1e-9  # m; so that rounding does not put a node outside
 MAX_RESIDUAL = 0.05  # beyond it, samples are no field free of curl, but swapped columns, wrong units or a winding
 
@@ -178,9 +177,13 @@ class FieldTable:
         TableError
             With one ``file:line: fault`` for each kind of fault.
         """
-        from lookup_tables.files import read_table
+        from lookup_tables.files import read_samples
 
-        return read_table(Path(path), current, names, origin, rotation)
+        samples = read_samples(Path(path), current, names, origin, rotation)
+        try:
+            return cls(*samples)
+        except TableError as error:
+            raise TableError(f"{Path(path)}: {error}") from error
 
     def write(self, path: str | os.PathLike[str], layout: str = "spreadsheet") -> None:
         """Write the samples: ``.npz`` with the fit, any other suffix as COMSOL's text at 1 A (mm and mT).
@@ -192,9 +195,10 @@ class FieldTable:
         layout : {"spreadsheet", "grid"}
             Of the text. Numbers keep all their digits.
         """
-        from lookup_tables.files import write_table
+        from lookup_tables.files import write_samples
 
-        write_table(self, Path(path), layout)
+        held = Samples(self.x, self.y, self.z, self.samples, self.names, self.spline.coefficients)
+        write_samples(held, Path(path), layout)
 
     def _residual(self) -> FloatArray:
         """Largest distance of samples and fit on a thinned mesh, relative to each coil's largest field, (n_coils,)."""
