@@ -21,11 +21,11 @@ from sim.studies.benches import (
 from sim.studies.columns import chosen, columns_of, joined
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 from sim.tank.static_bench import StaticBench
-from smolbot.bench.calibration.array import ArrayCalibration, calibrate_sensors
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
 from smolbot.core.sensing import Recording
+from smolbot.localization.array.calibration import ArrayCalibration, calibrate_sensors
 from smolbot.localization.device.ringdown import measure
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.noise.model import NoiseModel

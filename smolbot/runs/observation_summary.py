@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.runs.run import Run
 from smolbot.config.observation import Observation
 from smolbot.core.pose import Pose
+from smolbot.core.rotations import mean_rotation, rotation_error
+from smolbot.runs.run import Run
 from smolbot.runs.summary import against_truth, common_figures
 from smolbot.runs.trace import Moment, Trace
-from smolbot.core.rotations import mean_rotation, rotation_error
 
 
 def summarise_observation(mission: Observation, run: Run, trace: Trace) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from smolbot.config.load import AnyMission
-from smolbot.runs.run import Run
 from smolbot.config.observation import Observation
 from smolbot.runs.observation_summary import summarise_observation
+from smolbot.runs.run import Run
 from smolbot.runs.summary import summarise
 from smolbot.runs.trace import Trace
 

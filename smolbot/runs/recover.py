@@ -12,13 +12,13 @@ from typing import Any
 
 from smolbot.config.load import AnyMission
 from smolbot.errors import InputError, SmolbotError
-from smolbot.runs.run import Run
+from smolbot.runs.folder import CYCLES, PICTURE, PROVENANCE, SUMMARY, json_bytes, write_whole
+from smolbot.runs.outcome import draw, sum_up
 from smolbot.runs.recording import run_pb2 as pb
 from smolbot.runs.recording.reader import RecordedRun, read_run, record_path
 from smolbot.runs.recording.recorder import RECORD, McapFile, end_message, lock
 from smolbot.runs.recording.scan import Scan
-from smolbot.runs.folder import CYCLES, PICTURE, PROVENANCE, SUMMARY, json_bytes, write_whole
-from smolbot.runs.outcome import draw, sum_up
+from smolbot.runs.run import Run
 from smolbot.runs.trace import Trace, row
 
 TORN = "run.torn.mcap"

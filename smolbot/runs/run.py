@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from smolbot.core.arrays import FloatArray
-from smolbot.motion.controller import Command
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Shot
+from smolbot.motion.controller import Command
 
 Status = Literal["completed", "stuck", "stopped", "lost", "timeout", "failed"]
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
-from smolbot.runs.run import Run
-from smolbot.config.mission_base import MissionBase
 from smolbot.config.mission import Mission
+from smolbot.config.mission_base import MissionBase
+from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.runs.trace import Moment, Trace
 from smolbot.core.rotations import nearer_twin, rotation_error
 from smolbot.core.shots import Actuate, Rotate
+from smolbot.runs.run import Run
+from smolbot.runs.trace import Moment, Trace
 
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.runs.run import CycleRecord
 from smolbot.core.pose import Pose
-from smolbot.core.shots import Actuate
 from smolbot.core.rig import Witness
+from smolbot.core.shots import Actuate
+from smolbot.runs.run import CycleRecord
 
 WAY_STEP = 0.2
 """Seconds between two places on a robot's way while nothing listens."""

@@ -33,8 +33,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from smolbot.core.arrays import FloatArray
 from smolbot.config.document import Document, FileModel
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.optics.view import View, find_view
 

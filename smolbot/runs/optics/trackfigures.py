@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from smolbot.paths.curve import Curve
 from smolbot.runs.optics.opticaltrack import OpticalTrack
 from smolbot.runs.optics.runposes import RunPoses
-from smolbot.paths.curve import Curve
 
 
 def tracking_error(track: OpticalTrack, path: Curve, run: RunPoses) -> dict[str, float] | None:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.runs.run import Run
 from smolbot.config.mission import Mission
 from smolbot.runs.pictures import helix_run as helixpicture
 from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, dots, nothing
+from smolbot.runs.run import Run
 from smolbot.runs.summary import label_of, tracking_distance
 from smolbot.runs.trace import Trace
 

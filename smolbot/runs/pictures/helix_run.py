@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
 from smolbot.config.mission import Mission
+from smolbot.core.arrays import FloatArray
+from smolbot.core.shots import Rotate
 from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, nothing
 from smolbot.runs.summary import axis_angle
 from smolbot.runs.trace import Moment, Trace
-from smolbot.core.shots import Rotate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

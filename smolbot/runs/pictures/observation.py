@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
-from smolbot.runs.run import Run
 from smolbot.config.observation import Observation
+from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
 from smolbot.runs.observation_summary import measurements
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
+from smolbot.runs.run import Run
 from smolbot.runs.summary import label_of, orientation_error
 from smolbot.runs.trace import Moment, Trace
 

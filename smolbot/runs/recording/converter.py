@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smolbot.core.arrays import FloatArray
 from smolbot.config.sensors import SensorsSection
+from smolbot.core.arrays import FloatArray
 
 FIELD, TESLA, VOLTS, BOTH = 0, 1, 2, 3
 """Scalings: how counts become a field; see ``run.proto``."""

@@ -6,14 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from smolbot.runs.run import Event
-from smolbot.runs.recording import messages
-from smolbot.runs.recording import run_pb2 as pb
-from smolbot.runs.recording.converter import Converter
-from smolbot.runs.trace import Moment
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Shot
 from smolbot.localization.synthetic import Sighting
+from smolbot.runs.recording import messages
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.converter import Converter
+from smolbot.runs.run import Event
+from smolbot.runs.trace import Moment
 
 
 @dataclass(frozen=True)

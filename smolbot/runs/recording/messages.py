@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.motion.controller import Command
-from smolbot.runs.run import Event
 from smolbot.core.pose import Pose
-from smolbot.runs.recording import run_pb2 as pb
-from smolbot.runs.recording.converter import Converter
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot, Window
+from smolbot.motion.controller import Command
+from smolbot.runs.recording import run_pb2 as pb
+from smolbot.runs.recording.converter import Converter
+from smolbot.runs.run import Event
 
 FORMAT = 1
 

@@ -8,13 +8,13 @@ import time
 from collections import deque
 from typing import Any, Protocol
 
-from smolbot.runs.run import Event
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Shot
 from smolbot.runs.recording import run_pb2 as pb
 from smolbot.runs.recording.converter import Converter
 from smolbot.runs.recording.jobs import Cycle, Happened, Job, Message, Played, Told, is_heard
+from smolbot.runs.run import Event
 from smolbot.runs.trace import Moment
-from smolbot.core.sensing import Recording
-from smolbot.core.shots import Shot
 
 CAPACITY = 4096
 """Shots, cycles and events that may wait: minutes of them."""

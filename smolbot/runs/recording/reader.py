@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 
 from smolbot.config.load import AnyMission
-from smolbot.motion.controller import Command
-from smolbot.errors import ConfigError, InputError
-from smolbot.runs.run import CycleRecord, Event, Run
 from smolbot.core.pose import Pose
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Shot
+from smolbot.errors import ConfigError, InputError
+from smolbot.motion.controller import Command
 from smolbot.runs.recording import messages
 from smolbot.runs.recording import run_pb2 as pb
 from smolbot.runs.recording.converter import Converter
 from smolbot.runs.recording.files import RunFiles
 from smolbot.runs.recording.recorder import RECORD
 from smolbot.runs.recording.scan import Found, Scan
+from smolbot.runs.run import CycleRecord, Event, Run
 from smolbot.runs.trace import Moment, Trace
-from smolbot.core.sensing import Recording
-from smolbot.core.shots import Shot
 
 CUT_SHORT = "the record ends without an end: the process was ended from outside, or the machine stopped"
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from smolbot.errors import InputError
-from smolbot.runs.run import Run
 from smolbot.runs.recording import messages
 from smolbot.runs.recording import run_pb2 as pb
 from smolbot.runs.recording.converter import Converter
 from smolbot.runs.recording.files import RunFiles
 from smolbot.runs.recording.jobs import Message
 from smolbot.runs.recording.pump import Pump
+from smolbot.runs.run import Run
 
 RECORD = "run.mcap"
 """File of a run folder."""

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smolbot.core.pose import Pose
-from smolbot.runs.recording.reader import Played, RecordedRun
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Window
+from smolbot.runs.recording.reader import Played, RecordedRun
 
 Column = NDArray[Any] | list[str]
 """Numbers, the first axis being rows, or text."""

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
-from smolbot.errors import InputError
 from smolbot.config.observation import Observation
+from smolbot.core.arrays import FloatArray
+from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rotate, Window
+from smolbot.errors import InputError
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
 from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.svg import FAINT, GRID, INK, page_style
 from smolbot.runs.report.interpolated_track import Track, ways
-from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rotate, Window
+from smolbot.runs.report.svg import FAINT, GRID, INK, page_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from smolbot.config.load import AnyMission
-from smolbot.runs.run import Event
-from smolbot.localization.noise.actuation_tails import CoilTails, Tail
 from smolbot.core.sensing import Device, SensorArray
+from smolbot.localization.noise.actuation_tails import CoilTails, Tail
+from smolbot.runs.run import Event
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.coil_heat import CoilHeat, mean_squares
-from smolbot.runs.report.flight import Flight
 from smolbot.core.shots import Window
+from smolbot.runs.report.flight import Flight
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
-from smolbot.config.observation import Observation
 from smolbot.runs.observation_summary import measurements
-from smolbot.runs.summary import orientation_error, tracking_distance
-from smolbot.runs.trace import Moment
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.intervals import METHOD, Estimate, Statistic, difference, estimated, mean, median, p95
 from smolbot.runs.report.setting_differences import changed
+from smolbot.runs.summary import orientation_error, tracking_distance
+from smolbot.runs.trace import Moment
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.pictures.style import COILS, PLANNED, dots, nothing
-from smolbot.runs.summary import tracking_distance
 from smolbot.runs.report.comparison import Comparison, series_of
 from smolbot.runs.report.figures_of_merit import number
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.html import Section, badge, page, table, text
 from smolbot.runs.report.intervals import METHOD, Estimate
 from smolbot.runs.report.svg import page_style, svg_of
+from smolbot.runs.summary import tracking_distance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

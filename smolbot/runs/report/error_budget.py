@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
 from smolbot.config.mission import Mission
-from smolbot.motion.gradient import advance
+from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.runs.trace import Moment
-from smolbot.runs.report.flight import Flight
 from smolbot.core.shots import Actuate, Window
+from smolbot.motion.gradient import advance
+from smolbot.runs.report.flight import Flight
+from smolbot.runs.trace import Moment
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
 from smolbot.config.observation import Observation
-from smolbot.runs.pictures.style import LOCATED, dots
+from smolbot.core.arrays import FloatArray
 from smolbot.runs.observation_summary import measurements
-from smolbot.runs.trace import Moment
+from smolbot.runs.pictures.style import LOCATED, dots
 from smolbot.runs.report.error_budget import PARTS, Budget, split, steps_of
 from smolbot.runs.report.flight import NO_TRUTH, Flight
 from smolbot.runs.report.html import Section, table, text
 from smolbot.runs.report.svg import FAINT, INK, svg_of
+from smolbot.runs.trace import Moment
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from smolbot.config.load import AnyMission
-from smolbot.runs.run import Run
 from smolbot.config.mission import Mission
-from smolbot.runs.recording.reader import RecordedRun, read_run
 from smolbot.runs.outcome import sum_up
+from smolbot.runs.recording.reader import RecordedRun, read_run
+from smolbot.runs.run import Run
 from smolbot.runs.trace import Trace
 
 NO_TRUTH = "This needs the truth, and no witness knew it on this rig."

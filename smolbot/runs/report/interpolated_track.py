@@ -8,8 +8,8 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.runs.trace import Moment
 from smolbot.core.shots import Rotate
+from smolbot.runs.trace import Moment
 
 
 @dataclass(frozen=True)

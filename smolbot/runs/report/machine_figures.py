@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, dots, nothing
-from smolbot.runs.pictures.gradient_run import draw_currents
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.coil_load import Strain
-from smolbot.runs.report.svg import FAINT, INK
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot, Window
+from smolbot.runs.pictures.gradient_run import draw_currents
+from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, dots, nothing
+from smolbot.runs.report.coil_load import Strain
+from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.svg import FAINT, INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

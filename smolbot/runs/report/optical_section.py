@@ -11,10 +11,10 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import SmolbotError
 from smolbot.runs.optics.opticaltrack import OpticalTrack, read_optical_track
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots
-from smolbot.runs.summary import statistics
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.html import Section, table
 from smolbot.runs.report.svg import svg_of
+from smolbot.runs.summary import statistics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.errors import InputError
 from smolbot.config.observation import Observation
-from smolbot.runs.summary import label_of
+from smolbot.errors import InputError
 from smolbot.runs.report import machine_figures as machinery
-from smolbot.runs.report import signal_figures as signals
 from smolbot.runs.report import position_figures as whereabouts
+from smolbot.runs.report import signal_figures as signals
+from smolbot.runs.report.coil_load import strain_of
 from smolbot.runs.report.error_budget_section import budget_section
 from smolbot.runs.report.figures_of_merit import figures_table, number, verdict_table
 from smolbot.runs.report.flight import NO_SIGNALS, Flight
@@ -21,8 +21,8 @@ from smolbot.runs.report.optical_section import optical_sections
 from smolbot.runs.report.provenance_section import events_section, provenance_section
 from smolbot.runs.report.quiet_noise import QuietNoise, heard_noise, quiet_recordings
 from smolbot.runs.report.residuals import windows_of
-from smolbot.runs.report.coil_load import strain_of
 from smolbot.runs.report.svg import page_style, svg_of
+from smolbot.runs.summary import label_of
 
 REPORT = "report.html"
 """File of a run folder."""

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
 from smolbot.config.mission import Mission
 from smolbot.config.observation import Observation
+from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
+from smolbot.runs.pictures import gradient_run as picture
 from smolbot.runs.pictures import helix_run as helixpicture
 from smolbot.runs.pictures import observation as observation_picture
-from smolbot.runs.pictures import gradient_run as picture
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
+from smolbot.runs.report.flight import Flight
 from smolbot.runs.summary import tracking_distance
 from smolbot.runs.trace import Moment
-from smolbot.runs.report.flight import Flight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Recording
+from smolbot.core.shots import Listen
 from smolbot.localization.noise.model import BLOCK_RATE, NoiseModel
 from smolbot.localization.noise.spectra import averaged
 from smolbot.runs.report.flight import Flight
-from smolbot.core.sensing import Recording
-from smolbot.core.shots import Listen
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Recording
 from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.noise.excitation_transients import decay_columns
-from smolbot.core.pose import Pose
 from smolbot.runs.report.beliefs import Beliefs
 from smolbot.runs.report.flight import Flight
-from smolbot.core.sensing import Recording
 
 BLOCK = 1e-4
 """Length, in s, of the blocks to which samples are averaged before a model is laid over them."""

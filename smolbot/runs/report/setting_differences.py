@@ -6,9 +6,9 @@ import json
 import tomllib
 from typing import Any
 
-from smolbot.motion.controller import complete_gains
-from smolbot.errors import PluginError
 from smolbot.config.plugins import load
+from smolbot.errors import PluginError
+from smolbot.motion.controller import complete_gains
 from smolbot.runs.recording.files import MISSION, RIG, ROBOT
 from smolbot.runs.report.flight import Flight
 

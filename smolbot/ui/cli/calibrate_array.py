@@ -12,10 +12,10 @@ from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption, SetOption, settings_from
 
 if TYPE_CHECKING:
-    from smolbot.bench.calibration.array import ArrayCalibration
     from smolbot.config.rig import RigConfig
     from smolbot.config.sensors import SensorsFile
     from smolbot.core.sensing import Device
+    from smolbot.localization.array.calibration import ArrayCalibration
 
 DEFAULT_POSES = 60
 FAR = 5e-3
@@ -60,10 +60,10 @@ def calibrate_array(
 
     Without TRACK the rig's own stage visits places by itself; the simulated tank has one.
     """
-    from smolbot.bench.calibration.array import calibrate_sensors
     from smolbot.bench.calibration.stage_recordings import from_files, on_stage, ringing
     from smolbot.config.rig import load_rig
     from smolbot.config.sensors import write_sensors
+    from smolbot.localization.array.calibration import calibrate_sensors
     from smolbot.ui.cli.calibrate import check_writable, expected_hum
     from smolbot.ui.cli.localize import find_device
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smolbot.bench.calibration.array import calibrate_sensors
 from smolbot.config.rig import load_rig
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
 from smolbot.core.sensing import Recording, SensorArray
 from smolbot.errors import InputError
+from smolbot.localization.array.calibration import calibrate_sensors
 from smolbot.localization.forward import deflection, sensor_field
 
 RATE = 50_000.0
