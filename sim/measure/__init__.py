@@ -1,1 +1,1 @@
-"""Programs that measure this project itself: kills, faults, speed, accuracy of the video track."""
+"""Programs that measure this project itself, from a checkout: kills, faults, speed, accuracy of the video track."""
