@@ -43,6 +43,7 @@ types: setup
 
 imports: setup
 	$(BIN)/lint-imports
+	$(BIN)/python tools/rooms.py
 
 docs: setup
 	@rm -rf docs/reference/generated

@@ -52,7 +52,7 @@ nitpicky = True
 # Names of other projects, which a build without a network cannot look up. Names of our own must be found.
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|npt|collections|pathlib|os|typing|concurrent|dict\[str)(\..*)?"),
-    (r"py:class", r"smolbot\.recording\.run_pb2\..*"),  # described by run.proto
+    (r"py:class", r"smolbot\.runs\.recording\.run_pb2\..*"),  # described by run.proto
 ]
 
 smartquotes = False

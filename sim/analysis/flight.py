@@ -109,7 +109,7 @@ class Model:
             Listen(cycle.half_periods, frequency),
         )
         self._arc = np.linspace(0.0, mission.path.length, PLACES)
-        self._covariances = covariances_along(mission, self._arc)
+        self._covariances = covariances_along(mission, mission.path, self._arc)
 
     @property
     def rest(self) -> float:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.gridspec import SubplotSpec
 
-    from sim.batch.command import Flight
+    from sim.batch.flights import Flight
 
 Row = tuple[str, list[str], float | None]
 

@@ -16,7 +16,8 @@ from smolbot.core.sensing import Recording
 from smolbot.localization import basis, kernels
 from smolbot.localization.expected import noise_parts
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise.model import ComplexArray, NoiseModel
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.noise.spectra import ComplexArray
 from smolbot.localization.noise.whitening import whitened_model
 from smolbot.localization.problem import LinearModel, paper_model
 from smolbot.localization.synthetic import Fitted

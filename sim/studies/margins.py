@@ -141,7 +141,7 @@ def _declared(mission: Mission) -> Mapping[str, Any]:
 
 def _flown(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> FloatArray:
     """Rows (seed, tracking rms in mm, robot time in s, passed) of flights of the reduced plant; none on a bench."""
-    from sim.batch.command import Plant, fly_one
+    from sim.batch.flights import Plant, fly_one
     from sim.reduced.rig import require_flyable
 
     try:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.tank.carriers.carrier import Carrier, Drawn, Magnetised, Turned, make_carrier
+from sim.tank.carriers.carrier import Carrier, Drawn, Magnetised, Turned
+from sim.tank.carriers.choose import make_carrier
 from sim.tank.history import History
 from sim.tank.magnetics.cantilever import STATE_LENGTH, swing
 from sim.tank.magnetics.coils import TankCoils, volume

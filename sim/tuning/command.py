@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sim.batch.command import Plant
+from sim.batch.flights import Plant
 from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 

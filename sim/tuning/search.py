@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.batch.command import Plant, fly_one
+from sim.batch.flights import Plant, fly_one
 from sim.tuning.cost import REFUSED, cost
 from smolbot.errors import InputError
 from smolbot.motion.controller import Gain

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.batch.command import Plant, fly_one
+from sim.batch.flights import Plant, fly_one
 from sim.batch.intervals import wilson_interval
 from sim.tuning.cost import cost
 from sim.tuning.search import Problem

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from smolbot.config.document import Fault
+from smolbot.config.mission_base import MissionBase
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
@@ -19,22 +19,27 @@ from smolbot.localization.chain import WINDOW
 from smolbot.localization.expected import expected_covariance
 from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.problem import MIN_OUTPUTS
+from smolbot.paths.curve import Curve
 
-if TYPE_CHECKING:
-    from smolbot.config.mission import Mission
-    from smolbot.config.mission_base import MissionBase
+Point = tuple[float, float]
+
+PLACES = 5
+"""Of a path, at which a tolerance is held against the error to be expected."""
 
 ROOMS = 3
 """Drawn directions of the mains that an expected error is averaged over."""
 
 
-def fitness_faults(mission: Mission) -> list[Fault]:
-    """Every reason why the mission cannot be flown as its files say; empty if there is none."""
+def fitness_faults(mission: MissionBase, path: Curve, start: Point, tolerance: float) -> list[Fault]:
+    """Every reason why the mission cannot be flown as its files say; empty if there is none.
+
+    `start` and `tolerance` in m.
+    """
     return [
-        *_container_faults(mission),
-        *(_table_faults(mission) if mission.robot.kind == "gradient" else ()),
+        *_container_faults(mission, path, start),
+        *(_table_faults(mission, path, start) if mission.robot.kind == "gradient" else ()),
         *_limit_faults(mission),
-        *(_sensor_faults(mission) or _tolerance_faults(mission)),
+        *(_sensor_faults(mission) or _tolerance_faults(mission, path, tolerance)),
     ]
 
 
@@ -43,14 +48,14 @@ def listening_faults(mission: MissionBase) -> list[Fault]:
     return [*_limit_faults(mission), *_sensor_faults(mission)]
 
 
-def _container_faults(mission: Mission) -> list[Fault]:
+def _container_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
     box = mission.rig.sections.container
     margin = 0.5e3 * math.hypot(*sorted(mission.robot.size)[1:])  # it may lie at any angle
     low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
     high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
     room = f"the robot's centre can go from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) mm"
     faults = []
-    for key, points in (("path", mission.path.points[:, :2] * 1e3), ("start", 1e3 * np.array([mission.start]))):
+    for key, points in (("path", path.points[:, :2] * 1e3), ("start", 1e3 * np.array([start]))):
         outside = np.flatnonzero(np.any((points < low - 1e-9) | (points > high + 1e-9), axis=1))
         if outside.size:
             x, y = points[outside[0]]
@@ -58,7 +63,7 @@ def _container_faults(mission: Mission) -> list[Fault]:
     return faults
 
 
-def _table_faults(mission: Mission) -> list[Fault]:
+def _table_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
     try:
         table = mission.rig.table()
     except ConfigError as error:
@@ -67,8 +72,8 @@ def _table_faults(mission: Mission) -> list[Fault]:
         message = f"the table holds {table.n_coils} coils, rig '{mission.rig.name}' has {len(mission.rig.coil_names)}."
         return [Fault(("rig",), message)]
     faults = []
-    start = np.array([[*mission.start, mission.rig.surface_z]])
-    for key, points in (("path", mission.path.points), ("start", start)):
+    put_down = np.array([[*start, mission.rig.surface_z]])
+    for key, points in (("path", path.points), ("start", put_down)):
         outside = np.flatnonzero(~table.contains(points))
         if outside.size:
             x, y, z = points[outside[0]] * 1e3
@@ -112,12 +117,12 @@ def _sensor_faults(mission: MissionBase) -> list[Fault]:
     return faults
 
 
-def _tolerance_faults(mission: Mission) -> list[Fault]:
-    expected = expected_error(mission)
-    if mission.tolerance >= expected:
+def _tolerance_faults(mission: MissionBase, path: Curve, tolerance: float) -> list[Fault]:
+    expected = float(np.max(expected_errors(mission, path, np.linspace(0.0, path.length, PLACES))))
+    if tolerance >= expected:
         return []
     message = (
-        f"{mission.tolerance * 1e3:g} mm lies under the localization error to be expected on this path, "
+        f"{tolerance * 1e3:g} mm lies under the localization error to be expected on this path, "
         f"{expected * 1e3:.2f} mm in the plane; raise it, or listen longer ([cycle] half_periods)."
     )
     return [Fault(("controller", "tolerance_mm"), message)]
@@ -136,23 +141,18 @@ def noise_levels(rig: RigConfig) -> NoiseLevels:
     )
 
 
-def expected_error(mission: Mission, places: int = 5) -> float:
-    """Horizontal rms error of one pose, in m, the worst of some places along the path."""
-    return float(np.max(expected_errors(mission, np.linspace(0.0, mission.path.length, places))))
-
-
-def expected_errors(mission: Mission, arc: FloatArray) -> FloatArray:
+def expected_errors(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
     """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path."""
-    covariances = covariances_along(mission, arc)
+    covariances = covariances_along(mission, path, arc)
     errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
     return errors
 
 
-def covariances_along(mission: Mission, arc: FloatArray) -> FloatArray:
+def covariances_along(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
     """Covariances (n, 6, 6) of one pose, (m, rad), at arc lengths `arc` in m, the robot heading along the path."""
     up = np.array([0.0, 0.0, 1.0])
-    headings = [quaternion_from_axes(heading, up, "zy") for heading in mission.path.tangent(arc)]
-    return expected_covariances(mission, mission.path.at(arc), headings)
+    headings = [quaternion_from_axes(heading, up, "zy") for heading in path.tangent(arc)]
+    return expected_covariances(mission, path.at(arc), headings)
 
 
 def expected_covariances(mission: MissionBase, points: FloatArray, orientations: list[FloatArray]) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.feasibility import fitness_faults
 from smolbot.config.mission_base import MissionBase, MissionBaseFile, Positive, load_parts, open_document, raise_all
 from smolbot.config.path_section import PathSection, read_path
 from smolbot.config.plugins import load, names
@@ -186,9 +187,7 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     under = 0.5 * robot_config.size[0] if robot_config.kind == "helical" else 0.0  # a helix is pulled up to the plate
     path, remarks = read_path(document, sections.path, rig_config.surface_z - under)
     mission = Mission(document, sections, rig_config, robot_config, path, remarks)
-    from smolbot.config.feasibility import fitness_faults
-
-    unfit = fitness_faults(mission)
+    unfit = fitness_faults(mission, path, mission.start, mission.tolerance)
     if unfit:
         raise document.error(unfit)
     return mission

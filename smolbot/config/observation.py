@@ -123,5 +123,5 @@ def _unfit(rig: RigConfig, robot: RobotConfig) -> list[Fault]:
     if robot.kind != "device":
         message = f"'{robot.name}' is of kind '{robot.kind}', which swims; [observe] needs a bare device."
         return [Fault(("robot",), message)]
-    reason = load_world(rig.world, rig.document).unfit(rig, robot)
+    reason: str | None = load_world(rig.world, rig.document).unfit(rig, robot)
     return [] if reason is None else [Fault(("rig",), reason)]

@@ -4,36 +4,12 @@ from __future__ import annotations
 
 import difflib
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
+from smolbot.config.document import Document, Fault
 from smolbot.errors import PluginError
 
-if TYPE_CHECKING:
-    from smolbot.config.document import Document, Fault
-    from smolbot.config.rig import RigConfig
-    from smolbot.config.robot import RobotConfig
-    from smolbot.core.rig import Rig
-
 _OURS = {"controllers", "sim", "lookup_tables"}
-
-
-class World(Protocol):
-    """What an entry point of ``smolbot.rigs`` names: how one kind of rig is checked and opened."""
-
-    @staticmethod
-    def check(document: Document) -> list[Fault]:
-        """Faults of the world's own section of a rig file."""
-
-    @staticmethod
-    def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:
-        """Why this rig cannot hold a bare device; None if it can, or if that is not the world's to know."""
-
-    @staticmethod
-    def open(rig: RigConfig, robot: RobotConfig, start: Any, seed: int, **options: Any) -> Rig:
-        """Open the rig with the robot at `start` (x, y in m), ready to play shots.
-
-        `options` are `gui` and `operator` (see `smolbot.core.operator`); a world passes over what it has no need of.
-        """
 
 
 def names(group: str) -> list[str]:
@@ -58,14 +34,11 @@ def load(group: str, name: str) -> Any:
     return _load(found[0])
 
 
-def load_world(name: str, document: Document) -> World:
-    """The world that a rig file names; an unknown one is a fault of that file."""
+def load_world(name: str, document: Document) -> Any:
+    """The `smolbot.config.world.World` that a rig file names; an unknown one is a fault of that file."""
     if name not in names("rigs"):
-        from smolbot.config.document import Fault
-
         raise document.error([Fault(("world",), f"no world is named '{name}'; installed: {', '.join(names('rigs'))}.")])
-    world: World = load("rigs", name)
-    return world
+    return load("rigs", name)
 
 
 def _load(point: EntryPoint) -> Any:

@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.library import find_file
+from smolbot.config.plugins import load_world
 from smolbot.config.safety_section import SafetySection
 from smolbot.config.sensors import (
     CalibratedSensors,
@@ -400,9 +401,8 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
 
 def _world_faults(document: Document) -> list[Fault]:
     """Faults of the section that only its own world can check."""
-    from smolbot.config.plugins import load_world
-
     world = document.data.get("world")
     if not isinstance(world, str):
         return []
-    return load_world(world, document).check(document)
+    faults: list[Fault] = load_world(world, document).check(document)
+    return faults

@@ -14,6 +14,7 @@ from smolbot.config.mission_base import MissionBase
 from smolbot.config.observation import Observation
 from smolbot.config.plugins import load_world
 from smolbot.config.sensors import write_sensors
+from smolbot.config.world import World
 from smolbot.core.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.core.rig import Rig
 from smolbot.core.thread_switching import short_turns
@@ -131,7 +132,7 @@ def fly(
     if opener is not None:
         rig = opener(mission, seed)
     else:
-        world = load_world(mission.rig.world, mission.rig.document)
+        world: World = load_world(mission.rig.world, mission.rig.document)
         place = mission.start if isinstance(mission, Observation) else mission.put_down
         asked = operator if operator is not None else SilentOperator()
         rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=asked)

@@ -12,8 +12,8 @@ from scipy.optimize import least_squares, minimize
 
 from controllers import ForceAllocator
 from controllers.predictive import Predictive
-from sim.batch.command import Plant, fly_seeds, warm_rates
 from sim.batch.executors import open_executor
+from sim.batch.flights import Plant, fly_seeds, warm_rates
 from sim.measure.plant_speed import plant_loads
 from sim.reduced.plant import ReducedPlant
 from sim.reduced.rig import open_reduced

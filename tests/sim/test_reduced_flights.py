@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.batch import command as simulate
+from sim.batch.flights import Flight, Plant, fly_seeds
 from sim.batch.flights_picture import headline
 from sim.reduced.rig import open_reduced, require_flyable
 from smolbot.config.mission import load_mission
@@ -56,7 +56,7 @@ def test_the_number_of_processes_changes_nothing():
 
     def figures(jobs):
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as executor:
-            flights = simulate.fly_seeds(executor, "line", None, {}, [1, 2, 3], simulate.Plant.REDUCED)
+            flights = fly_seeds(executor, "line", None, {}, [1, 2, 3], Plant.REDUCED)
             found = {f.summary["seed"]: (f.trail, f.value("tracking_rms_mm"), f.value("cycles")) for f in flights}
         return [found[seed] for seed in sorted(found)]
 
@@ -158,7 +158,7 @@ def test_results_are_labelled_wherever_they_are_shown(flown, line, tmp_path, mon
         assert [row["plant"] for row in csv.DictReader(file)] == ["reduced", "reduced"]
     assert json.loads((tmp_path / "study" / "summary.json").read_text())["plant"] == "reduced"
     assert json.loads((tmp_path / "study" / "provenance.json").read_text())["world"]["plant"] == "reduced"
-    flights = [simulate.Flight(run.summary, run.true_trail) for run in flown.values()]
+    flights = [Flight(run.summary, run.true_trail) for run in flown.values()]
     assert "reduced plant" in headline(line, flights)
     assert "reduced plant" in headline_of_run(line, flown[1])
 

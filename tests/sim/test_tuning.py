@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from sim.batch.command import Plant
 from sim.batch.executors import open_executor
+from sim.batch.flights import Plant
 from sim.tuning import search as searching
 from sim.tuning.cost import MISSED, REFUSED, cost
 from sim.tuning.report import gains_file, importances, write_trials

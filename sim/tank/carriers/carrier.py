@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Window
-from smolbot.errors import InputError
-
-if TYPE_CHECKING:
-    from sim.tank.mismatch import Truth
-    from sim.tank.settings import TankSettings
-    from smolbot.config.rig import RigConfig
-    from smolbot.config.robot import RobotConfig
 
 Triple = tuple[float, float, float]
 Quadruple = tuple[float, float, float, float]
@@ -75,29 +68,3 @@ class Drawn(Carrier, Protocol):
 
     def as_dict(self) -> dict[str, Any]:
         """What was drawn, as plain lists and numbers."""
-
-
-def make_carrier(
-    rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
-    *, gui: bool, ideal: bool,
-) -> Carrier:  # fmt: skip
-    """The carrier that a kind of robot asks for.
-
-    Raises
-    ------
-    InputError
-        If this tank has none for it.
-    """
-    if robot.kind == "gradient":
-        from sim.tank.carriers.floating import Floating
-
-        return Floating(rig, robot, settings, truth, start, gui=gui)
-    if robot.kind == "helical":
-        from sim.tank.carriers.gel.embedded import Embedded
-
-        return Embedded(rig, robot, settings, truth, start, seed, ideal=ideal)
-    if robot.kind == "device":
-        from sim.tank.carriers.held import held
-
-        return held(rig, robot, settings, seed)
-    raise InputError(f"{rig.name}: this tank cannot carry a robot of kind '{robot.kind}' ({robot.name}).")

@@ -11,7 +11,8 @@ import numpy as np
 from smolbot.config.samples import Shots, read_samples, recordings_from
 from smolbot.core.arrays import BoolArray
 from smolbot.errors import InputError
-from smolbot.localization.noise.model import BLOCK_RATE, NoiseModel
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.noise.spectra import BLOCK_RATE
 from smolbot.localization.problem import MIN_OUTPUTS
 
 if TYPE_CHECKING:

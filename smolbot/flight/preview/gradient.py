@@ -181,7 +181,7 @@ def preview(mission: Mission) -> Preview:
         cycles=rollout.cycles,
         trail=np.array(rollout.trail),
         reach=rollout.controller.reach(mission.path),
-        localization_error=expected_errors(mission, np.linspace(0.0, mission.path.length, 9)),
+        localization_error=expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
         coil_energy=rollout.energy,
         reasons=[reason] if reason else [],
     )

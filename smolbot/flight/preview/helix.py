@@ -100,7 +100,7 @@ def preview_helix(mission: Mission) -> HelixPreview:
         radius=radius,
         bend=bend,
         torque_margin=margin,
-        localization_error=expected_errors(mission, np.linspace(0.0, mission.path.length, 9)),
+        localization_error=expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
         reasons=reasons,
     )
 

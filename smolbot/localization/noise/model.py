@@ -12,25 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from smolbot.core.arrays import BoolArray, FloatArray
 from smolbot.errors import InputError
+from smolbot.localization.noise.spectra import BLOCK_RATE, SEGMENT, ComplexArray, learn_spectra
 
 if TYPE_CHECKING:
     from smolbot.core.sensing import Recording, SensorArray
-
-ComplexArray = npt.NDArray[np.complex128]
-
-BLOCK_RATE = 5000.0
-"""Rate, in Hz, to which quiet recordings are averaged down before they are looked at."""
-
-MAX_LINES = 16
-LINE_CONTRAST = 12.0
-"""A line stands out from its neighbourhood by this factor in power, summed over the sensors."""
-
-SEGMENT = 0.2
-"""Length, in s, of the pieces that the smooth part is averaged over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +64,6 @@ class NoiseModel:
         InputError
             If there is none, they differ, are too short, hold values that are not finite, or no channel is alive.
         """
-        from smolbot.localization.noise.spectra import learn_spectra
-
         if not quiet:
             raise InputError("NoiseModel.learn needs at least one quiet recording; got none.")
         kinds = {(r.field.shape[0], r.sample_rate) for r in quiet}
@@ -97,9 +83,9 @@ class NoiseModel:
         if bad.all():
             raise InputError("Every channel of the quiet recordings is saturated or silent: nothing can be learned.")
         if not bad.any():
-            return learn_spectra(chosen)
+            return cls(*learn_spectra(chosen))
         alive = [replace(r, field=r.field[~bad], saturated=r.saturated[~bad]) for r in chosen]
-        return learn_spectra(alive)._with_strangers(bad)
+        return cls(*learn_spectra(alive))._with_strangers(bad)
 
     def _with_strangers(self, strange: BoolArray) -> NoiseModel:
         """The model of all channels, those of `strange` as noisy as this model's own are on average."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smolbot.core.sensing import SensorArray
-from smolbot.localization.noise.model import ComplexArray, NoiseModel, field_covariance
+from smolbot.localization.noise.model import NoiseModel, field_covariance
+from smolbot.localization.noise.spectra import ComplexArray
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Recording
-from smolbot.localization.noise.model import BLOCK_RATE, LINE_CONTRAST, MAX_LINES, SEGMENT, ComplexArray, NoiseModel
+
+ComplexArray = npt.NDArray[np.complex128]
+
+BLOCK_RATE = 5000.0
+"""Rate, in Hz, to which quiet recordings are averaged down before they are looked at."""
+
+MAX_LINES = 16
+LINE_CONTRAST = 12.0
+"""A line stands out from its neighbourhood by this factor in power, summed over the sensors."""
+
+SEGMENT = 0.2
+"""Length, in s, of the pieces that the smooth part is averaged over."""
 
 PASSES = 4
 """How often the spectrum is searched for lines."""
@@ -17,8 +30,18 @@ SMOOTHING = 0.12
 """Relative half width over which the spectrum between the lines is averaged."""
 
 
-def learn_spectra(quiet: Sequence[Recording]) -> NoiseModel:
-    """Noise model of quiet recordings that were checked already."""
+class Spectra(NamedTuple):
+    """What quiet recordings hold; shapes and units as of a `NoiseModel`."""
+
+    line_frequencies: FloatArray
+    lines: ComplexArray
+    frequencies: FloatArray
+    spectrum: ComplexArray
+    block: float
+
+
+def learn_spectra(quiet: Sequence[Recording]) -> Spectra:
+    """Lines and smooth spectrum of quiet recordings that were checked already."""
     rate = quiet[0].sample_rate
     size = max(round(rate / BLOCK_RATE), 1)
     block_rate = rate / size
@@ -27,7 +50,7 @@ def learn_spectra(quiet: Sequence[Recording]) -> NoiseModel:
     phasors, left = remove_lines(pieces, found, block_rate)
     frequencies, spectrum = cross_spectrum(left, block_rate)
     lines = np.einsum("plj,plk->ljk", phasors, phasors.conj()) / len(pieces)
-    return NoiseModel(found, lines, frequencies, spectrum, 1.0 / block_rate)
+    return Spectra(found, lines, frequencies, spectrum, 1.0 / block_rate)
 
 
 def averaged(field: FloatArray, size: int) -> FloatArray:

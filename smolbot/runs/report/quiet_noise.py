@@ -9,8 +9,8 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Listen
-from smolbot.localization.noise.model import BLOCK_RATE, NoiseModel
-from smolbot.localization.noise.spectra import averaged
+from smolbot.localization.noise.model import NoiseModel
+from smolbot.localization.noise.spectra import BLOCK_RATE, averaged
 from smolbot.runs.report.flight import Flight
 
 

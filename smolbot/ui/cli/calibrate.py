@@ -47,13 +47,14 @@ def calibrate(
     from smolbot.bench.calibration.device import calibrate as measure
     from smolbot.config.device import DeviceConfig, write_device
     from smolbot.config.plugins import load_world
+    from smolbot.config.world import World
 
     plan = Plan(cycles, sweep_span=span_hz, sweep_points=points, repeats=repeats, height_std=1e-3 * z_std_mm)
     rig_config, robot_config, start = find_target(target, robot, settings_from(set_))
     _check_height(z_mm, rig_config)
     path = out or Path(f"{robot_config.name}_device.toml")
     check_writable(path)
-    world = load_world(rig_config.world, rig_config.document)
+    world: World = load_world(rig_config.world, rig_config.document)
     rig = world.open(rig_config, robot_config, start, seed)
     try:
         with _told(json) as tell:
