@@ -23,6 +23,7 @@ from smolbot.localization.noise.residuals import energies
 from smolbot.localization.noise.whitening import prepare_whitened
 from smolbot.localization.problem import Fit, Problem, prepare_paper
 from smolbot.localization.segments import SharedAmplitude, anchor, cut
+from smolbot.localization.twins import MIN_ODDS, choose, freedom, mean_square
 
 Estimator = Literal["whitened", "paper"]
 
@@ -41,9 +42,6 @@ LEAST_TREND = 1
 
 MISFIT = 3.0
 """Variance of whitened residuals above which something else than noise is heard."""
-
-MIN_ODDS = 12.0
-"""A cold start is trusted if every other solution is worse by this much in chi-square (odds of 400 to 1)."""
 
 MAX_SIGMA = (3e-3, 0.2)
 """Standard deviations, in m and rad, beyond which a pose is not worth acting on."""
@@ -74,10 +72,18 @@ class Swing:
     _fit: Fit
     _variance: float
 
+    @classmethod
+    def of(cls, problem: Problem, fit: Fit, variance: float, spread: FloatArray | None) -> Swing:
+        """That of a fit with residuals of `variance`; `spread` is the covariance in the fit's units, if it has one."""
+        joint = np.full((7, 7), np.inf) if spread is None else spread[_WITHOUT_PHASE]
+        joint[6] *= REFERENCE_ANGLE
+        joint[:, 6] *= REFERENCE_ANGLE
+        return cls(fit.amplitude * REFERENCE_ANGLE, float(fit.phase), joint, problem, fit, variance)
+
     @property
     def misfit(self) -> float:
         """Variance of the residuals: of whitened data about 1 where noise is all that is left."""
-        return self._fit.sse / max(self._problem.data.size - 8, 1)
+        return mean_square(self._problem, self._fit)
 
     def energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
         """What is left in each channel, and what `noise` foretells, each (n_sensors,) in units of the noise."""
@@ -271,43 +277,31 @@ class Localizer:
 
         A `steady` device is listened to again and again, so its turn about the moment need be known roughly only.
         """
-        best, flip_margin, odds = found[0], 1.0, np.inf
-        along = self.device.along_cantilever
-        variance = 1.0 if problem.model.white else best.sse / max(problem.data.size - 8, 1)
-        if not along:
-            best, other = self._both_twins(problem, best)
-            flip_margin = max(1.0, math.sqrt(other.sse / max(best.sse, 1e-300)))
-            odds = (other.sse - best.sse) / variance
-            if prior is not None and odds < MIN_ODDS and _turned(other, prior) < _turned(best, prior):
-                best = other
-        rivals = [f for f in found[1:] if not (along and _is_twin(f, best)) and not _same(f, best)]
-        if rivals:
-            odds = min(odds, (min(f.sse for f in rivals) - best.sse) / variance)
-        orientation = quaternion_from_matrix(best.rotation)
-        if along:
-            orientation = nearer_twin(orientation, None if prior is None else prior.orientation)
-        variance = _inflated(problem, best) if problem.model.white else best.sse / max(problem.data.size - 8, 1)
+        best, flip_margin, odds = choose(problem, found, self.device, prior)
+        variance = _inflated(problem, best) if problem.model.white else mean_square(problem, best)
+        spread = kernels.covariance(best.normal, variance)
+        usable = math.isfinite(spread[0, 0]) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
         total = problem.total_sum_of_squares
         r_squared = 1.0 - best.sse / total if total > 0 else 0.0
-        spread = kernels.covariance(best.normal, variance)
-        covariance = spread[:6, :6]
-        usable = math.isfinite(spread[0, 0]) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
-        certain = usable and max(spread[0, 0], spread[1, 1], spread[2, 2]) < MAX_SIGMA[0] ** 2
-        certain = certain and self._knows_direction(covariance[3:, 3:], best, steady)
-        clear = prior is not None or odds > MIN_ODDS
+        known = usable and self._knows(spread, best, steady) and (prior is not None or odds > MIN_ODDS)
+        orientation = quaternion_from_matrix(best.rotation)
+        if self.device.along_cantilever:
+            orientation = nearer_twin(orientation, None if prior is None else prior.orientation)
         pose = Pose(
             time=recording.middle,
             position=best.position,
             orientation=orientation,
-            covariance=covariance if usable else np.diag([1e-2] * 3 + [10.0] * 3),
+            covariance=spread[:6, :6] if usable else np.diag([1e-2] * 3 + [10.0] * 3),
             r_squared=float(r_squared),
             flip_margin=flip_margin,
-            trusted=bool(best.converged and certain and clear and self._inside(best) and r_squared >= MIN_R_SQUARED),
+            trusted=bool(best.converged and known and self._inside(best) and r_squared >= MIN_R_SQUARED),
         )
-        joint = spread[_WITHOUT_PHASE] if usable else np.full((7, 7), np.inf)
-        joint[6] *= REFERENCE_ANGLE
-        joint[:, 6] *= REFERENCE_ANGLE
-        return pose, Swing(best.amplitude * REFERENCE_ANGLE, float(best.phase), joint, problem, best, variance)
+        return pose, Swing.of(problem, best, variance, spread if usable else None)
+
+    def _knows(self, spread: FloatArray, fit: Fit, steady: bool) -> bool:
+        """Whether a fit of covariance `spread` tells place and direction well enough to act on."""
+        placed = max(spread[0, 0], spread[1, 1], spread[2, 2]) < MAX_SIGMA[0] ** 2
+        return bool(placed) and self._knows_direction(spread[3:6, 3:6], fit, steady)
 
     def _knows_direction(self, turn: FloatArray, fit: Fit, steady: bool) -> bool:
         """Whether rotations of covariance `turn` are known; of a steady device, the turn about the moment roughly."""
@@ -322,20 +316,6 @@ class Localizer:
         bounds = zip(self.volume.low, fit.position, self.volume.high, strict=True)
         return all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
 
-    def _both_twins(self, problem: Problem, best: Fit) -> tuple[Fit, Fit]:
-        """Fit the other member of the two-fold ambiguity as well; the better one first."""
-        moment = best.rotation @ self.device.moment_in_body
-        turned = 2.0 * moment[:, None] * self.device.moment_in_body - best.rotation
-        position = best.position + self.device.l0 * (best.rotation[:, 2] - turned[:, 2])
-        other = problem.fit(position, turned, best.phase + np.pi, best.amplitude, iterations=8, tolerance=1e-3)
-        low, high = sorted((best, other), key=lambda t: t.sse)
-        return low, high
-
-
-def _turned(fit: Fit, prior: Pose) -> float:
-    """Angle between a fit's orientation and the prior's, in rad."""
-    return float(np.arccos(np.clip(0.5 * (np.trace(fit.rotation.T @ prior.rotation) - 1.0), -1.0, 1.0)))
-
 
 def _near_enough(pose: Pose, prior: Pose) -> bool:
     """Whether a pose that is too vague to act on may still start the next fit."""
@@ -345,17 +325,5 @@ def _near_enough(pose: Pose, prior: Pose) -> bool:
 
 def _inflated(problem: Problem, fit: Fit) -> float:
     """Variance of whitened residuals: one, unless they are larger than chance makes them."""
-    freedom = max(problem.data.size - 8, 1)
-    variance = fit.sse / freedom
-    return variance if variance > 1.0 + 4.0 * math.sqrt(2.0 / freedom) else 1.0
-
-
-def _same(a: Fit, b: Fit) -> bool:
-    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
-    return near and float(np.trace(a.rotation.T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
-
-
-def _is_twin(a: Fit, b: Fit) -> bool:
-    half_turn = np.array([-1.0, -1.0, 1.0])
-    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
-    return near and float(np.trace((a.rotation * half_turn).T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
+    variance = mean_square(problem, fit)
+    return variance if variance > 1.0 + 4.0 * math.sqrt(2.0 / freedom(problem)) else 1.0

@@ -14,9 +14,13 @@ from smolbot.core.pose import Pose
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Window
 from smolbot.runs.recording.reader import Played, RecordedRun
+from smolbot.runs.run import CycleRecord
+from smolbot.runs.trace import Moment
 
 Column = NDArray[Any] | list[str]
 """Numbers, the first axis being rows, or text."""
+
+Cycle = tuple[int, CycleRecord]
 
 
 @dataclass(frozen=True)
@@ -42,60 +46,24 @@ def tables(run: RecordedRun) -> dict[str, Table]:
 
     Vectors are in the world frame, quaternions scalar first; covariances (6, 6) of position in m and rotation in rad.
     """
-    numbered = list(zip(run.number_of_cycle, run.moments, strict=True))
-    cycles = [(n, m.cycle) for n, m in numbered]
+    moments = list(zip(run.number_of_cycle, run.moments, strict=True))
+    cycles = [(n, m.cycle) for n, m in moments]
+    shots = ((p.number, p.shot.windows) for p in run.played)
+    wanted = ((n, _wanted(c.command.window)) for n, c in cycles)
     return {
         "shots": _shots(run),
-        "windows": _windows("a window of a shot, in order", "shot", ((p.number, p.shot.windows) for p in run.played)),
-        "cycles": Table(
-            "a cycle: shot, pose, command",
-            {
-                "cycle": _ints(n for n, _ in cycles),
-                "shot": _ints(run.shot_of_cycle),
-                "mode": [c.shot.mode for _, c in cycles],
-                "start_s": _floats(c.shot.start for _, c in cycles),
-                "ended_s": _floats(c.ended for _, c in cycles),
-                "compute_s": _floats(c.compute for _, c in cycles),
-                "rig": [c.rig for _, c in cycles],
-            },
-        ),
+        "windows": _windows("a window of a shot, in order", "shot", shots),
+        "cycles": _cycles(run, cycles),
         "poses_raw": _poses("a pose as located", [(n, c.pose) for n, c in cycles]),
         "poses_tracked": _poses("a pose as believed", [(n, c.tracked) for n, c in cycles]),
-        "poses_true": _poses("where the device truly was at the time of the pose", [(n, m.truth) for n, m in numbered]),
+        "poses_true": _poses("where the device truly was at the time of the pose", [(n, m.truth) for n, m in moments]),
         "poses_true_at_end": _poses(
-            "where the device truly was at the end of the shot", [(n, m.truth_at_end) for n, m in numbered]
+            "where the device truly was at the end of the shot", [(n, m.truth_at_end) for n, m in moments]
         ),
-        "way_true": Table(
-            "a place on the way while nothing listened",
-            {
-                "cycle": _ints(n for n, m in numbered for _ in m.way),
-                "position_m": np.vstack([np.zeros((0, 3)), *(m.way for _, m in numbered)]),
-            },
-        ),
-        "commands": Table(
-            "what the controller wanted next, after a cycle",
-            {
-                "cycle": _ints(n for n, _ in cycles),
-                "phase": [c.command.phase for _, c in cycles],
-                "progress_m": _floats(c.command.progress for _, c in cycles),
-                "saturated": _bools(c.command.saturated for _, c in cycles),
-                "done": _bools(c.command.done for _, c in cycles),
-                "stuck": _bools(c.command.stuck for _, c in cycles),
-                "note": [c.command.note for _, c in cycles],
-                "event": [c.command.event for _, c in cycles],
-            },
-        ),
-        "command_windows": _windows(
-            "a window of a command, in order", "cycle", ((n, _wanted(c.command.window)) for n, c in cycles)
-        ),
-        "events": Table(
-            "something that changed what is believed",
-            {
-                "time_s": _floats(e.time for e in run.events),
-                "what": [e.what for e in run.events],
-                "detail_json": [json.dumps(e.detail) for e in run.events],
-            },
-        ),
+        "way_true": _ways(moments),
+        "commands": _commands(cycles),
+        "command_windows": _windows("a window of a command, in order", "cycle", wanted),
+        "events": _events(run),
     }
 
 
@@ -165,6 +133,58 @@ def _shots(run: RecordedRun) -> Table:
             "end_s": _floats(of(lambda p: p.shot.end)),
             "ended_s": _floats(of(lambda p: p.ended)),
             "heard": _bools(of(lambda p: p.samples is not None)),
+        },
+    )
+
+
+def _cycles(run: RecordedRun, cycles: list[Cycle]) -> Table:
+    return Table(
+        "a cycle: shot, pose, command",
+        {
+            "cycle": _ints(n for n, _ in cycles),
+            "shot": _ints(run.shot_of_cycle),
+            "mode": [c.shot.mode for _, c in cycles],
+            "start_s": _floats(c.shot.start for _, c in cycles),
+            "ended_s": _floats(c.ended for _, c in cycles),
+            "compute_s": _floats(c.compute for _, c in cycles),
+            "rig": [c.rig for _, c in cycles],
+        },
+    )
+
+
+def _ways(moments: list[tuple[int, Moment]]) -> Table:
+    return Table(
+        "a place on the way while nothing listened",
+        {
+            "cycle": _ints(n for n, m in moments for _ in m.way),
+            "position_m": np.vstack([np.zeros((0, 3)), *(m.way for _, m in moments)]),
+        },
+    )
+
+
+def _commands(cycles: list[Cycle]) -> Table:
+    return Table(
+        "what the controller wanted next, after a cycle",
+        {
+            "cycle": _ints(n for n, _ in cycles),
+            "phase": [c.command.phase for _, c in cycles],
+            "progress_m": _floats(c.command.progress for _, c in cycles),
+            "saturated": _bools(c.command.saturated for _, c in cycles),
+            "done": _bools(c.command.done for _, c in cycles),
+            "stuck": _bools(c.command.stuck for _, c in cycles),
+            "note": [c.command.note for _, c in cycles],
+            "event": [c.command.event for _, c in cycles],
+        },
+    )
+
+
+def _events(run: RecordedRun) -> Table:
+    return Table(
+        "something that changed what is believed",
+        {
+            "time_s": _floats(e.time for e in run.events),
+            "what": [e.what for e in run.events],
+            "detail_json": [json.dumps(e.detail) for e in run.events],
         },
     )
 

@@ -20,13 +20,6 @@ if TYPE_CHECKING:
     from smolbot.runs.optics.video import Video
     from smolbot.runs.optics.view import View
 
-VAGUE = 0.05  # s: more than this unsure of when the video began is told: a tenth of a millimetre of a robot's way
-COARSE = (
-    9.0  # pixels per mm: the tank's films are tracked well from 10 on; at 8 headings err by 13 degrees, at 6 fits jump
-)
-STAYS = 0.4  # share of the frames: with half of them the median shows the robot, not the scene
-DOUBT = 1e-4  # m: more than this unsure of the camera is told
-
 
 def track(
     video: Annotated[
@@ -113,10 +106,13 @@ def track(
     view, notes = _view(film, fiducials, points, corners_z_mm, camera_height_mm, height)
     body = _body(config, mark)
     found = _follow(film, view, body, height, background, json)
-    _report(
-        found, film, view, height, config, poses, run, offset_s, folder, json, told=told, notes=notes,
-        known=robot_z_mm is not None, pictured=background is not None,
-    )  # fmt: skip
+    from smolbot.ui.cli.track_report import TrackReport
+
+    report = TrackReport(found, film, config, view, height, seen_from=told, camera=notes)
+    report.tell_track(pictured=background is not None)
+    if poses is not None and run is not None:
+        report.compare(poses, run, offset_s, known=robot_z_mm is not None)
+    report.leave(folder, run, json)
 
 
 def _check_points(fiducials: Path | None, corners: str | None, corners_mm: str | None) -> None:
@@ -225,127 +221,3 @@ def _follow(film: Video, view: View, body: Body, height: float, background: Path
         return track_body(
             film, view, body, height, background=empty, progress=lambda done, _: shown.update(task, completed=done)
         )
-
-
-def _report(
-    found: OpticalTrack, film: Video, view: View, height: float, config: RobotConfig, poses: RunPoses | None,
-    run: Path | None, offset_s: float | None, folder: Path, json: bool, *, told: str, notes: list[str], known: bool,
-    pictured: bool,
-) -> None:  # fmt: skip
-    import numpy as np
-
-    from smolbot.runs.optics.opticaltrack import write_optical_track
-    from smolbot.runs.optics.picture import draw_track
-    from smolbot.runs.optics.trackfigures import tracking_error
-    from smolbot.ui.cli.show import as_json, echo_json, table
-
-    figures: dict[str, Any] = {
-        "video": str(film.path), "fps": film.fps, "frames": found.total, "seen": len(found.frames),
-        "hidden": found.hidden, "robot": config.name, "robot_z_mm": 1e3 * height,
-        "duration_s": found.total / film.fps, "sigma_mm": 1e3 * float(np.median(found.sigmas)),
-        "camera_sigma_mm": 1e3 * found.view_sigma, "camera_place_mm": 1e3 * view.place,
-    }  # fmt: skip
-    rows = [
-        (
-            "frames",
-            f"{found.total} at {film.fps:g} per second; robot seen in {len(found.frames)}, hidden in {found.hidden}",
-        ),
-        ("camera", "; ".join(notes) + f"; at {', '.join(f'{1e3 * v:.0f}' for v in view.place)} mm"),
-        ("robot", f"{config.name}, at z = {1e3 * height:.2f} mm ({told})"),
-        (
-            "sure to",
-            f"{figures['sigma_mm']:.3f} mm by its outline, {figures['camera_sigma_mm']:.3f} mm by the camera's place",
-        ),
-    ]
-    if found.view_sigma > DOUBT:
-        unsure = "parallax: where the camera is, is not known well enough"
-        cure = "Put markers at the robot's height, or in two planes, or say --camera-height-mm"
-        rows.append(("warning", f"{unsure}. {cure}"))
-    if found.head_unsure:
-        figures["head_unsure"] = found.head_unsure
-        rows.append(("warning", f"in {found.head_unsure} frames nothing tells head from tail; see --mark"))
-    fine = 1e-3 * view.scale(np.array([*found.positions[:, :2].mean(axis=0), height]))
-    figures["pixels_per_mm"] = fine
-    if fine < COARSE:
-        rows.append(("warning", f"{fine:.1f} pixels per mm: below {COARSE:g} an outline is lost at times; come nearer"))
-    stay = found.stay(0.5 * min(config.size[0], config.size[2]))
-    figures["longest_stay"] = stay
-    if stay > STAYS and not pictured:
-        covered = (
-            f"the robot covers one place in {100 * stay:.0f} % of the frames, and may be taken for part of the scene"
-        )
-        rows.append(("warning", f"{covered}. Film for longer before or after, or give --background"))
-    analysis = path = None
-    line = f"{len(found.frames)} of {found.total} frames"
-    if poses is not None and run is not None:
-        from smolbot.runs.optics.alignment import align
-        from smolbot.runs.optics.analysis import analyse
-
-        alignment = align(found, poses, offset_s)
-        analysis = analyse(found, poses, alignment, plane_known=known)
-        found = found.shifted(alignment.offset)
-        figures |= {"run": str(run), "offset_s": alignment.offset, "offset_sigma_s": alignment.sigma,
-                    "correlation": alignment.correlation} | analysis.figures()  # fmt: skip
-        rows += _compared(figures, alignment.given)
-        if alignment.sigma > VAGUE:
-            rows.append(("warning", "when the video began is not sure: it shows too little but straight movement"))
-        path = getattr(poses.mission, "path", None)  # a mission that only looks has none
-        error = None if path is None else tracking_error(found, path, poses)
-        if error is not None:
-            figures["tracking_error_mm"] = error
-            rows.append(("tracking error", f"{_plain(error)} mm, of the robot as seen to the path"))
-        e = figures["position_error_mm"]
-        a = figures["angle_error_deg"]
-        said = [
-            f"{len(analysis.times)} poses",
-            f"position error {e['mean']:.2f} ± {e['std']:.2f} mm",
-            f"angle error {a['mean']:.1f} ± {a['std']:.1f}°",
-        ]
-        line = "   ·   ".join([*said, line])
-    _make(folder)
-    write_optical_track(folder / "track.csv", found)
-    what = film.path.name if run is None else run.resolve().name
-    draw_track(found, view, height, film.background, folder / "track.png", title=f"Optical track of {what}", line=line,
-               analysis=analysis, planned=None if path is None else path.points)  # fmt: skip
-    figures["track"] = str(folder / "track.csv")
-    import json as encoder
-
-    (folder / "track.json").write_text(encoder.dumps(as_json(figures), indent=2) + "\n", encoding="utf-8")
-    rows.append(("written", f"{folder}: track.csv, track.json, track.png"))
-    table(f"{film.path.name}", rows, err=json)
-    if json:
-        echo_json(figures)
-
-
-def _compared(figures: dict[str, Any], given: bool) -> list[tuple[str, str]]:
-    how = "as given" if given else f"± {1e3 * figures['offset_sigma_s']:.0f} ms, by the best match"
-    z = figures["z_error_from_mean_mm"]
-    height = f"from the mean {z['mean']:.2f} ± {z['std']:.2f} mm"
-    if "z_error_mm" in figures:
-        known = figures["z_error_mm"]
-        height += f"; from the known height {known['mean']:+.2f} ± {known['std']:.2f} mm"
-    sides = [f"{figures[k]['mean']:+.2f} ± {figures[k]['std']:.2f}" for k in ("x_error_mm", "y_error_mm")]
-    return [
-        (
-            "video began",
-            f"{figures['offset_s']:.3f} s on the run's clock ({how}); correlation {figures['correlation']:.4f}",
-        ),
-        ("position error", f"{_plain(figures['position_error_mm'])} mm (x and y), of {figures['poses']} poses"),
-        ("to optical path", f"{_plain(figures['to_optical_path_mm'])} mm"),
-        ("error in x, y", ", ".join(sides) + " mm"),
-        ("error in z", height),
-        ("angle error", f"{_plain(figures['angle_error_deg'])}°, mean of signs {figures['angle_bias_deg']:+.2f}°"),
-        *([("as tracked", f"{_plain(figures['tracked_position_error_mm'])} mm")]
-          if "tracked_position_error_mm" in figures else []),
-    ]  # fmt: skip
-
-
-def _plain(f: dict[str, float]) -> str:
-    return f"{f['mean']:.2f} ± {f.get('std', math.nan):.2f}, p95 {f['p95']:.2f}, worst {f['max']:.2f}"
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error}.") from error

@@ -1,0 +1,76 @@
+"""Which of several fits to believe: poses that sound alike, and how clearly the best stands out."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from smolbot.core.pose import Pose
+from smolbot.core.sensing import Device
+from smolbot.localization.problem import Fit, Problem
+
+MIN_ODDS = 12.0
+"""A cold start is trusted if every other solution is worse by this much in chi-square (odds of 400 to 1)."""
+
+
+class Chosen(NamedTuple):
+    """A fit, how many times worse its twin fits (at least 1), and by how much in chi-square any other does."""
+
+    fit: Fit
+    flip_margin: float
+    odds: float
+
+
+def choose(problem: Problem, found: list[Fit], device: Device, prior: Pose | None) -> Chosen:
+    """The best of `found`, best first; of twins that sound alike, the one that turned less since the prior."""
+    best, flip_margin, odds = found[0], 1.0, np.inf
+    along = device.along_cantilever
+    variance = 1.0 if problem.model.white else mean_square(problem, best)
+    if not along:
+        best, other = _both_twins(problem, best, device)
+        flip_margin = max(1.0, math.sqrt(other.sse / max(best.sse, 1e-300)))
+        odds = (other.sse - best.sse) / variance
+        if prior is not None and odds < MIN_ODDS and _turned(other, prior) < _turned(best, prior):
+            best = other
+    rivals = [f for f in found[1:] if not (along and _is_twin(f, best)) and not _same(f, best)]
+    if rivals:
+        odds = min(odds, (min(f.sse for f in rivals) - best.sse) / variance)
+    return Chosen(best, flip_margin, odds)
+
+
+def freedom(problem: Problem) -> int:
+    """Degrees of freedom of the residuals of a fit."""
+    return max(problem.data.size - 8, 1)
+
+
+def mean_square(problem: Problem, fit: Fit) -> float:
+    """Variance of the residuals of a fit."""
+    return fit.sse / freedom(problem)
+
+
+def _both_twins(problem: Problem, best: Fit, device: Device) -> tuple[Fit, Fit]:
+    """Fit the other member of the two-fold ambiguity as well; the better one first."""
+    moment = best.rotation @ device.moment_in_body
+    turned = 2.0 * moment[:, None] * device.moment_in_body - best.rotation
+    position = best.position + device.l0 * (best.rotation[:, 2] - turned[:, 2])
+    other = problem.fit(position, turned, best.phase + np.pi, best.amplitude, iterations=8, tolerance=1e-3)
+    low, high = sorted((best, other), key=lambda t: t.sse)
+    return low, high
+
+
+def _turned(fit: Fit, prior: Pose) -> float:
+    """Angle between a fit's orientation and the prior's, in rad."""
+    return float(np.arccos(np.clip(0.5 * (np.trace(fit.rotation.T @ prior.rotation) - 1.0), -1.0, 1.0)))
+
+
+def _same(a: Fit, b: Fit) -> bool:
+    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
+    return near and float(np.trace(a.rotation.T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
+
+
+def _is_twin(a: Fit, b: Fit) -> bool:
+    half_turn = np.array([-1.0, -1.0, 1.0])
+    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
+    return near and float(np.trace((a.rotation * half_turn).T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
