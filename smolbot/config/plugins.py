@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -12,9 +13,15 @@ from smolbot.errors import PluginError
 _OURS = {"controllers", "sim", "lookup_tables"}
 
 
+@cache
+def _installed(group: str) -> dict[str, EntryPoint]:
+    """Entry points of ``smolbot.<group>``, by name; looked for once, since that reads a file of every package."""
+    return {point.name: point for point in reversed(tuple(entry_points(group=f"smolbot.{group}")))}
+
+
 def names(group: str) -> list[str]:
     """Names of the installed entry points of ``smolbot.<group>``."""
-    return sorted({point.name for point in entry_points(group=f"smolbot.{group}")})
+    return sorted(_installed(group))
 
 
 def load(group: str, name: str) -> Any:
@@ -25,13 +32,13 @@ def load(group: str, name: str) -> Any:
     PluginError
         If none has that name, or if a foreign package shadows the one that it lives in.
     """
-    found = [point for point in entry_points(group=f"smolbot.{group}") if point.name == name]
-    if not found:
+    found = _installed(group).get(name)
+    if found is None:
         known = names(group)
         close = difflib.get_close_matches(name, known, 1)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise PluginError(f"No {group[:-1]} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
-    return _load(found[0])
+    return _load(found)
 
 
 def load_world(name: str, document: Document) -> Any:

@@ -145,6 +145,9 @@ def lab(monkeypatch):
         return [*real(group=group), *([own, broken] if group == "smolbot.controllers" else [])]
 
     monkeypatch.setattr(plugins, "entry_points", found)
+    plugins._installed.cache_clear()
+    yield
+    plugins._installed.cache_clear()
 
 
 def test_a_labs_own_controller_is_found_by_its_entry_point(lab):

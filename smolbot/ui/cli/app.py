@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from importlib.metadata import entry_points
 from typing import Any
 
 import typer
@@ -13,6 +12,7 @@ from typer.core import TyperGroup
 # Small matrices gain nothing from a linear algebra library's threads, and stall when cores are shared.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from smolbot.config.plugins import load, names
 from smolbot.core.version import __version__
 from smolbot.errors import InterlockError, OperatorStopError, PluginError, RigError, SmolbotError
 from smolbot.flight.safety.stop_signals import CTRL_C
@@ -25,7 +25,7 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
 
     def list_commands(self, ctx: Any) -> list[str]:
         own = super().list_commands(ctx)
-        return own + sorted({p.name for p in entry_points(group="smolbot.commands")} - set(own))
+        return own + [name for name in names("commands") if name not in own]
 
     def invoke(self, ctx: Any) -> Any:
         """Carry out a command; Ctrl-C outside of a flight ends it with our message and code, not with typer's."""
@@ -38,10 +38,8 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
         found = super().get_command(ctx, cmd_name)
         if found is not None:
             return found
-        if cmd_name not in {p.name for p in entry_points(group="smolbot.commands")}:
+        if cmd_name not in names("commands"):
             return None
-        from smolbot.config.plugins import load
-
         try:
             loaded = load("commands", cmd_name)
         except PluginError as error:
@@ -92,7 +90,9 @@ def _root(
 
 
 def register_own() -> None:
-    """Add the commands that are no entry points."""
+    """Add the commands that are no entry points; once, however often the command line is called."""
+    if app.registered_commands:
+        return
     from smolbot.ui.cli import check, console, missions
     from smolbot.ui.cli.run import run
 
