@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import count
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.localization.forward import deflection, sensor_field
+from smolbot.motion.controller import Setup
 
 # No test depends on the wall clock or on what was drawn before.
 settings.register_profile("smolbot", deadline=None, derandomize=True, database=None)
@@ -25,6 +27,18 @@ settings.load_profile("smolbot")
 RATE = 50_000.0
 _NUMBERS = count()
 UP = np.array([0.0, 0.0, 1.0])
+
+
+@cache
+def mission_of(name: str, **settings: str) -> Mission:
+    """A shipped mission to look at, loaded once for all tests of a process: when the first one runs, not before."""
+    return load_mission(name, settings={key.replace("__", "."): value for key, value in settings.items()})
+
+
+@cache
+def setup_of(name: str) -> Setup:
+    """What that mission's controller may know."""
+    return mission_of(name).setup()
 
 
 @pytest.fixture(autouse=True)
@@ -89,7 +103,7 @@ def hear() -> Callable[..., Recording]:
 @pytest.fixture(scope="session")
 def line() -> Mission:
     """The shipped mission `line`, loaded once."""
-    return load_mission("line")
+    return mission_of("line")
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controllers.current_ratio import CurrentRatio, aligned_force, best_pair, pair_shares
-from smolbot.config.mission import load_mission
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Shot
 from smolbot.errors import InputError
 from smolbot.paths.curve import Curve
+from tests.conftest import setup_of
 
+known = partial(setup_of, "line")
 UP = np.array([0.0, 0.0, 1.0])
-SETUP = load_mission("line").setup()
 Z = 0.06
 
 
@@ -29,7 +30,7 @@ def pose(x_mm, y_mm, heading_deg=0.0):
 
 
 def law(**gains):
-    return CurrentRatio(SETUP, gains)
+    return CurrentRatio(known(), gains)
 
 
 def straight_to(x_mm, y_mm, from_mm=(0.0, 0.0)):
@@ -45,7 +46,7 @@ def commanded(at, toward, heading_deg=0.0, **gains):
 
 def field_at(currents, place_mm):
     place = np.array([[place_mm[0] * 1e-3, place_mm[1] * 1e-3, Z]])
-    return np.einsum("c,ck->k", currents, SETUP.table.field(place)[:, 0])
+    return np.einsum("c,ck->k", currents, known().table.field(place)[:, 0])
 
 
 places = st.tuples(st.floats(0, 8), st.floats(-180, 180)).map(
@@ -66,7 +67,7 @@ def test_the_field_points_along_the_way_to_the_goal(place, way_deg, distance):
 def test_currents_never_break_a_limit_and_the_supply_is_never_reversed(place, way_deg, distance, heading):
     way = np.array([np.cos(np.radians(way_deg)), np.sin(np.radians(way_deg))])
     command = commanded(place, np.array(place) + distance * way, heading)
-    assert SETUP.limits.faults(Shot((command.window,))) == []
+    assert known().limits.faults(Shot((command.window,))) == []
     assert np.count_nonzero(command.window.currents) <= 2
 
 
@@ -134,7 +135,7 @@ def test_beyond_the_threshold_current_is_clipped_and_says_so():
 
 
 def test_the_rig_may_allow_less_than_the_gains_ask_for():
-    weak = replace(SETUP, limits=replace(SETUP.limits, max_current=2.0))
+    weak = replace(known(), limits=replace(known().limits, max_current=2.0))
     control = CurrentRatio(weak, {})
     control.reset(straight_to(9, 0, (6, 0)), pose(0, 0))
     command = control.command(pose(0, 0))
@@ -147,7 +148,7 @@ def test_a_least_current_above_the_greatest_is_refused_or_harmless():
         command = commanded((0, 0), (15.0, 0.0), i_min_a=8.0, i_max_a=3.0, p_thr_mm=3.0)
     except InputError:
         return
-    assert SETUP.limits.faults(Shot((command.window,))) == []
+    assert known().limits.faults(Shot((command.window,))) == []
 
 
 def test_a_goal_is_reached_within_the_tolerance_and_the_next_one_follows():
@@ -198,10 +199,10 @@ def test_gains_beyond_their_range_or_unknown_are_refused_all_at_once():
 
 
 def force_error(place_mm, way):
-    pair = best_pair(SETUP.table.field(np.array([[*place_mm, 60.0]]) * 1e-3)[:, 0, :2], way)
+    pair = best_pair(known().table.field(np.array([[*place_mm, 60.0]]) * 1e-3)[:, 0, :2], way)
     currents = np.zeros(4)
     currents[pair.j], currents[pair.k] = 8 * pair.share_j, 8 * pair.share_k
-    pull = aligned_force(SETUP.table, currents, np.array([*place_mm, 60.0]) * 1e-3, SETUP.robot.moment)[:2]
+    pull = aligned_force(known().table, currents, np.array([*place_mm, 60.0]) * 1e-3, known().robot.moment)[:2]
     return np.degrees(np.arccos(np.clip(pull @ way / np.linalg.norm(pull), -1, 1)))
 
 
@@ -209,10 +210,10 @@ def test_force_is_the_gradient_of_the_energy_of_an_aligned_moment():
     currents, place, h = np.array([5.0, 0, 3.0, 1.0]), np.array([3e-3, -2e-3, Z]), 1e-5
 
     def strength(p):
-        return np.linalg.norm(np.einsum("c,ck->k", currents, SETUP.table.field(p[None])[:, 0]))
+        return np.linalg.norm(np.einsum("c,ck->k", currents, known().table.field(p[None])[:, 0]))
 
     numeric = [(strength(place + h * e) - strength(place - h * e)) / (2 * h) for e in np.eye(3)]
-    force = aligned_force(SETUP.table, currents, place, 0.89e-3)
+    force = aligned_force(known().table, currents, place, 0.89e-3)
     assert force == pytest.approx(0.89e-3 * np.array(numeric), rel=1e-4, abs=1e-9)
 
 

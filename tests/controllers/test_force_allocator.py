@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,16 +12,15 @@ from scipy.optimize import minimize
 
 from controllers import ForceAllocator, UnreachableForceError
 from lookup_tables import OutsideTableError
-from smolbot.config.mission import load_mission
 from smolbot.errors import InputError
+from tests.conftest import mission_of, setup_of
 
-MISSION = load_mission("line")
-TABLE = MISSION.setup().table
+known = partial(setup_of, "line")
 MOMENT, MOST, Z = 0.89e-3, 8.0, 0.06
 
 
 def allocator(**options):
-    return ForceAllocator(TABLE, MOST, MOMENT, **options)
+    return ForceAllocator(known().table, MOST, MOMENT, **options)
 
 
 def place(radius_mm, angle_deg, z=Z):
@@ -98,7 +99,7 @@ class Dipoles:
 def test_inside_8_mm_every_direction_is_reached_head_first_within_limits(radius, around, toward, height):
     here, way = place(radius, around, 1e-3 * height), unit(toward)
     found = allocator().allocate(here, way)
-    field, force = forces(TABLE, here, found.currents[None, :])
+    field, force = forces(known().table, here, found.currents[None, :])
     assert np.all((found.currents >= 0.0) & (found.currents <= MOST))
     assert angle_off(force[0], way) < 0.2
     assert field[0, :2] @ force[0, :2] >= -1e-12 * np.linalg.norm(force)
@@ -112,7 +113,7 @@ def test_inside_8_mm_every_direction_is_reached_head_first_within_limits(radius,
 def test_out_to_20_mm_every_direction_is_reached_with_30_un_by_either_end(radius, around, toward):
     here, way = place(radius, around), unit(toward)
     found = allocator(head_first=False).allocate(here, way)
-    _, force = forces(TABLE, here, found.currents[None, :])
+    _, force = forces(known().table, here, found.currents[None, :])
     assert np.all((found.currents >= 0.0) & (found.currents <= MOST))
     assert angle_off(force[0], way) < 0.2
     assert np.linalg.norm(force[0, :2]) > 30e-6
@@ -122,7 +123,7 @@ def test_out_to_20_mm_every_direction_is_reached_with_30_un_by_either_end(radius
 @pytest.mark.parametrize(("radius", "around"), [(0.0, 0.0), (3.0, 20.0), (8.0, 77.0), (12.0, -140.0), (19.0, 10.0)])
 def test_no_currents_pull_much_harder_within_the_same_angle(radius, around, head_first):
     here, own = place(radius, around), allocator(head_first=head_first)
-    tried = brute_force(TABLE, here, 0.0, MOST, own.least_field, head_first)
+    tried = brute_force(known().table, here, 0.0, MOST, own.least_field, head_first)
     shares = []
     for toward in range(0, 360, 15):
         try:
@@ -147,7 +148,7 @@ def test_no_currents_pull_much_harder_within_the_same_angle(radius, around, head
 def test_where_the_best_field_is_the_last_one_that_fits_it_is_found(radius, around, head_first, currents):
     """Two coils alone, of which these currents were found by hand: beyond their field's direction nothing fits."""
     here = place(radius, around)
-    _, force = forces(TABLE, here, np.array([currents]))
+    _, force = forces(known().table, here, np.array([currents]))
     toward = np.degrees(np.arctan2(force[0, 1], force[0, 0]))
     found = allocator(head_first=head_first).allocate(here, unit(toward))
     assert np.linalg.norm(found.force[:2]) > 0.998 * np.linalg.norm(force[0, :2])
@@ -160,7 +161,7 @@ def test_where_the_best_field_is_the_last_one_that_fits_it_is_found(radius, arou
 def test_the_coolest_currents_are_found_where_few_fit(radius, around, currents):
     """Currents found by hand; Newton steps without a line search missed the first, and every angle near it."""
     here, currents = place(radius, around), np.array(currents)
-    _, force = forces(TABLE, here, currents[None, :])
+    _, force = forces(known().table, here, currents[None, :])
     toward, size = np.degrees(np.arctan2(force[0, 1], force[0, 0])), np.linalg.norm(force[0, :2])
     found = allocator(head_first=False).allocate(here, unit(toward), size)
     assert found.currents @ found.currents < 1.005 * (currents @ currents)
@@ -198,7 +199,7 @@ def test_a_wanted_size_is_met_at_the_least_heat(radius, around, toward):
     assert np.linalg.norm(found.field[:2]) >= 1e-3 * (1 - 1e-6)
 
     def pull(currents):
-        field, force = forces(TABLE, here, currents[None, :] + 1e-12)
+        field, force = forces(known().table, here, currents[None, :] + 1e-12)
         return field[0], force[0]
 
     rules = [
@@ -230,7 +231,7 @@ def test_the_heat_grows_with_the_size_up_to_the_strongest_force():
 def test_force_is_that_of_the_coils_themselves():
     """Against magpylib: finite differences of |B| of round coils, without any table."""
     rng, h = np.random.default_rng(2), 2e-5
-    coils = MISSION.rig.round_coils()
+    coils = mission_of("line").rig.round_coils()
     for _ in range(5):
         here, way = place(rng.uniform(0, 8), rng.uniform(0, 360), 0.0597), unit(rng.uniform(0, 360))
         currents = allocator(least_field=5e-4).currents(here, way)
@@ -300,4 +301,4 @@ def test_a_place_beyond_the_table_is_refused():
 def test_limits_must_make_sense(fault):
     given = {"max_current": 8.0, "moment": 1e-3, "least_field": 1e-4} | fault
     with pytest.raises(InputError, match="above 0"):
-        ForceAllocator(TABLE, **given)
+        ForceAllocator(known().table, **given)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,9 +20,10 @@ from smolbot.core.shots import Shot
 from smolbot.errors import InputError
 from smolbot.flight.preview.gradient import preview
 from smolbot.paths.curve import Curve
+from tests.conftest import setup_of
 
+known = partial(setup_of, "line")
 UP, Z = np.array([0.0, 0.0, 1.0]), 0.06
-SETUP = load_mission("line").setup()
 LARGE = {"path.width_mm": "16.0", "path.height_mm": "24.0", "controller.law": "force_pursuit"}
 
 
@@ -44,28 +46,32 @@ def test_it_is_installed_under_its_name():
 def test_the_true_force_points_to_the_goal_and_no_limit_is_broken(radius, around, toward, distance, heading):
     here = radius * np.array([np.cos(np.radians(around)), np.sin(np.radians(around))])
     way = np.array([np.cos(np.radians(toward)), np.sin(np.radians(toward))])
-    law = ForcePursuit(SETUP, {})
+    law = ForcePursuit(known(), {})
     law.reset(straight(here + distance * way, here + (distance + 3) * way), pose(*here))
     command = law.command(pose(*here, heading))
     assert command.phase == "approach"
-    assert SETUP.limits.faults(Shot((command.window,))) == []
-    force = aligned_force(SETUP.table, np.array(command.window.currents), pose(*here).position, SETUP.robot.moment)[:2]
+    assert known().limits.faults(Shot((command.window,))) == []
+    force = aligned_force(known().table, np.array(command.window.currents), pose(*here).position, known().robot.moment)[
+        :2
+    ]
     assert np.degrees(np.arccos(np.clip(force @ way / np.linalg.norm(force), -1, 1))) < 3.2
     assert np.linalg.norm(force) < 121e-6
 
 
 def test_near_its_goal_it_pulls_no_harder_than_brings_it_there():
-    law = ForcePursuit(SETUP, {"t_min_ms": 60.0, "handover_mm": 0.05})
+    law = ForcePursuit(known(), {"t_min_ms": 60.0, "handover_mm": 0.05})
     law.reset(straight((0, 0), (0.5, 0)), pose(0, 0))
     law.command(pose(0.0, 0.0))
     command = law.command(pose(0.35, 0.0))
-    force = aligned_force(SETUP.table, np.array(command.window.currents), pose(0.35, 0).position, SETUP.robot.moment)
-    assert np.linalg.norm(force) * 0.06 / SETUP.robot.drag == pytest.approx(0.15e-3, rel=0.02)
+    force = aligned_force(
+        known().table, np.array(command.window.currents), pose(0.35, 0).position, known().robot.moment
+    )
+    assert np.linalg.norm(force) * 0.06 / known().robot.drag == pytest.approx(0.15e-3, rel=0.02)
     assert not command.saturated
 
 
 def test_a_force_that_the_coils_cannot_give_is_cut_and_said():
-    weak = replace(SETUP, limits=replace(SETUP.limits, max_current=4.0))
+    weak = replace(known(), limits=replace(known().limits, max_current=4.0))
     law = ForcePursuit(weak, {"force_un": 300.0})
     law.reset(straight((5, 0), (8, 0)), pose(0, 0))
     command = law.command(pose(0, 0))
@@ -76,7 +82,7 @@ def test_a_force_that_the_coils_cannot_give_is_cut_and_said():
 
 def test_where_no_currents_pull_head_first_it_says_so_and_tail_first_goes_on():
     outside, inside = pose(14.5, 14.5, 45.0), (14.0, 14.0)
-    head, either = ForcePursuit(SETUP, {}), ForcePursuit(SETUP, {"tail_first": 1.0})
+    head, either = ForcePursuit(known(), {}), ForcePursuit(known(), {"tail_first": 1.0})
     for law in (head, either):
         law.reset(straight((16.0, 16.0), inside), outside)
     refused, pulled = head.command(outside), either.command(outside)
@@ -97,7 +103,7 @@ def test_it_would_finish_the_letter_on_which_the_paper_s_law_stalls():
 
 
 def test_the_end_is_handed_over_within_the_tolerance():
-    law = ForcePursuit(SETUP, {"handover_mm": 0.3})
+    law = ForcePursuit(known(), {"handover_mm": 0.3})
     law.reset(straight((-2, 0), (2, 0)), pose(-2, 0))
     for x in np.arange(-2, 1.69, 0.1):
         assert not law.command(pose(x, 0.05)).done
@@ -109,6 +115,6 @@ def test_the_end_is_handed_over_within_the_tolerance():
 
 def test_gains_that_contradict_each_other_are_refused():
     with pytest.raises(InputError, match="t_min_ms must not exceed t_max_ms"):
-        ForcePursuit(SETUP, {"t_min_ms": 90.0, "t_max_ms": 50.0})
+        ForcePursuit(known(), {"t_min_ms": 90.0, "t_max_ms": 50.0})
     with pytest.raises(InputError, match="call reset first"):
-        ForcePursuit(SETUP, {}).command(pose(0, 0))
+        ForcePursuit(known(), {}).command(pose(0, 0))

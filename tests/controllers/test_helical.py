@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from controllers.helical import Helical
-from smolbot.config.mission import load_mission
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.core.shots import Listen, MoveMagnet, Rotate, Shot
@@ -15,10 +16,18 @@ from smolbot.flight.pilots import Follower
 from smolbot.motion import helixkernels as kernels
 from smolbot.motion.controller import Command
 from smolbot.paths.curve import Curve
+from tests.conftest import mission_of
 
-MISSION = load_mission("s_path", settings={"cycle.half_periods": "4"})  # quicker to check
-SETUP = MISSION.helix_setup()
 KNOWN = np.diag([5e-5] * 3 + [5e-3] * 3) ** 2
+
+
+def mission():
+    return mission_of("s_path", cycle__half_periods="4")  # quicker to check
+
+
+@cache
+def setup():
+    return mission().helix_setup()
 
 
 def pose_of(position, heading, trusted=True):
@@ -34,7 +43,7 @@ class World:
         tangent = path.tangent(np.zeros(1))[0]
         heading = np.arctan2(tangent[1], tangent[0])
         start = path.points[0] + np.array([*offset, 0.0]) - 2e-3 * tangent
-        self.pose = pose_of([start[0], start[1], SETUP.helix.high], heading)
+        self.pose = pose_of([start[0], start[1], setup().helix.high], heading)
         self.fastest, self.wall = fastest, wall
         self.shots = []
 
@@ -43,12 +52,12 @@ class World:
         fast = max(w.frequency for w in windows if isinstance(w, Rotate)) > self.fastest
         if self.pose.position[0] > self.wall and fast:
             return
-        position, orientation, _, _ = SETUP.helix.carry(windows, self.pose.position, self.pose.orientation)
+        position, orientation, _, _ = setup().helix.carry(windows, self.pose.position, self.pose.orientation)
         self.pose = Pose(0.0, position, orientation, KNOWN)
 
 
 def fly(path, world, gains=None, cycles=2000):
-    controller = Helical(SETUP, gains or {})
+    controller = Helical(setup(), gains or {})
     controller.reset(path, world.pose)
     said = []
     for _ in range(cycles):
@@ -66,14 +75,14 @@ def line(length=12e-3, start=-6e-3):
 
 
 def test_it_reaches_the_end_of_the_s_within_the_path_and_the_stages_limits():
-    world = World(MISSION.path)
-    _, said = fly(MISSION.path, world)
+    world = World(mission().path)
+    _, said = fly(mission().path, world)
     assert said[-1].done
     assert len(world.shots) >= 8  # the paper's pauses
     for shot in world.shots:
-        assert SETUP.limits.faults(shot) == []
+        assert setup().limits.faults(shot) == []
     end = world.pose.position
-    assert np.linalg.norm(end[:2] - MISSION.path.points[-1, :2]) < 1.2e-3
+    assert np.linalg.norm(end[:2] - mission().path.points[-1, :2]) < 1.2e-3
 
 
 def test_every_maneuver_fetches_the_magnet_and_takes_it_away_and_is_followed_by_a_pause():
@@ -91,7 +100,7 @@ def test_every_maneuver_fetches_the_magnet_and_takes_it_away_and_is_followed_by_
 
 
 def test_it_does_not_act_on_poses_that_are_not_trusted():
-    controller, world = Helical(SETUP, {"listens": 1}), World(line())
+    controller, world = Helical(setup(), {"listens": 1}), World(line())
     controller.reset(line(), world.pose)
     vague = Pose(0.0, world.pose.position, world.pose.orientation, KNOWN, trusted=False)
     assert all(not controller.command(vague).mechanical for _ in range(20))
@@ -131,8 +140,8 @@ def test_it_gives_up_with_a_reason_after_its_tries_and_never_stalls():
 
 def test_what_it_learns_of_the_helix_comes_from_the_way_it_went():
     """A robot that advances 6 % farther than believed, and is steered half as much again."""
-    controller, path = Helical(SETUP, {}), MISSION.path
-    truth = SETUP.helix.factors * np.array([1.06, 1.3, 0, 1.0])
+    controller, path = Helical(setup(), {}), mission().path
+    truth = setup().helix.factors * np.array([1.06, 1.3, 0, 1.0])
     world = World(path)
     controller.reset(path, world.pose)
     state = np.array([*world.pose.position, 0, 0, np.nan])
@@ -146,7 +155,7 @@ def test_what_it_learns_of_the_helix_comes_from_the_way_it_went():
             state[kernels.COURSE] = np.nan
             for window in command.mechanical[1:-1]:
                 course = np.arctan2(-window.axis[1], -window.axis[0])
-                state = kernels.screw_on(SETUP.helix.body, truth, state, course, 1.0, window.turns, window.frequency)
+                state = kernels.screw_on(setup().helix.body, truth, state, course, 1.0, window.turns, window.frequency)
             state[kernels.PITCH] = 0.0  # the poses that it is told are level
     learned = controller.screwing.factors
     assert learned[0] == pytest.approx(truth[0], rel=0.03)
@@ -155,9 +164,9 @@ def test_what_it_learns_of_the_helix_comes_from_the_way_it_went():
 
 def test_unknown_gains_and_gains_out_of_range_are_refused():
     with pytest.raises(InputError, match="unknown gain of helical"):
-        Helical(SETUP, {"turns": 2.0})
+        Helical(setup(), {"turns": 2.0})
     with pytest.raises(InputError, match="must lie within"):
-        Helical(SETUP, {"tries": 99.0})
+        Helical(setup(), {"tries": 99.0})
 
 
 def test_a_maneuver_that_was_held_back_is_offered_again():
@@ -190,17 +199,17 @@ def test_a_maneuver_that_was_held_back_is_offered_again():
 @pytest.mark.parametrize("aside_deg", [-60.0, -30.0, 45.0])
 @pytest.mark.parametrize("short_mm", [1.0, 1.5, 2.0, 2.1, 2.2, 3.0])
 def test_backing_off_and_going_on_again_keeps_the_axis_to_its_stages_rate(short_mm, aside_deg):
-    whole = MISSION.path
+    whole = mission().path
     path = Curve(whole.at(np.linspace(whole.length - 7e-3, whole.length, 60)))
     place, ahead = path.at(path.length - short_mm * 1e-3), path.tangent(np.array([path.length - short_mm * 1e-3]))[0]
     place = place + 0.4e-3 * np.array([-ahead[1], ahead[0], 0.0])
-    stuck = pose_of([*place[:2], SETUP.helix.high], np.arctan2(ahead[1], ahead[0]) + np.radians(aside_deg))
-    controller = Helical(SETUP, {"listens": 1})
+    stuck = pose_of([*place[:2], setup().helix.high], np.arctan2(ahead[1], ahead[0]) + np.radians(aside_deg))
+    controller = Helical(setup(), {"listens": 1})
     controller.reset(path, World(path).pose)
     events = []
     for _ in range(8):  # it never moves
         command = controller.command(stuck)
         events.append(command.event)
         if command.mechanical:
-            assert SETUP.limits.faults(Shot(command.mechanical)) == []
+            assert setup().limits.faults(Shot(command.mechanical)) == []
     assert "step-out" in events

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import pytest
 
 from smolbot.config.mission import load_mission
 from smolbot.config.rig import load_rig
-from smolbot.config.robot import load_robot
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
 from smolbot.core.shots import Listen, MoveMagnet, Rotate, Shot
@@ -22,13 +22,20 @@ from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion import helixkernels as kernels
 from smolbot.paths.curve import Curve
 from smolbot.ui.cli import app as command_line
+from tests.conftest import mission_of
 
 LINE = str(Path(__file__).parent.parent / "missions" / "flown" / "screw_line.toml")
 SHORT = {"cycle.half_periods": "4"}  # how long it listens changes nothing of the way, and is quicker to check
-S_PATH = load_mission("s_path", settings=SHORT)
-HELIX = S_PATH.helix_setup().helix
-DEVICE = load_robot("helical").device
 ACROSS = quaternion_from_axes(np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), "zx")
+
+
+def s_path():
+    return mission_of("s_path", cycle__half_periods="4")
+
+
+@cache
+def helix():
+    return s_path().helix_setup().helix
 
 
 @pytest.fixture(scope="module")
@@ -90,10 +97,10 @@ def test_the_witness_changes_nothing():
 
 
 def test_preview_says_go_and_counts_turns_and_pauses():
-    seen = preview_helix(S_PATH)
+    seen = preview_helix(s_path())
     assert seen.go
     assert len(seen.turns) >= 8
-    assert sum(seen.turns) * HELIX.advance == pytest.approx(seen.length + 7e-3, rel=0.05)
+    assert sum(seen.turns) * helix().advance == pytest.approx(seen.length + 7e-3, rel=0.05)
     assert seen.torque_margin.min() > 1.0
     assert seen.radius < seen.bend
 
@@ -151,7 +158,7 @@ def heard(time, position, roll=0.0):
 
 
 def test_a_tracked_helix_goes_with_its_turns_forgets_its_roll_and_keeps_its_place_in_the_gel():
-    tracker = Tracker(HELIX, DEVICE, None)
+    tracker = Tracker(helix(), s_path().robot.device, None)
     start = np.array([-3e-3, 0.0, 0.0495])
     listen = Listen(20, 181.0)
     for i in range(3):
@@ -160,7 +167,7 @@ def test_a_tracked_helix_goes_with_its_turns_forgets_its_roll_and_keeps_its_plac
     shot = Shot((MoveMagnet("near", 10.0), Rotate((-1.0, 0, 0), 0.25, 4.0), MoveMagnet("away", 10.0)), start=1.0)
     tracker.update(shot, None)
     assert tracker.misses == 0
-    assert tracker.pose.position[0] - start[0] == pytest.approx(4 * HELIX.advance, rel=0.05)
+    assert tracker.pose.position[0] - start[0] == pytest.approx(4 * helix().advance, rel=0.05)
     assert tracker.vague  # its roll may be anything now: a fit has to start from nothing
     found = start + np.array([4.3e-3, 0.2e-3, 0.0])
     tracker.update(Shot((listen,), start=40.0), heard(40.0, found, roll=2.6))
@@ -172,7 +179,7 @@ def test_a_tracked_helix_goes_with_its_turns_forgets_its_roll_and_keeps_its_plac
 
 
 def test_a_step_out_is_no_outlier_to_the_tracker():
-    tracker = Tracker(HELIX, DEVICE, None)
+    tracker = Tracker(helix(), s_path().robot.device, None)
     place = np.array([-3e-3, 0.0, 0.0495])
     for i in range(3):
         tracker.update(Shot((Listen(20, 181.0),), start=0.1 * i), heard(0.1 * i, place))
@@ -186,13 +193,13 @@ def test_a_step_out_is_no_outlier_to_the_tracker():
 @pytest.mark.parametrize("tilt", [-0.7, 0.2, 0.9])
 def test_believed_turns_there_and_back_lead_back_and_stay_between_the_plates(tilt):
     state = np.array([2e-3, -4e-3, 0.048, 0.3, 0.0, np.nan])
-    there = kernels.screw_on(HELIX.body, HELIX.factors, state, 0.3 + tilt, 1.0, 6.0, 0.25)
+    there = kernels.screw_on(helix().body, helix().factors, state, 0.3 + tilt, 1.0, 6.0, 0.25)
     for end in (-1, 1):
-        height = there[2] + (HELIX.center_ahead + end * HELIX.half_length) * np.sin(there[4])
-        assert HELIX.low - 1e-4 < height < HELIX.high + 1e-4
+        height = there[2] + (helix().center_ahead + end * helix().half_length) * np.sin(there[4])
+        assert helix().low - 1e-4 < height < helix().high + 1e-4
     under = np.array([-3e-3, 0.0, 0.0495, 0.0, 0.0, np.nan])  # on the line through the magnet nothing pulls aside
-    straight = kernels.screw_on(HELIX.body, np.array([1.0, 0, 0, 0]), under, 0.0, 1.0, 6.0, 0.25)
-    back = kernels.screw_on(HELIX.body, np.array([1.0, 0, 0, 0]), straight, 0.0, -1.0, 6.0, 0.25)
+    straight = kernels.screw_on(helix().body, np.array([1.0, 0, 0, 0]), under, 0.0, 1.0, 6.0, 0.25)
+    back = kernels.screw_on(helix().body, np.array([1.0, 0, 0, 0]), straight, 0.0, -1.0, 6.0, 0.25)
     np.testing.assert_allclose(back[:2], under[:2], atol=4e-4)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache, partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,36 +15,43 @@ from smolbot.config.mission import load_mission
 from smolbot.motion import kernels
 from smolbot.motion.gradient import advance, body_of
 from smolbot.motion.kernels import CENTER, DRAG, MAGNET, MOMENT, ROTATIONAL_DRAG, STIFFNESS, STOP
+from tests.conftest import setup_of
 
-SETUP = load_mission("line").setup()
-BODY = body_of(SETUP.robot)
+known = partial(setup_of, "line")
 NONE = np.zeros((2, 2))
 
 
+@cache
+def body():
+    return body_of(known().robot)
+
+
 def changed(**values):
-    body = BODY.copy()
+    other = body().copy()
     for name, value in values.items():
-        body[getattr(kernels, name)] = value
-    return body
+        other[getattr(kernels, name)] = value
+    return other
 
 
-RIGID = changed(STIFFNESS=np.inf, MAGNET=0.0, CENTER=0.0)
+@cache
+def rigid():
+    return changed(STIFFNESS=np.inf, MAGNET=0.0, CENTER=0.0)
 
 
 @given(st.floats(-3.0, 3.0), st.floats(1e-3, 8e-3), st.floats(0.01, 0.1))
 def test_a_rigid_robot_turns_into_a_uniform_field_as_the_closed_form_says(off, size, duration):
     """tan(angle / 2) falls as exp(-m B t / drag)."""
     field = size * np.array([np.cos(0.3), np.sin(0.3)])
-    x, y, heading, _, _, tail = kernels.roll(RIGID, field, NONE, 0.0, 0.0, 0.3 - off, duration, 20)
-    left = 2 * np.arctan(np.tan(off / 2) * np.exp(-RIGID[MOMENT] * size / RIGID[ROTATIONAL_DRAG] * duration))
+    x, y, heading, _, _, tail = kernels.roll(rigid(), field, NONE, 0.0, 0.0, 0.3 - off, duration, 20)
+    left = 2 * np.arctan(np.tan(off / 2) * np.exp(-rigid()[MOMENT] * size / rigid()[ROTATIONAL_DRAG] * duration))
     assert 0.3 - heading == pytest.approx(left, abs=1e-6)
     assert (x, y, tail) == pytest.approx((0, 0, 0), abs=1e-15)
 
 
 def test_an_aligned_robot_is_pulled_at_the_speed_of_force_over_drag():
     gradient = np.array([[0.1, 0.0], [0.0, -0.1]])
-    x, y, heading, middle, _, _ = kernels.roll(RIGID, np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25)
-    assert x == pytest.approx(RIGID[MOMENT] * 0.1 * 0.05 / RIGID[DRAG], rel=1e-9)
+    x, y, heading, middle, _, _ = kernels.roll(rigid(), np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25)
+    assert x == pytest.approx(rigid()[MOMENT] * 0.1 * 0.05 / rigid()[DRAG], rel=1e-9)
     assert middle == pytest.approx(0.5 * x, rel=0.05)
     assert (y, heading) == pytest.approx((0, 0), abs=1e-12)
 
@@ -57,32 +66,32 @@ def test_the_housing_turns_about_its_centre_of_drag():
 
 def test_pull_at_the_tail_is_counted():
     gradient = np.array([[-0.1, 0.0], [0.0, 0.1]])
-    x, _, _, _, _, tail = kernels.roll(RIGID, np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25)
+    x, _, _, _, _, tail = kernels.roll(rigid(), np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25)
     assert x < 0.0
     assert tail == pytest.approx(-x, rel=1e-6)
 
 
 @given(st.floats(-1.5, 1.5), st.floats(1e-7, 1e-5))
 def test_the_cantilever_bends_until_its_torque_balances_the_field_s_or_it_stops(off, torque):
-    bent = kernels.deflection(off, torque, BODY[STIFFNESS], BODY[STOP])
-    if abs(bent) < BODY[STOP]:
-        assert BODY[STIFFNESS] * bent == pytest.approx(torque * np.sin(off - bent), abs=1e-3 * torque)
+    bent = kernels.deflection(off, torque, body()[STIFFNESS], body()[STOP])
+    if abs(bent) < body()[STOP]:
+        assert body()[STIFFNESS] * bent == pytest.approx(torque * np.sin(off - bent), abs=1e-3 * torque)
     else:
-        assert abs(torque * np.sin(off - bent)) >= BODY[STIFFNESS] * BODY[STOP] * (1 - 1e-3)
+        assert abs(torque * np.sin(off - bent)) >= body()[STIFFNESS] * body()[STOP] * (1 - 1e-3)
 
 
 @settings(max_examples=25)
 @given(st.lists(st.floats(0.5, 8.0), min_size=4, max_size=4), st.floats(-3.1, 3.1), st.floats(-9.0, 9.0))
 def test_a_window_is_what_an_independent_integration_says(currents, heading, x_mm):
     """Same physics, written down as an ODE with the field of the table itself, by scipy."""
-    robot, duration = SETUP.robot, 0.06
+    robot, duration = known().robot, 0.06
     place = np.array([x_mm * 1e-3, -3e-3, 0.06])
 
     def slope(_, state):
         x, y, h = state
         bent = 0.0
         for _ in range(60):  # plain bisection would do as well
-            b, g = at(np.array([x, y]) + BODY[MAGNET] * np.array([np.cos(h + bent), np.sin(h + bent)]))
+            b, g = at(np.array([x, y]) + body()[MAGNET] * np.array([np.cos(h + bent), np.sin(h + bent)]))
             size, off = np.linalg.norm(b), np.arctan2(b[1], b[0]) - h
             off = (off + np.pi) % (2 * np.pi) - np.pi
             new = np.clip(robot.moment * size * np.sin(off - bent) / robot.stiffness, -robot.theta_max, robot.theta_max)
@@ -91,13 +100,13 @@ def test_a_window_is_what_an_independent_integration_says(currents, heading, x_m
         force = g.T @ m
         ahead = np.array([np.cos(h), np.sin(h)])
         torque = m[0] * b[1] - m[1] * b[0]
-        torque += (BODY[MAGNET] - BODY[CENTER]) * (ahead[0] * force[1] - ahead[1] * force[0])
+        torque += (body()[MAGNET] - body()[CENTER]) * (ahead[0] * force[1] - ahead[1] * force[0])
         spin = torque / robot.rotational_drag
-        velocity = force / robot.drag - BODY[CENTER] * spin * np.array([-ahead[1], ahead[0]])
+        velocity = force / robot.drag - body()[CENTER] * spin * np.array([-ahead[1], ahead[0]])
         return [*velocity, spin]
 
     def at(p):
-        field, gradient = SETUP.table.field_and_gradient(np.array([[p[0], p[1], 0.06]]))
+        field, gradient = known().table.field_and_gradient(np.array([[p[0], p[1], 0.06]]))
         return np.array(currents) @ field[:, 0, :2], np.einsum("c,cij->ij", currents, gradient[:, 0, :2, :2])
 
     b, _ = at(place[:2])
@@ -105,7 +114,7 @@ def test_a_window_is_what_an_independent_integration_says(currents, heading, x_m
     if np.linalg.norm(b) < 1e-3 or abs(off) > 2.6:  # next to no field, or balanced on its head: a hair decides
         return
     out = solve_ivp(slope, (0, duration), [*place[:2], heading], rtol=1e-6, atol=1e-9)
-    field, gradient = SETUP.table.field_and_gradient(place[None])
+    field, gradient = known().table.field_and_gradient(place[None])
     step, after = advance(robot, field[:, 0], gradient[:, 0], np.array(currents), heading, duration)
     moved = out.y[:2, -1] - place[:2]
     assert step == pytest.approx(moved, abs=3e-5 + 0.08 * np.linalg.norm(moved))
@@ -129,14 +138,14 @@ def test_the_nearest_place_on_a_leg_is_the_curve_s():
 def problem(heading):
     """A plan of one window: 0.2 mm beside a straight path, heading off it."""
     place = np.array([[3e-3, -2e-3, 0.06]])
-    field, gradient = SETUP.table.field_and_gradient(place)
+    field, gradient = known().table.field_and_gradient(place)
     b, g = np.ascontiguousarray(field[:, 0, :2]), np.ascontiguousarray(gradient[:, 0, :2, :2])
     points = np.array([[-5e-3, 0.0], [5e-3, 0.0]])
     route = (points, np.array([0.0, 0.01]), np.zeros(41), 2.5e-4)
     leg = (0, 1, 5e-3, 5e-4, 5e-4, 2e-4)
     weights = np.array([1.0, 0.3, 0.5, 1.0, 0.02, 0.1, 1.5e-3, 0.5])
     state, high = np.array([0.0, 2e-4, heading]), np.full(4, 8.0)
-    return b, g, np.zeros(4), high, BODY, state, np.zeros(2), 0.05, 0.09, 12, route, leg, weights
+    return b, g, np.zeros(4), high, body(), state, np.zeros(2), 0.05, 0.09, 12, route, leg, weights
 
 
 def room(total, size):

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
-from smolbot.config.mission import load_mission
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import half_turned, quaternion_from_axes
 from smolbot.core.shots import Actuate, Listen, RingDown, Shot
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion.gradient import advance
+from tests.conftest import setup_of
 
+known = partial(setup_of, "line")
 UP = np.array([0.0, 0.0, 1.0])
-SETUP = load_mission("line").setup()
 SIGMA = np.array([2e-4] * 3 + [2e-2] * 3)
 LISTEN = (RingDown(0.02), Listen(2, 103.5))
 
 
-def tracker(table=SETUP.table) -> Tracker:
-    return Tracker(SETUP.robot, SETUP.device, table)
+def tracker(*table) -> Tracker:
+    """With the field table, or with what is given in its place."""
+    here = known()
+    return Tracker(here.robot, here.device, *(table or (here.table,)))
 
 
 def pose(time, place_mm, heading=0.0, sigma=SIGMA, trusted=True) -> Pose:
@@ -69,8 +72,8 @@ def test_a_window_moves_the_track_as_the_motion_model_does(heading):
     before, currents = track.pose, (8.0, 0.0, 4.0, 0.0)
     pull = Shot((Actuate(currents, 0.08), *LISTEN), start=1.0)
     after = track.update(pull, None)
-    field, gradient = SETUP.table.field_and_gradient(before.position[None, :])
-    step, turned = advance(SETUP.robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.08)
+    field, gradient = known().table.field_and_gradient(before.position[None, :])
+    step, turned = advance(known().robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.08)
     assert np.linalg.norm(step) > 5e-5
     assert after.position[:2] - before.position[:2] == pytest.approx(step, rel=1e-2, abs=1e-6)
     ahead = after.body_axis("z")
@@ -86,8 +89,8 @@ def test_a_robot_that_is_pulled_is_followed_more_closely_than_by_its_poses_alone
     for i in range(80):
         shot = Shot((Actuate(currents, 0.03), *LISTEN), start=clock)
         if i:
-            field, gradient = SETUP.table.field_and_gradient(place[None, :])
-            step, heading = advance(SETUP.robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.03)
+            field, gradient = known().table.field_and_gradient(place[None, :])
+            step, heading = advance(known().robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.03)
             place = place + 1.1 * np.append(step, 0.0)  # 10 % less drag than believed
         clock = shot.end
         noisy = pose(clock - 5e-3, (1e3 * place + rng.normal(0, 0.2, 3))[:2], heading + rng.normal(0, 0.02))
@@ -169,7 +172,7 @@ def test_carrying_a_pose_on_in_time_moves_nothing_and_forgets_a_little():
 
 
 def test_without_a_table_windows_are_taken_to_cause_no_motion():
-    track = tracker(table=None)
+    track = tracker(None)
     for i in range(4):
         track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (1.0, 0.5)))
     before = track.pose.position.copy()
