@@ -30,7 +30,7 @@ mission: setup
 	@$(BIN)/smolbot run r_path --json
 
 test: setup
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not realtime"
+	$(BIN)/python -m pytest -n auto --dist worksteal --durations=10 -m "not slow and not realtime"
 	$(REALTIME) || $(REALTIME) --last-failed
 
 # A machine that stands still for a tenth of a second is no fault of what is tested: what failed is tried once more.

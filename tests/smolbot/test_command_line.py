@@ -17,6 +17,7 @@ from smolbot.ui.cli import app as command_line
 
 SHORT = ["--set", "path.points_mm=[[-1.0, 0.0], [1.0, 0.0]]", "--set", "start.offset_mm=[-0.3, 0.2]",
          "--set", "localization.estimator=paper"]  # fmt: skip
+PLAIN = [*SHORT, "--no-report"]
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def test_a_flown_mission_ends_with_0_a_table_and_a_folder(smolbot, tmp_path):
 
 
 def test_json_is_one_object_on_standard_output_and_the_table_goes_elsewhere(smolbot, tmp_path):
-    code, out, err = smolbot("run", "line", "--seed", "3", "--json", "--out", str(tmp_path / "here"), *SHORT)
+    code, out, err = smolbot("run", "line", "--seed", "3", "--json", "--out", str(tmp_path / "here"), *PLAIN)
     summary = json.loads(out)
     assert code == 0
     assert summary["verdict"] == "passed"
@@ -59,7 +60,7 @@ def test_json_is_one_object_on_standard_output_and_the_table_goes_elsewhere(smol
     "setting", ["stop.max_duration_s=1", "verdict.mean_tracking_mm=0.001", "verdict.mean_localization_mm=0.001"]
 )
 def test_a_verdict_that_failed_ends_with_1(smolbot, setting):
-    code, out, _ = smolbot("run", "line", "--seed", "3", *SHORT, "--set", setting)
+    code, out, _ = smolbot("run", "line", "--seed", "3", *PLAIN, "--set", setting)
     assert code == 1
     assert "failed; " in out
 
@@ -75,7 +76,7 @@ def test_ctrl_c_ends_with_3_and_leaves_the_folder(smolbot, monkeypatch, tmp_path
             raise KeyboardInterrupt
 
     monkeypatch.setattr(progress.Progress, "__call__", interrupt)
-    code, out, _ = smolbot("run", "line", "--out", "stopped", *SHORT)
+    code, out, _ = smolbot("run", "line", "--out", "stopped", *PLAIN)
     assert code == 3
     assert "stopped by the operator" in out
     assert json.loads((tmp_path / "stopped/summary.json").read_text())["cycles"] == 4
@@ -88,7 +89,7 @@ def test_a_rig_that_fails_ends_with_3(smolbot, monkeypatch):
         raise RigError("the amplifier tripped")
 
     monkeypatch.setattr(TankRig, "play", fail)
-    code, out, _ = smolbot("run", "line", *SHORT)
+    code, out, _ = smolbot("run", "line", *PLAIN)
     assert code == 3
     assert "failed: the amplifier tripped" in out
 
