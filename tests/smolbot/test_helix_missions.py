@@ -112,6 +112,20 @@ def test_preview_refuses_a_hairpin_and_a_gel_that_holds_the_robot():
     assert any("lose the robot" in r for r in preview_helix(stiff).reasons)
 
 
+@pytest.mark.parametrize(("beside_mm", "go"), [(2.0, True), (2.5, False)])
+def test_preview_refuses_a_start_from_which_the_robot_would_go_on_too_far_beside_the_path(beside_mm, go):
+    """A fifth of its length, 1.5 mm, is how far it may be from the path once it is past the path's start."""
+    seen = preview_helix(load_mission(LINE, settings={"start.offset_mm": f"[1.0, {beside_mm}]"}))
+    beside = np.abs(seen.trail[1:, 1])  # the path lies on y = 0
+    assert seen.trail[1, 0] > -7e-3
+    assert beside.max() < 4.5e-3
+    assert seen.go == go == (beside.max() < 1.5e-3)
+    if not go:
+        assert seen.reasons == [
+            f"the robot would leave the path near ({1e3 * seen.trail[-1, 0]:.1f}, {1e3 * seen.trail[-1, 1]:.1f}) mm."
+        ]
+
+
 def test_the_preview_command_exits_by_its_verdict(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["smolbot", "preview", LINE, "--json"])
     with pytest.raises(SystemExit) as ended:

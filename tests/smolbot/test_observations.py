@@ -88,6 +88,19 @@ def test_a_bend_of_more_than_half_a_turn_is_followed_without_a_gap(bend):
     assert bend.summary["pose_rate_hz"] > 8.0
 
 
+@pytest.mark.parametrize("led", [True, False])
+def test_what_a_hand_does_to_the_residuals_is_not_taken_for_noise(led):
+    """A tip that moves while it is heard leaves residuals. Nobody told, the loop believes that sensors became noisy."""
+    mission = load_mission("endoscope", None, {"observe.duration_s": "10", "localization.quiet_s": "2"})
+    with TankWorld.open(mission.rig, mission.robot, mission.start, 3) as rig:
+        loop = make_loop(rig, mission)
+        assert loop.led
+        loop.led = led
+        flown = loop.fly()
+    assert flown.status == "completed"
+    assert ("noise refreshed" not in {event.what for event in flown.events}) == led
+
+
 def test_excitation_turns_with_the_tip(bend):
     for cycle in bend.cycles[10:]:
         x, y = cycle.shot.excite.currents

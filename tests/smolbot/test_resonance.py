@@ -41,3 +41,26 @@ def test_an_outlier_and_an_estimate_without_information_are_ignored():
     assert resonance.update(4.0, np.array([9.0, 0.0]), COVARIANCE) is None
     assert resonance.update(4.1, np.zeros(2), np.full((2, 2), np.inf)) is None
     assert (resonance.off == before).all()
+
+
+WANDERS = np.array([0.01, 0.15])
+"""How a device in a warming liquid changes within the square root of a second, in Hz and 1/s."""
+
+OFF_MODEL = np.array([0.05, 0.5])
+"""What sensors a little out of place add to every single estimate, which a fit cannot claim."""
+
+
+@pytest.mark.parametrize("claimed", [0.02 * np.array([1.0, 10.0]), 0.12 * np.array([1.0, 4.0])], ids=["sharp", "blunt"])
+def test_what_it_claims_to_know_is_what_it_knows_of_a_device_that_wanders(claimed):
+    """Errors over claimed standard deviations have a mean square of one; three times as much doubt would not do."""
+    rng, resonance = np.random.default_rng(7), Resonance(DEVICE)
+    truth, squares = np.array([DEVICE.frequency, DEVICE.damping]), []
+    for i in range(3000):
+        truth = truth + WANDERS * rng.standard_normal(2)
+        truth[1] = abs(truth[1])
+        believed = np.array([resonance.device.frequency, resonance.device.damping])
+        seen = truth - believed + np.hypot(claimed, OFF_MODEL) * rng.standard_normal(2)
+        resonance.update(float(i), seen, np.diag(claimed**2))
+        left = truth - [resonance.device.frequency, resonance.device.damping] - resonance.off
+        squares.append((left / resonance.sigma) ** 2)
+    assert np.mean(squares[100:], axis=0) == pytest.approx([1.0, 1.0], rel=0.25)

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import half_turned, quaternion_from_axes
+from smolbot.core.rotations import (
+    half_turned,
+    quaternion_from_axes,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rotation_error,
+)
 from smolbot.core.shots import Actuate, Listen, RingDown, Shot
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion.gradient import advance
@@ -158,6 +164,53 @@ def test_outliers_that_disagree_with_each_other_are_never_believed():
         track.update(quiet(1.0 + 0.1 * i), pose(1.02 + 0.1 * i, rng.choice([-1, 1], 2) * (8 + 3 * (i % 4))))
     assert track.misses == 12
     assert np.linalg.norm(track.pose.position[:2]) < 1e-4
+
+
+def scattered(track, rng, times, worse) -> tuple[float, int]:
+    """Mean squared error of a resting robot's track, in claimed variances, and misses; its poses are `worse` times
+    further off than they claim."""
+    squares, misses, rest = [], 0, pose(0.0, (0, 0))
+    for time in times:
+        off = worse * SIGMA * rng.standard_normal(6)
+        turned = quaternion_product(quaternion_from_rotation_vector(off[3:]), rest.orientation)
+        seen = replace(rest, time=time + 0.02, position=rest.position + off[:3], orientation=turned)
+        track.update(quiet(time), seen)
+        misses += track.misses > 0
+        error = [*track.pose.position - rest.position, *rotation_error(track.pose.orientation, rest.orientation)]
+        squares.append(error @ np.linalg.solve(track.pose.covariance, error) / 6.0)
+    return float(np.mean(squares[60:])), misses
+
+
+@pytest.mark.parametrize("worse", [1.0, 2.0, 3.0])
+def test_poses_that_are_worse_than_they_claim_are_believed_less_until_they_are_better_again(worse):
+    """Noise that a fit cannot see in its own residuals, such as the mains line, is seen in how poses scatter."""
+    rng, track = np.random.default_rng(5), tracker()
+    error, misses = scattered(track, rng, 0.1 * np.arange(300), worse)
+    assert error < 1.5
+    assert misses < 0.05 * 300
+    scattered(track, rng, 0.1 * np.arange(300, 500), 1.0)
+    honest = tracker()
+    scattered(honest, rng, 0.1 * np.arange(500), 1.0)
+    assert np.diag(track.pose.covariance) == pytest.approx(np.diag(honest.pose.covariance), rel=0.1)
+
+
+@pytest.mark.parametrize(("degrees", "duration"), [(60.0, 0.03), (90.0, 0.05), (90.0, 0.09)])
+@pytest.mark.parametrize("off", [0.3, 0.6, -0.6])
+def test_a_robot_that_turns_less_or_more_than_believed_is_in_doubt_by_that_and_no_outlier(degrees, duration, off):
+    """Drag and gain are known to three tenths: so far from the believed turn is one standard deviation away."""
+    track, heading, currents = tracker(), np.radians(degrees), (8.0, 0.0, 0.0, 0.0)
+    for i in range(6):
+        track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (0, 0), heading))
+    field, gradient = SETUP.table.field_and_gradient(track.pose.position[None, :])
+    step, turned = advance(SETUP.robot, field[:, 0], gradient[:, 0], np.array(currents), heading, duration)
+    pull = Shot((Actuate(currents, duration), *LISTEN), start=0.6)
+    believed = track.update(pull, None)
+    error = off * (turned - heading)
+    assert abs(error) / np.sqrt(believed.covariance[5, 5]) == pytest.approx(abs(off) / 0.3, rel=0.05)
+    seen = pose(pull.end, 1e3 * step, turned + error)
+    track.update(Shot(LISTEN, start=pull.end), replace(seen, time=pull.end + 0.02))
+    assert track.misses == 0
+    assert np.linalg.norm(rotation_error(track.pose.orientation, seen.orientation)) < 0.15 * abs(error)
 
 
 def test_carrying_a_pose_on_in_time_moves_nothing_and_forgets_a_little():

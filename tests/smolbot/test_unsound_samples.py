@@ -198,6 +198,21 @@ def test_sound_channels_are_not_taken_for_stuck_whatever_the_converter(bits):
         assert not found["stuck (constant for a while)"].any()
 
 
+@pytest.mark.parametrize("at_ms", [70.0, 80.0, 85.0])
+def test_a_channel_that_hangs_late_in_a_dying_swing_is_stuck_although_little_of_a_swing_is_left(at_ms):
+    """A millisecond's hold on the flank of what was 300 steps high: it comes off by 13 to 19 steps, not by hundreds."""
+    rig = load_rig("tank")
+    step = 2.0 * rig.sections.sensors.adc_range_v / 2.0**rig.sections.sensors.adc_bits
+    time = np.arange(round(20 * RATE / (2.0 * 103.5))) / RATE
+    phases = np.linspace(0.0, 2.0, 10)[:, None]
+    volts = 0.1 + step * np.round(300.0 * np.exp(-31.7 * time) * np.sin(2.0 * np.pi * 103.5 * time + phases))
+    assert not unsound_channels(volts, RATE, rig)["stuck (constant for a while)"].any()
+    held = np.flatnonzero((time >= 1e-3 * at_ms) & (time < 1e-3 * at_ms + 1e-3))
+    volts[4, held] = volts[4, held[0]]
+    assert 8.0 < abs(volts[4, held[-1] + 1] - volts[4, held[0]]) / step < 24.0
+    assert np.flatnonzero(unsound_channels(volts, RATE, rig)["stuck (constant for a while)"]).tolist() == [4]
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -1,0 +1,66 @@
+"""Poses of a world without signals are judged as a localizer judges those of signals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smolbot.errors import InputError
+from smolbot.localization.cold_start import SearchVolume
+from smolbot.localization.localizer import Localizer
+from smolbot.localization.synthetic import Fitted, Sighting, Sightings
+
+ROOM = SearchVolume((-0.02, -0.02, 0.045), (0.02, 0.02, 0.07), spacing=5e-3)
+NOTHING = np.zeros((10, 0))
+
+
+def sighting(fitted):
+    return Sighting(NOTHING, 50e3, 0.02, time=1.0, fitted=fitted)
+
+
+@pytest.fixture
+def seen(array, along_device, pose_at, hear):
+    """``seen(share)``: what a localizer makes of a swing of this share of the stops, without and with signals."""
+    localizer, rests = Localizer(array, along_device, None, "paper", ROOM), Sightings(array, along_device, ROOM)
+    truth = pose_at((3.0, -2.0, 60.0), 30.0)
+    loud, swing = localizer.locate_swing(hear(array, along_device, truth), truth)
+
+    def judge(share, **other):
+        heard = hear(array, along_device, truth, amplitude=share * along_device.theta_max)
+        pose, _ = localizer.locate_swing(heard, truth)
+        amplitude = share * along_device.theta_max
+        fitted = Fitted(loud.position, loud.orientation, amplitude, swing.covariance, loud.r_squared)
+        return pose, rests.locate_swing(sighting(replace(fitted, **other)), truth)[0]
+
+    return judge
+
+
+@pytest.mark.parametrize("share", [0.8, 0.2, 0.1, 0.06, 0.05, 0.03, 0.01])
+def test_a_swing_too_faint_to_trust_in_a_signal_is_too_faint_in_a_sighting(seen, share):
+    heard, sighted = seen(share)
+    assert heard.trusted == sighted.trusted == (share > 0.055)
+
+
+@pytest.mark.parametrize(
+    "worse",
+    [
+        {"position": np.array([0.0, 0.0, 0.1])},
+        {"position": np.array([-0.05, 0.0, 0.06])},
+        {"r_squared": 0.6},
+        {"covariance": np.diag([1e-4] * 3 + [1.0, 1e-4, 1e-4, 1e-4])},
+        {"covariance": np.diag([0.02**2, 1e-8, 1e-8] + [1e-4] * 4)},
+    ],
+    ids=["above", "aside", "unexplained", "turned anyhow", "somewhere"],
+)
+def test_a_sighting_that_explains_little_or_lies_outside_is_not_trusted(seen, worse):
+    assert seen(0.8)[1].trusted
+    assert not seen(0.8, **worse)[1].trusted
+
+
+def test_where_nothing_swung_there_is_no_sighting(array, along_device):
+    nobody = Sightings(array, along_device, ROOM)
+    for fitted in (None, Fitted(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, np.full((7, 7), np.inf), 0.0)):
+        with pytest.raises(InputError, match="holds no pose"):
+            nobody.locate_swing(sighting(fitted))

@@ -1,0 +1,45 @@
+"""What is learned before the first cycle is used no further than the rig allows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smolbot.core.sensing import SensorArray
+from smolbot.core.shots import RingDown
+from smolbot.flight.preparation import Preparation, Quiet
+from smolbot.flight.scheduler import Scheduler
+from smolbot.localization.cold_start import SearchVolume
+from smolbot.localization.noise.excitation_transients import QUIET_AFTER
+from smolbot.localization.synthetic import Sightings
+from smolbot.motion.controller import Command, Cycle
+from smolbot.motion.robot import magnet_inertia
+
+
+class Unseen:
+    """A tracker that knows of nothing."""
+
+    pose, misses, confirmed = None, 0, False
+
+
+@pytest.mark.parametrize("time_constants", [(1e-4, 3e-4), (3e-4, 1e-4), (1e-3, 2e-3)])
+def test_however_quick_the_coils_no_shot_listens_before_the_rig_lets_it(line, along_device, time_constants):
+    """Coils that are silent after 4 ms gain nothing where amplifiers need 5 ms; slow ones take their time."""
+    limits = replace(line.rig.limits, min_ring_down=5e-3)
+    inertia = magnet_inertia(along_device.moment, along_device.l0)
+    scheduler = Scheduler(Cycle(), limits, along_device, lambda _: 1e-4 * np.eye(3)[:2], lambda: 0.0, inertia)
+    array = SensorArray(np.zeros((3, 3)), np.eye(3))
+    sightings = Sightings(array, along_device, SearchVolume((-1, -1, -1), (1, 1, 1), spacing=1.0), time_constants)
+    told = []
+    first = Preparation(
+        sightings, scheduler, Quiet(0.0, 50e3, learn_ring_down=True), lambda shot: None, lambda: 0.0,
+        lambda time, what, detail: told.append((what, detail["ring_down_ms"])),
+    )  # fmt: skip
+    first.learn()
+    shot = scheduler.next(Command(None), Unseen())
+    assert limits.faults(shot) == []
+    waits = next(window.duration for window in shot.windows if isinstance(window, RingDown))
+    assert waits == pytest.approx(max(5e-3, QUIET_AFTER * max(time_constants)))
+    assert told == [("ring-down learned", pytest.approx(1e3 * waits))]
