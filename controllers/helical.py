@@ -64,18 +64,17 @@ class Helical:
         "clear_mm": Gain(5.0, 0.0, 50.0, meaning="progress past a step-out after which the full rate is tried again"),
     }
 
-    most_tilt_deg: float
-    """Most that the magnet's axis leads the robot's by, in degrees."""
+    most_tilt: float
+    """Most that the magnet's axis leads the robot's by, in rad."""
 
     def __init__(self, setup: HelixSetup, gains: Mapping[str, float]) -> None:
         self.setup = setup
         g = complete_gains(self.gains, gains, "helical")
         self._bound, self._most = 1e-3 * g["cross_track_mm"], g["max_turns"]
-        self._listens, self._tilt = round(g["listens"]), math.radians(g["tilt_deg"])
+        self._listens, self.most_tilt = round(g["listens"]), math.radians(g["tilt_deg"])
         self._look, self._weight = g["lookahead_turns"], 1e-3 * g["heading_mm"]
         self._blocked_share, self._tries = g["blocked_share"], round(g["tries"])
         self._slower, self._back, self._clear = g["slower"], g["back_turns"], 1e-3 * g["clear_mm"]
-        self.most_tilt_deg = g["tilt_deg"]
         self.screwing = Screwing(setup.helix, math.radians(g["wander_deg"]))
         self._full = setup.limits.max_rotation_frequency
         self._points, self._arc, self._length = np.zeros((2, 2)), np.zeros(2), 0.0
@@ -180,7 +179,7 @@ class Helical:
         at = start
         while len(legs) < self._most:
             course = kernels.best_course(
-                body, factors, at, self._tilt, reach, self._look, self._frequency,
+                body, factors, at, self.most_tilt, reach, self._look, self._frequency,
                 self._points, self._arc, near, self._weight,
             )  # fmt: skip
             turns = self._last_turns(at, course, near)

@@ -100,7 +100,7 @@ class Model:
         self.ring_down = cycle.ring_down
         listening = mission.sections.localization
         if listening.estimator == "whitened" and listening.quiet_s > 0.0 and listening.learn_ring_down:
-            constants = [1e-3 * c.time_constant_ms for c in mission.rig.sections.excitation]
+            constants = [c.time_constant for c in mission.rig.sections.excitation]
             self.ring_down = max(QUIET_AFTER * max(constants), self.setup.limits.min_ring_down)
         frequency = self.setup.device.frequency
         self.listening: tuple[Window, ...] = (

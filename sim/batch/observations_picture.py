@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sim.batch.flights_picture import draw_bars, headline
 from smolbot.config.observation import Observation
 from smolbot.runs.pictures.style import PLANNED, TRUE
@@ -49,9 +51,8 @@ def draw_observations(mission: Observation, flights: list[Flight], path: Path) -
 
 def _draw_tracks(figure: Any, place: SubplotSpec, mission: Observation, flights: list[Flight]) -> None:
     """Where each device truly was, from above and from the front."""
-    box = mission.rig.sections.container
-    (cx, cy), (sx, sy) = box.center_mm, box.size_mm
-    sides = [(cx - 0.5 * sx, cx + 0.5 * sx), (cy - 0.5 * sy, cy + 0.5 * sy), (box.floor_z_mm, box.surface_z_mm)]
+    box = mission.rig.container
+    sides = 1e3 * np.column_stack([box.low, box.high])
     heights = [sides[k][1] - sides[k][0] + 8.0 for k in (1, 2)]
     split = place.subgridspec(2, 1, height_ratios=heights, hspace=0.17)
     views: list[Axes] = [figure.add_subplot(split[0]), figure.add_subplot(split[1])]

@@ -90,8 +90,8 @@ def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) 
     The posts end at the liquid's surface: markers in two planes tell where the camera is, and those in the robot's own
     see it without parallax. Print alone, all in one plane, leaves a camera's tilt unsure by half a degree.
     """
-    section = rig.sections.container
-    center, half = 1e-3 * np.array(section.center_mm), 0.5e-3 * np.array(section.size_mm)
+    box = rig.container
+    center, half = box.center, 0.5 * box.size
     out = half + WALL + GAP + 0.5 * SIDE
     markers = []
     corners, sides = ((-1, 1), (1, 1), (1, -1), (-1, -1)), ((-1, 0), (0, 1), (1, 0), (0, -1))
@@ -114,8 +114,7 @@ def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) 
     slope = rng.uniform(0.10, 0.25) * np.array([np.cos(light), np.sin(light)])
     glare = rng.uniform(-0.25, 0.25, 2)
     return Stage(
-        center, half, 1e-3 * section.floor_z_mm, 1e-3 * section.surface_z_mm,
-        1e-3 * (section.floor_z_mm + section.wall_height_mm),
+        center, half, box.floor_z, box.surface_z, box.floor_z + box.wall_height,
         1.34 if rig.sections.medium.yield_stress_pa > 0 else 1.47,  # gel is water; glycerol
         tuple(markers), rng.uniform(0.2, 0.4) * np.array([np.cos(light), np.sin(light)]), tones,
         np.array([*slope, rng.uniform(0.1, 0.2), *glare]),

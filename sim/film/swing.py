@@ -73,8 +73,7 @@ def swung(
     # the field of the first coil lies along world x: it must lie across the moment, in the plane of the swing
     across = "x" if robot.device.along_cantilever else "z"
     quaternion = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), f"{across}y")
-    section = rig.sections.container
-    place = 1e-3 * np.array([*section.center_mm, section.surface_z_mm])
+    place = np.array([*rig.container.center, rig.container.surface_z])
     middle = place + matrix_from_quaternion(quaternion) @ device[10:13]
     drive = cycles / robot.device.frequency
     steps = math.ceil((drive + free) / STEP)

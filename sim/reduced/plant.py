@@ -65,10 +65,8 @@ class ReducedPlant:
         self._excitation = np.ascontiguousarray(tables[:, :, self._n : self._n + self._n_excitation])
         self._currents = np.zeros(self._n + 1)
         self._currents[self._n] = 1.0
-        box = rig.sections.container
-        low, size = np.array(box.center_mm) - 0.5 * np.array(box.size_mm), np.array(box.size_mm)
-        walls = 1e-3 * np.array([low[0], low[0] + size[0], low[1], low[1] + size[1]])
-        self._box = np.array([*walls, 0.5 * robot.size[2], 0.5 * robot.size[0]])
+        (left, front, _), (right, back, _) = rig.container.low, rig.container.high
+        self._box = np.array([left, right, front, back, 0.5 * robot.size[2], 0.5 * robot.size[0]])
         position, orientation = put_down(rig, robot, self.truth, hull, start)
         self._state = np.zeros(STATE_LENGTH)
         self._state[:3], self._state[3:7] = position, orientation

@@ -76,7 +76,7 @@ class ReducedRig:
         room = true_room(self._rig, truth.noise, truth.mains_frequency, phasors)
         moment = device.moment * device.moment_in_body
         heard = Heard(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
-        constants = tuple(1e-3 * c.time_constant_ms for c in self._rig.sections.excitation)
+        constants = tuple(c.time_constant for c in self._rig.sections.excitation)
         self._errors = FitErrors(localizer, self._rig, heard, self._rng)
         return Sightings(localizer.sensors, localizer.device, localizer.volume, constants)
 

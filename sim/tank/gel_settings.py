@@ -7,17 +7,17 @@ from typing import Annotated
 from pydantic import Field
 
 from smolbot.config.document import FileModel
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+from smolbot.config.units import SI, NotNegative, Point, Positive, SIVector
 
 
 class Inclusion(FileModel):
     """A round piece of stiffer gel, from floor to plate, that nobody is told of."""
 
-    center_mm: tuple[float, float]
+    center_mm: Point
     radius_mm: Positive
     factor: Annotated[float, Field(ge=1)]
+
+    center, radius = SIVector("center_mm"), SI("radius_mm")
 
 
 class GelMismatch(FileModel):
@@ -36,6 +36,11 @@ class GelMismatch(FileModel):
     home_deg: NotNegative = 3.0
     lateness_percent: NotNegative = 20.0
 
+    strength, viscosity, anisotropy = SI("yield_percent"), SI("viscosity_percent"), SI("anisotropy_percent")
+    pitch, cutting, friction = SI("pitch_percent"), SI("cutting_percent"), SI("friction_percent")
+    remanence, magnet_place, magnet_axis = SI("remanence_percent"), SI("magnet_place_mm"), SI("magnet_axis_deg")
+    steering, home = SI("steering_deg"), SI("home_deg")
+
 
 class GelSettings(FileModel):
     """Everything the ``[tank.gel]`` section says; every key has a default."""
@@ -50,3 +55,5 @@ class GelSettings(FileModel):
     start_heading_deg: NotNegative = 3.0
     inclusions: list[Inclusion] = Field(default_factory=list)
     mismatch: GelMismatch = GelMismatch()
+
+    step, start_heading = SI("step_ms"), SI("start_heading_deg")

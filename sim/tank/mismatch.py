@@ -33,13 +33,13 @@ class Spreads:
         """Offsets with a standard deviation, of any unit."""
         return self._scale * deviation * np.clip(self._rng.standard_normal(shape), -CLIP, CLIP)
 
-    def factor(self, percent: float, *shape: int) -> FloatArray:
+    def factor(self, deviation: float, *shape: int) -> FloatArray:
         """Factors about 1, all of them above 0."""
-        return np.maximum(1.0 + self.spread(0.01 * percent, *shape), 0.05)
+        return np.maximum(1.0 + self.spread(deviation, *shape), 0.05)
 
-    def one(self, percent: float) -> float:
+    def one(self, deviation: float) -> float:
         """A single factor."""
-        return float(self.factor(percent, 1)[0])
+        return float(self.factor(deviation, 1)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,25 +111,25 @@ def draw(settings: TankSettings, n_coils: int, n_sensors: int, streams: Streams,
     spreads = Spreads(streams.mismatch, 0.0 if ideal else section.scale)
     spread, factor, one = spreads.spread, spreads.factor, spreads.one
     return Truth(
-        coil_places=spread(1e-3 * section.coil_place_mm, n_coils, 3),
-        coil_tilts=spread(np.radians(section.coil_axis_deg), n_coils, 3),
-        coil_gains=factor(section.coil_gain_percent, n_coils),
-        coil_time_constants=factor(section.time_constant_percent, n_coils),
-        sensor_places=spread(1e-3 * section.sensor_place_mm, n_sensors, 3),
-        sensor_tilts=spread(np.radians(section.sensor_axis_deg), n_sensors, 3),
-        sensor_gains=factor(section.sensor_gain_percent, n_sensors),
-        drag=one(section.drag_percent) * factor(section.drag_anisotropy_percent, 3),
-        rotation_drag=one(section.rotation_drag_percent) * factor(section.drag_anisotropy_percent, 3),
-        density=one(section.density_percent),
-        moment=one(section.moment_percent),
-        l0=one(section.l0_percent),
-        theta_max=one(section.theta_max_percent),
-        damping=one(section.damping_percent),
-        frequency=one(section.frequency_percent),
-        noise=one(section.noise_percent),
-        mains_frequency=one(section.mains_frequency_percent),
-        compensation_gain=one(settings.earth.compensation_gain_percent),
-        compensation_tilt=spread(np.radians(settings.earth.compensation_axis_deg), 3),
-        start_offset=1e-3 * settings.start_scatter_mm * np.clip(streams.start.standard_normal(2), -2.0, 2.0),
+        coil_places=spread(section.coil_place, n_coils, 3),
+        coil_tilts=spread(section.coil_axis, n_coils, 3),
+        coil_gains=factor(section.coil_gain, n_coils),
+        coil_time_constants=factor(section.time_constant, n_coils),
+        sensor_places=spread(section.sensor_place, n_sensors, 3),
+        sensor_tilts=spread(section.sensor_axis, n_sensors, 3),
+        sensor_gains=factor(section.sensor_gain, n_sensors),
+        drag=one(section.drag) * factor(section.drag_anisotropy, 3),
+        rotation_drag=one(section.rotation_drag) * factor(section.drag_anisotropy, 3),
+        density=one(section.density),
+        moment=one(section.moment),
+        l0=one(section.l0),
+        theta_max=one(section.theta_max),
+        damping=one(section.damping),
+        frequency=one(section.frequency),
+        noise=one(section.noise),
+        mains_frequency=one(section.mains_frequency),
+        compensation_gain=one(settings.earth.compensation_gain),
+        compensation_tilt=spread(settings.earth.compensation_axis, 3),
+        start_offset=settings.start_scatter * np.clip(streams.start.standard_normal(2), -2.0, 2.0),
         start_heading=float(streams.start.uniform(-np.pi, np.pi)),
     )

@@ -6,14 +6,13 @@ import math
 from itertools import pairwise
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, field_validator
 
 from sim.tank.gel_settings import GelSettings
 from smolbot.config.document import FileModel
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Vector = tuple[float, float, float]
+from smolbot.config.units import SI, NotNegative, Positive, SIVector, Vector
+from smolbot.core.arrays import FloatArray
 
 
 class MismatchSection(FileModel):
@@ -39,6 +38,14 @@ class MismatchSection(FileModel):
     noise_percent: NotNegative = 10.0
     mains_frequency_percent: NotNegative = 0.02
 
+    coil_place, coil_axis, coil_gain = SI("coil_place_mm"), SI("coil_axis_deg"), SI("coil_gain_percent")
+    time_constant, drag = SI("time_constant_percent"), SI("drag_percent")
+    rotation_drag, drag_anisotropy = SI("rotation_drag_percent"), SI("drag_anisotropy_percent")
+    density, moment, l0 = SI("density_percent"), SI("moment_percent"), SI("l0_percent")
+    theta_max, damping, frequency = SI("theta_max_percent"), SI("damping_percent"), SI("frequency_percent")
+    sensor_place, sensor_gain, sensor_axis = SI("sensor_place_mm"), SI("sensor_gain_percent"), SI("sensor_axis_deg")
+    noise, mains_frequency = SI("noise_percent"), SI("mains_frequency_percent")
+
 
 class EarthSection(FileModel):
     """The earth's field and the external coil that roughly cancels it in the working volume."""
@@ -49,6 +56,10 @@ class EarthSection(FileModel):
     coil_radius_mm: Positive = 105.0
     compensation_gain_percent: NotNegative = 3.0
     compensation_axis_deg: NotNegative = 3.0
+
+    field = SIVector("field_ut")
+    coil_distance, coil_radius = SI("coil_distance_mm"), SI("coil_radius_mm")
+    compensation_gain, compensation_axis = SI("compensation_gain_percent"), SI("compensation_axis_deg")
 
 
 class SurfaceSection(FileModel):
@@ -62,6 +73,8 @@ class RouteSection(FileModel):
 
     points_mm: Annotated[list[Vector], Field(min_length=3)]
     dwell_s: NotNegative = 2.0
+
+    points = SIVector("points_mm")
 
     @field_validator("points_mm")
     @classmethod
@@ -81,6 +94,16 @@ class ShaftSection(FileModel):
     length_mm: Positive = 80.0
     piece_mm: Positive = 10.0
 
+    radius, piece = SI("radius_mm"), SI("piece_mm")
+
+    @property
+    def pieces(self) -> int:
+        return max(round(self.length_mm / self.piece_mm), 2)
+
+    def fields(self, size: float) -> tuple[float, float]:
+        """At the magnet and at the shaft's surface, in T, of one that is `size` times as strong."""
+        return size * self.tip_ut * 1e-6, size * self.surface_ut * 1e-6
+
 
 class HandSection(FileModel):
     """A hand that leads the device along routes, one after the other, all from one place."""
@@ -97,6 +120,10 @@ class HandSection(FileModel):
     pace_percent: NotNegative = 15.0
     roll_scatter_deg: NotNegative = 15.0
     shaft: ShaftSection | None = None
+
+    speed, turn_rate, torsion = SI("speed_mm_s"), SI("turn_deg_s"), SI("torsion_deg")
+    tremor, tremor_turn = SI("tremor_mm"), SI("tremor_deg")
+    scatter, pace_scatter, roll_scatter = SI("scatter_mm"), SI("pace_percent"), SI("roll_scatter_deg")
 
     @field_validator("routes")
     @classmethod
@@ -120,6 +147,15 @@ class PlaceSection(FileModel):
     pitch_scatter_deg: NotNegative = 20.0
     roll_scatter_deg: NotNegative = 30.0
 
+    @property
+    def heading(self) -> float | None:
+        return None if self.heading_deg is None else math.radians(self.heading_deg)
+
+    def drawn(self, off: FloatArray) -> tuple[FloatArray, float, float]:
+        """Place (3,) in m, pitch and roll in rad, `off` (4,) standard deviations in x, y, pitch and roll."""
+        place = 1e-3 * (np.array(self.position_mm) + self.scatter_mm * np.array([*off[:2], 0.0]))
+        return place, math.radians(self.pitch_scatter_deg * off[2]), math.radians(self.roll_scatter_deg * off[3])
+
 
 class TankSettings(FileModel):
     """Everything the ``[tank]`` section says; every key has a default."""
@@ -134,3 +170,10 @@ class TankSettings(FileModel):
     mismatch: MismatchSection = MismatchSection()
     hand: HandSection | None = None
     place: PlaceSection | None = None
+
+    physics_step, start_scatter = SI("physics_step_ms"), SI("start_scatter_mm")
+
+    @property
+    def lateness(self) -> float:
+        """Of a hand at the magnet: share of a move's duration, one standard deviation."""
+        return 0.01 * self.mismatch.scale * self.gel.mismatch.lateness_percent

@@ -66,7 +66,7 @@ class Tank:
         self.history = History()
         self.time = 0.0
         self.running = False
-        self._step = settings.physics_step_ms * 1e-3
+        self._step = settings.physics_step
         self._low, self._high = volume(rig)
         self._state = np.zeros(STATE_LENGTH)
         self._trace_times = np.zeros(1)

@@ -39,8 +39,8 @@ class Contacts:
         self._bits = np.array([line_bit(load.relay) for load in order])
         self._enable = line_bit(section.outputs.enable)
         rate = section.outputs.rate_hz
-        self._close = round(1e-3 * section.relays.close_ms * rate)
-        self._open = round(1e-3 * section.relays.open_ms * rate)
+        self._close = round(section.relays.closing * rate)
+        self._open = round(section.relays.opening * rate)
         self.closed: BoolArray = np.zeros(len(order), np.bool_)
         self._told: BoolArray = np.zeros(len(order), np.bool_)
         self._due: list[tuple[int, int, bool]] = []  # sample, load, closes

@@ -56,7 +56,7 @@ class Plant(Tank):
         self._near = False
         self._overhead = Overhead(self.sensors.axes, REMEMBERED)
         self._constants = self.sensors.draw_constants()
-        self._volts_per_tesla = rig.sections.sensors.sensitivity_v_per_ut * 1e6
+        self._volts_per_tesla = rig.sections.sensors.volts_per_tesla
         self._keep = round(REMEMBERED * self.rate)
         size = 2 * self._keep
         times, trace = np.zeros(size), np.zeros((size, self._trace.shape[1]))

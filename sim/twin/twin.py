@@ -84,8 +84,8 @@ class Twin:
         self.card = CardModel(section, self.plant, self._between)
         self.card.faults.add_listener(self._fault)
         drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.drawn()}
-        late = 0.01 * settings.mismatch.scale * settings.gel.mismatch.lateness_percent
-        self._hand = Hand(rig.magnet.move_s, late, np.random.default_rng([seed, 5])) if section.stage else None
+        own = np.random.default_rng([seed, 5])
+        self._hand = Hand(rig.magnet.move_s, settings.lateness, own) if section.stage else None
         self._told = -math.inf
         self._seen = 0
         self._latest: dict[str, dict[str, Any]] = {}

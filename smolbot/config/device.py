@@ -5,17 +5,14 @@ from __future__ import annotations
 import datetime
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.robot import DeviceSection
+from smolbot.config.units import NotNegative
 from smolbot.core.sensing import Device
 from smolbot.errors import InputError
-
-NotNegative = Annotated[float, Field(ge=0)]
 
 
 class CalibratedSection(DeviceSection):

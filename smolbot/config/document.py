@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from smolbot.config.units import SI
 from smolbot.errors import ConfigError, MissingFileError
 
 KeyPath = tuple[str | int, ...]
@@ -22,7 +23,7 @@ KeyPath = tuple[str | int, ...]
 class FileModel(BaseModel):
     """Base of every section of a user's file: no unknown keys, no silent conversions, finite numbers."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False, ignored_types=(SI,))
 
 
 Model = TypeVar("Model", bound=FileModel)

@@ -132,11 +132,11 @@ def noise_levels(rig: RigConfig) -> NoiseLevels:
     """What the rig's room is expected to sound like."""
     section = rig.sections.noise
     return NoiseLevels(
-        floor=section.floor_pt_per_rthz * 1e-12,
-        at_1hz=section.at_1hz_pt_per_rthz * 1e-12,
+        floor=section.floor,
+        at_1hz=section.at_1hz,
         mains_frequency=section.mains_hz,
-        mains=section.mains_nt * 1e-9,
-        mains_gradient=section.mains_gradient_nt_per_m * 1e-9,
+        mains=section.mains,
+        mains_gradient=section.mains_gradient,
         harmonics={int(order): size for order, size in section.harmonics.items()},
     )
 

@@ -9,17 +9,16 @@ from pydantic import Field
 
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.feasibility import fitness_faults
-from smolbot.config.mission_base import MissionBase, MissionBaseFile, Positive, load_parts, open_document, raise_all
+from smolbot.config.mission_base import MissionBase, MissionBaseFile, load_parts, open_document, raise_all
 from smolbot.config.path_section import PathSection, read_path
 from smolbot.config.plugins import load, names
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
+from smolbot.config.units import Point, Positive
 from smolbot.motion.controller import HelixSetup, Setup, gain_fault
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths.curve import Curve
-
-Point = tuple[float, float]
 
 
 class StartSection(FileModel):
@@ -99,10 +98,10 @@ class Mission(MissionBase):
     def helix_setup(self) -> HelixSetup:
         """What the controller of a helical robot may know."""
         helix, device, medium, magnet = self.robot.helix, self.robot.device, self.rig.sections.medium, self.rig.magnet
-        box, center = self.rig.sections.container, 1e-3 * np.array(magnet.center_mm)
+        box, center = self.rig.container, magnet.center
         return HelixSetup(
             helix=Helix.in_gel(
-                pitch=1e-3 * helix.pitch_mm,
+                pitch=helix.pitch,
                 slip=helix.slip,
                 diameter=self.robot.size[0],
                 length=self.robot.size[2],
@@ -115,12 +114,12 @@ class Mission(MissionBase):
                 viscosity=medium.viscosity_pa_s,
                 magnet=(float(center[0]), float(center[1]), float(center[2])),
                 field=1e-3 * magnet.field_mt,
-                distance=1e-3 * magnet.distance_mm,
+                distance=magnet.distance,
                 steering_rate=self.rig.limits.max_steering_rate,
-                floor=1e-3 * box.floor_z_mm,
-                plate=1e-3 * box.surface_z_mm,
+                floor=box.floor_z,
+                plate=box.surface_z,
                 steering=helix.steering,
-                drift=1e-3 * helix.drift_mm,
+                drift=helix.drift,
             ),
             limits=self.rig.limits,
             device=device,

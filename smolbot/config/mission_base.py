@@ -10,10 +10,9 @@ from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.library import find_file
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
+from smolbot.config.units import Positive
 from smolbot.errors import ConfigError, SmolbotError
 from smolbot.motion.controller import Cycle
-
-Positive = Annotated[float, Field(gt=0)]
 
 
 class CycleSection(FileModel):

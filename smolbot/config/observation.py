@@ -8,17 +8,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
-from smolbot.config.mission_base import (
-    MissionBase,
-    MissionBaseFile,
-    Positive,
-    load_parts,
-    open_document,
-    raise_all,
-)
+from smolbot.config.mission_base import MissionBase, MissionBaseFile, load_parts, open_document, raise_all
 from smolbot.config.plugins import load_world
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
+from smolbot.config.units import Positive
 from smolbot.motion.led import Motion
 
 STEERING = ("path", "start", "controller")
@@ -82,8 +76,8 @@ class Observation(MissionBase):
     @property
     def start(self) -> tuple[float, float]:
         """Middle of the container (x, y), in m: nobody puts this device down."""
-        x, y = self.rig.sections.container.center_mm
-        return 1e-3 * x, 1e-3 * y
+        x, y = self.rig.container.center.tolist()
+        return x, y
 
 
 def observes(document: Document) -> bool:

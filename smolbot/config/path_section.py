@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
-from smolbot.config.mission_base import Positive
+from smolbot.config.units import Point, Positive
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.paths.corners import rounded
@@ -17,8 +17,6 @@ from smolbot.paths.curve import Curve, read_csv
 from smolbot.paths.glyphs import drawn_glyph, glyph_fault
 from smolbot.paths.outline import Outline
 from smolbot.paths.speed_profile import speed_profile
-
-Point = tuple[float, float]
 
 
 class PathSection(FileModel):

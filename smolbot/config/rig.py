@@ -14,15 +14,8 @@ from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.library import find_file
 from smolbot.config.plugins import load_world
 from smolbot.config.safety_section import SafetySection
-from smolbot.config.sensors import (
-    CalibratedSensors,
-    Direction,
-    NotNegative,
-    Positive,
-    SensorsSection,
-    Vector,
-    load_sensors,
-)
+from smolbot.config.sensors import CalibratedSensors, Direction, SensorsSection, load_sensors
+from smolbot.config.units import SI, NotNegative, Positive, SIVector, Vector
 from smolbot.core.arrays import FloatArray, frozen
 from smolbot.core.coil_heat import FILM, Coil, wound_capacity
 from smolbot.core.limits import Limits
@@ -48,6 +41,12 @@ class CoilSection(FileModel):
     time_constant_ms: NotNegative
     resistance_ohm: Positive
 
+    center = SIVector("center_mm")
+    inner_radius = SI("inner_radius_mm")
+    outer_radius = SI("outer_radius_mm")
+    length = SI("length_mm")
+    time_constant = SI("time_constant_ms")
+
     @model_validator(mode="after")
     def _radii_in_order(self) -> CoilSection:
         if self.outer_radius_mm <= self.inner_radius_mm:
@@ -56,8 +55,8 @@ class CoilSection(FileModel):
 
     def thermal(self, safety: SafetySection) -> Coil:
         """Its thermal constants: as stated, else of its copper and of its surface in still air."""
-        stated, inner, outer = safety.coils, 1e-3 * self.inner_radius_mm, 1e-3 * self.outer_radius_mm
-        length, across = 1e-3 * self.length_mm, math.pi * (inner + outer)
+        stated, inner, outer = safety.coils, self.inner_radius, self.outer_radius
+        length, across = self.length, math.pi * (inner + outer)
         surface = 2.0 * across * (length + outer - inner)
         return Coil(
             self.name,
@@ -80,6 +79,12 @@ class ExcitationSection(FileModel):
     height_mm: Positive
     turns: Positive
     time_constant_ms: NotNegative
+
+    center = SIVector("center_mm")
+    length = SI("length_mm")
+    width = SI("width_mm")
+    height = SI("height_mm")
+    time_constant = SI("time_constant_ms")
 
 
 class TableSection(FileModel):
@@ -109,7 +114,10 @@ class TableSection(FileModel):
 
 
 class ContainerSection(FileModel):
-    """The vessel: inner walls, floor, and the liquid's surface, in the world frame."""
+    """The vessel: inner walls, floor, and the liquid's surface, in the world frame.
+
+    In m: `center` and `size` (x, y), `low` and `high` (3,): the corners of what is inside, from floor to surface.
+    """
 
     center_mm: Range
     size_mm: tuple[Positive, Positive]
@@ -117,11 +125,25 @@ class ContainerSection(FileModel):
     surface_z_mm: float
     wall_height_mm: Positive = 20.0
 
+    center = SIVector("center_mm")
+    size = SIVector("size_mm")
+    floor_z = SI("floor_z_mm")
+    surface_z = SI("surface_z_mm")
+    wall_height = SI("wall_height_mm")
+
     @model_validator(mode="after")
     def _surface_above_floor(self) -> ContainerSection:
         if self.surface_z_mm <= self.floor_z_mm:
             raise ValueError("surface_z_mm must lie above floor_z_mm.")
         return self
+
+    @property
+    def low(self) -> FloatArray:
+        return np.array([*(self.center - 0.5 * self.size), self.floor_z])
+
+    @property
+    def high(self) -> FloatArray:
+        return np.array([*(self.center + 0.5 * self.size), self.surface_z])
 
 
 class MediumSection(FileModel):
@@ -148,6 +170,11 @@ class MagnetSection(FileModel):
     max_steering_deg_per_s: Positive
     move_s: Positive
 
+    side = SI("side_mm")
+    distance = SI("distance_mm")
+    center = SIVector("center_mm")
+    max_steering_rate = SI("max_steering_deg_per_s")
+
 
 class NoiseSection(FileModel):
     """The magnetic noise that is expected; sizes at 50 Hz are peak."""
@@ -160,6 +187,10 @@ class NoiseSection(FileModel):
     harmonics: dict[str, NotNegative] = Field(default_factory=dict)
     drift_nt_per_s: NotNegative = 0.0
     constant_nt: NotNegative = 50.0
+
+    floor, at_1hz = SI("floor_pt_per_rthz"), SI("at_1hz_pt_per_rthz")
+    mains, mains_gradient = SI("mains_nt"), SI("mains_gradient_nt_per_m")
+    drift, constant = SI("drift_nt_per_s"), SI("constant_nt")
 
     @field_validator("harmonics")
     @classmethod
@@ -213,6 +244,7 @@ class RigConfig:
         self.sections = sections
         self.name = sections.name
         self.world = sections.world
+        self.container = sections.container
         self.turnaround = sections.turnaround_ms * 1e-3
 
     @property
@@ -273,7 +305,7 @@ class RigConfig:
             min_ring_down=section.min_ring_down_ms * 1e-3,
             max_listen=section.max_listen_ms * 1e-3,
             max_rotation_frequency=0.0 if magnet is None else magnet.max_rotation_hz,
-            max_steering_rate=0.0 if magnet is None else float(np.radians(magnet.max_steering_deg_per_s)),
+            max_steering_rate=0.0 if magnet is None else magnet.max_steering_rate,
         )
 
     @property
@@ -290,6 +322,11 @@ class RigConfig:
         return self.sections.magnet
 
     @property
+    def time_constants(self) -> list[float]:
+        """Of actuation and excitation coils, in the rig's order, in s."""
+        return [c.time_constant for c in self.sections.coils] + [c.time_constant for c in self.sections.excitation]
+
+    @property
     def coil_resistances(self) -> FloatArray:
         """Of the actuation coils, shape (n_coils,), in ohm."""
         return np.array([coil.resistance_ohm for coil in self.sections.coils])
@@ -304,7 +341,7 @@ class RigConfig:
     @property
     def surface_z(self) -> float:
         """Height of the liquid's surface in the world frame, in m."""
-        return self.sections.container.surface_z_mm * 1e-3
+        return self.container.surface_z
 
     def round_coils(self) -> tuple[RoundCoil, ...]:
         """The actuation coils, nominal."""
@@ -313,11 +350,11 @@ class RigConfig:
         return tuple(
             RoundCoil(
                 name=c.name,
-                center=1e-3 * np.array(c.center_mm),
+                center=c.center,
                 axis=np.array(c.axis, dtype=float),
-                inner_radius=c.inner_radius_mm * 1e-3,
-                outer_radius=c.outer_radius_mm * 1e-3,
-                length=c.length_mm * 1e-3,
+                inner_radius=c.inner_radius,
+                outer_radius=c.outer_radius,
+                length=c.length,
                 turns=c.turns,
             )
             for c in self.sections.coils
@@ -330,11 +367,11 @@ class RigConfig:
         return tuple(
             FlatCoil(
                 name=c.name,
-                center=1e-3 * np.array(c.center_mm),
+                center=c.center,
                 axis=np.array(c.axis, dtype=float),
-                length=c.length_mm * 1e-3,
-                width=c.width_mm * 1e-3,
-                height=c.height_mm * 1e-3,
+                length=c.length,
+                width=c.width,
+                height=c.height,
                 width_direction=np.cross([0.0, 0.0, 1.0], c.axis),
                 turns=c.turns,
             )

@@ -10,10 +10,8 @@ from pydantic import Field, field_validator, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.library import find_file
+from smolbot.config.units import SI, Positive, Vector
 from smolbot.core.sensing import Device
-
-Positive = Annotated[float, Field(gt=0)]
-Vector = tuple[float, float, float]
 
 
 class BodySection(FileModel):
@@ -38,6 +36,10 @@ class HelixSection(FileModel):
     slip: Annotated[float, Field(ge=0, lt=1)]
     steering: Positive = 1.0
     drift_mm: float = 0.0
+
+    pitch = SI("pitch_mm")
+    core_diameter = SI("core_diameter_mm")
+    drift = SI("drift_mm")
 
 
 class DeviceSection(FileModel):

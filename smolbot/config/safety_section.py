@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from smolbot.config.document import FileModel
-from smolbot.config.sensors import NotNegative, Positive
+from smolbot.config.units import SI, NotNegative, Positive
 from smolbot.core.coil_heat import Coil
 
 
@@ -51,3 +51,7 @@ class SafetySection(FileModel):
     broken_sensors: list[Annotated[int, Field(ge=0)]] = Field(default_factory=list)
     coils: CoilSafety = CoilSafety()
     excitation: ExcitationSafety = ExcitationSafety()
+
+    max_sigma = SI("max_sigma_mm")
+    reach_margin = SI("reach_margin_mm")
+    max_age = SI("max_age_ms")

@@ -12,13 +12,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.units import SI, NotNegative, Positive, Vector
 from smolbot.core.arrays import FloatArray, frozen
 from smolbot.core.sensing import SensorArray
 from smolbot.errors import InputError
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Vector = tuple[float, float, float]
 
 SAME = ("bandwidth_hz", "sensitivity_v_per_ut")
 """What a calibration takes for granted, so that it holds for no other array."""
@@ -54,6 +51,9 @@ class SensorsSection(FileModel):
     sensitivity_v_per_ut: Positive = 1.0
     adc_bits: Annotated[int, Field(ge=8, le=32)] = 16
     adc_range_v: Positive = 10.0
+
+    range = SI("range_ut")
+    volts_per_tesla = SI("sensitivity_v_per_ut")
 
     @model_validator(mode="after")
     def _one_of_each(self) -> SensorsSection:

@@ -71,11 +71,11 @@ def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memor
     section = mission.rig.sections.safety
     rules = Rules(
         max_duty=section.max_duty,
-        max_sigma=1e-3 * section.max_sigma_mm,
+        max_sigma=section.max_sigma,
         uncertain_shots=section.uncertain_shots,
         stale_shots=section.stale_shots,
-        max_age=1e-3 * section.max_age_ms + mission.rig.turnaround,
-        reach=None if isinstance(mission, Observation) else _reach(mission, 1e-3 * section.reach_margin_mm),
+        max_age=section.max_age + mission.rig.turnaround,
+        reach=None if isinstance(mission, Observation) else _reach(mission, section.reach_margin),
     )
     names = (*mission.rig.coil_names, *(f"excitation {coil.name}" for coil in mission.rig.sections.excitation))
     return Safety(
@@ -91,10 +91,10 @@ def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memor
 
 def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """The container, from its floor to the surface, and `margin` m more on every side."""
-    box = mission.rig.sections.container
-    center, half = 1e-3 * np.array(box.center_mm), 0.5e-3 * np.array(box.size_mm) + margin
-    (x, y), (right, back) = center - half, center + half
-    return (x, y, 1e-3 * box.floor_z_mm - margin), (right, back, 1e-3 * box.surface_z_mm + margin)
+    box = mission.rig.container
+    half = 0.5 * box.size + margin
+    (x, y), (right, back) = box.center - half, box.center + half
+    return (x, y, box.floor_z - margin), (right, back, box.surface_z + margin)
 
 
 def make_array_filter(mission: MissionBase, locator: object) -> ArrayFilter | None:
@@ -153,8 +153,5 @@ def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
 
 def search_volume(mission: MissionBase) -> SearchVolume:
     """Where the robot can be: inside the container, between its floor and a little above the surface."""
-    box = mission.rig.sections.container
-    center, half = np.array(box.center_mm) * 1e-3, 0.5e-3 * np.array(box.size_mm)
-    low = (*(center - half), box.floor_z_mm * 1e-3)
-    high = (*(center + half), box.surface_z_mm * 1e-3 + 0.01)
-    return SearchVolume(low, high, spacing=5e-3)
+    low, (right, back, surface) = mission.rig.container.low, mission.rig.container.high
+    return SearchVolume((low[0], low[1], low[2]), (right, back, surface + 0.01), spacing=5e-3)

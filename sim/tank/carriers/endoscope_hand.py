@@ -50,13 +50,13 @@ class Led:
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
         shifts = []
         for route in section.routes:
-            shift = 1e-3 * section.scatter_mm * np.clip(rng.standard_normal((len(route.points_mm), 3)), -2.0, 2.0)
+            shift = section.scatter * np.clip(rng.standard_normal(route.points.shape), -2.0, 2.0)
             shift[0] = 0.0
             shifts.append(shift)
         return cls(
             shifts=tuple(shifts),
-            pace=float(np.exp(0.01 * section.pace_percent * np.clip(rng.standard_normal(), -2.0, 2.0))),
-            roll=float(np.radians(section.roll_scatter_deg) * np.clip(rng.standard_normal(), -2.0, 2.0)),
+            pace=float(np.exp(section.pace_scatter * np.clip(rng.standard_normal(), -2.0, 2.0))),
+            roll=float(section.roll_scatter * np.clip(rng.standard_normal(), -2.0, 2.0)),
             phases=rng.uniform(-np.pi, np.pi, (6, 3)),
             torsion=float(rng.uniform(-np.pi, np.pi)),
         )
@@ -116,7 +116,7 @@ class Hand:
             chosen = leg == index
             places[chosen], frames[chosen] = route.at(arc[chosen]), route.frames(arc[chosen])
         slow = np.sin(2 * np.pi * (times - self.begins) / TORSION_PERIOD + self._led.torsion)
-        roll = self._led.roll + np.radians(self._section.torsion_deg) * self._grip(times) * slow
+        roll = self._led.roll + self._section.torsion * self._grip(times) * slow
         shaken, turned = self._tremor(times)
         rotations = _turns(turned) @ frames @ _rolls(roll)
         quaternions = np.array([quaternion_from_matrix(r) for r in rotations])
@@ -141,8 +141,8 @@ class Hand:
         n = max(int(np.ceil(route.length / SPACING)), 2)
         step = route.length / n
         middle = (np.arange(n) + 0.5) * step
-        speed = 1e-3 * self._section.speed_mm_s * self._led.pace
-        turning = np.radians(self._section.turn_deg_s) * self._led.pace
+        speed = self._section.speed * self._led.pace
+        turning = self._section.turn_rate * self._led.pace
         pace = 1.0 / (1.0 / speed + np.interp(middle, *route.bends) / turning)
         from_end = np.minimum(middle, route.length - middle)
         pace = np.minimum(pace, np.sqrt(2.0 * PICK_UP * from_end))
@@ -161,14 +161,12 @@ class Hand:
         waves = 2 * np.pi * self._section.tremor_hz * np.multiply.outer(times, TREMOR)
         each = np.sin(waves[:, None, :] + self._led.phases).sum(axis=2) * self._grip(times)[:, None]
         share = np.sqrt(2.0 / 3.0) / np.sqrt(len(TREMOR))  # so that the root mean square of the whole is one
-        return 1e-3 * self._section.tremor_mm * share * each[:, :3], np.radians(
-            self._section.tremor_deg
-        ) * share * each[:, 3:]
+        return self._section.tremor * share * each[:, :3], self._section.tremor_turn * share * each[:, 3:]
 
 
 def routes_of(section: HandSection, led: Led | None = None) -> tuple[Route, ...]:
     """The routes of a hand, as they stand in the file, or as they were drawn. All begin in one direction."""
-    points = [1e-3 * np.array(route.points_mm) for route in section.routes]
+    points = [route.points for route in section.routes]
     first = np.mean([p[1] - p[0] for p in points], axis=0)
     if led is not None:
         points = [p + shift for p, shift in zip(points, led.shifts, strict=True)]

@@ -40,18 +40,17 @@ class Shaft:
         `l0`, in m, is from the cantilever's rotation centre to the magnet.
         """
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 5])))
-        count = max(round(section.length_mm / section.piece_mm), 2)
         away = float(rng.uniform(-np.pi, np.pi))
-        side = 1e-3 * section.radius_mm * np.array([np.cos(away), np.sin(away), 0.0])
+        side = section.radius * np.array([np.cos(away), np.sin(away), 0.0])
         size = 1.0 + 0.2 * np.clip(rng.standard_normal(), -2.0, 2.0)
-        first = size * section.tip_ut * 1e-6 * (float(side @ side) + l0**2) * 1e7
-        strongest = size * section.surface_ut * 1e-6 * (1e-3 * section.radius_mm) ** 2 * 1e7
-        pieces = rng.uniform(-1.0, 1.0, count)
+        at_tip, at_surface = section.fields(size)
+        first, strongest = at_tip * (float(side @ side) + l0**2) * 1e7, at_surface * section.radius**2 * 1e7
+        pieces = rng.uniform(-1.0, 1.0, section.pieces)
         poles: FloatArray = np.diff(np.concatenate([[0.0], pieces, [0.0]]))
         poles[1:] *= strongest / np.max(np.abs(poles[1:]))
         poles[0] = np.copysign(first, pieces[0])
         poles[-1] -= poles.sum()  # a shaft has no pole too many
-        distances: FloatArray = 1e-3 * section.piece_mm * np.arange(count + 1, dtype=np.float64)
+        distances: FloatArray = section.piece * np.arange(section.pieces + 1, dtype=np.float64)
         return cls(poles, distances, side)
 
     def at_magnet(self, l0: float) -> FloatArray:

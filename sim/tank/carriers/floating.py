@@ -52,10 +52,9 @@ def put_down(
     rig: RigConfig, robot: RobotConfig, truth: Truth, hull: Hull, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Middle (3,) in m and orientation (4,) of the housing: afloat, level, near `start` (m), its heading drawn."""
-    section = rig.sections.container
     wanted = np.asarray(start, dtype=np.float64)[:2]
-    away = np.abs(wanted - 1e-3 * np.array(section.center_mm))
-    room = 0.5e-3 * np.array(section.size_mm) - np.hypot(robot.size[0], robot.size[2]) / 2
+    away = np.abs(wanted - rig.container.center)
+    room = 0.5 * rig.container.size - np.hypot(robot.size[0], robot.size[2]) / 2
     if np.any(away > room):
         raise InputError(
             f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "

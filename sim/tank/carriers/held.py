@@ -89,12 +89,11 @@ class Implanted:
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
         draws = np.clip(rng.standard_normal(5), -2.0, 2.0)
         heading = float(rng.uniform(-math.pi, math.pi))
-        if section.heading_deg is not None:
-            heading = math.radians(section.heading_deg)
+        if section.heading is not None:
+            heading = section.heading
         low, high = volume(rig)
-        wanted = 1e-3 * (np.array(section.position_mm) + section.scatter_mm * np.array([*draws[:2], 0.0]))
+        wanted, pitch, roll = section.drawn(draws[:4])
         self.position = np.clip(wanted, low + MARGIN, high - MARGIN)
-        pitch, roll = np.radians([section.pitch_scatter_deg * draws[2], section.roll_scatter_deg * draws[3]])
         ahead = np.array([math.cos(heading), math.sin(heading), math.tan(pitch)])
         level = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zx")
         self.orientation = quaternion_product(level, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))

@@ -66,7 +66,7 @@ class Hull:
         ]
         if draft < y:
             return cls(np.array(values), rig.surface_z - draft + 0.5 * y)
-        return cls(np.array(values), rig.sections.container.floor_z_mm * 1e-3 + 0.5 * y)
+        return cls(np.array(values), rig.container.floor_z + 0.5 * y)
 
 
 @njit(cache=True, error_model="numpy")

@@ -47,26 +47,23 @@ class TankCoils:
         from lookup_tables import FlatCoil, RoundCoil
 
         driven: tuple[RoundCoil | FlatCoil, ...] = (*rig.round_coils(), *rig.flat_coils())
-        constants = [c.time_constant_ms for c in rig.sections.coils] + [
-            c.time_constant_ms for c in rig.sections.excitation
-        ]
         circuits = np.zeros((len(driven), 4))
-        circuits[:, 3] = 1e-3 * np.array(constants) * truth.coil_time_constants
+        circuits[:, 3] = np.array(rig.time_constants) * truth.coil_time_constants
         rotations = np.array([matrix_from_quaternion(quaternion_from_rotation_vector(t)) for t in truth.coil_tilts])
         coupling = coil_to_sensor(driven, truth.coil_places, rotations, truth.coil_gains, positions, axes)
         coils = list(driven)
         places, tilts, gains = truth.coil_places, truth.coil_tilts, truth.coil_gains
-        earth = 1e-6 * np.array(settings.earth.field_ut)
+        earth = settings.earth.field
         strength = float(np.linalg.norm(earth))
         low, high = volume(rig)
         if settings.earth.compensated and strength > 0:
             section, middle = settings.earth, 0.5 * (low + high)
-            radius, direction = 1e-3 * section.coil_radius_mm, -earth / strength
+            radius, direction = section.coil_radius, -earth / strength
             external = RoundCoil(
-                "earth", middle - 1e-3 * section.coil_distance_mm * direction, direction,
+                "earth", middle - section.coil_distance * direction, direction,
                 0.95 * radius, 1.05 * radius, 0.2 * radius, 200.0,
             )  # fmt: skip
-            away = 1e-3 * section.coil_distance_mm
+            away = section.coil_distance
             per_ampere = sum(
                 0.5 * MU_0 * external.turns * share * r**2 / (r**2 + (away - along) ** 2) ** 1.5
                 for r, along, share in external.loops()
@@ -83,11 +80,9 @@ class TankCoils:
 
 def volume(rig: RigConfig) -> tuple[FloatArray, FloatArray]:
     """Corners (3,) and (3,) in m, world frame, of the space in which the magnet can be."""
-    section = rig.sections.container
-    center, size = np.array(section.center_mm), np.array(section.size_mm)
-    low = np.array([*(center - 0.5 * size), section.floor_z_mm]) * 1e-3
-    high = np.array([*(center + 0.5 * size), max(section.surface_z_mm, section.floor_z_mm + 5.0) + 2.0]) * 1e-3
-    return low - MARGIN, high + MARGIN
+    box = rig.container
+    top = 1e-3 * (max(box.surface_z_mm, box.floor_z_mm + 5.0) + 2.0)  # added in mm: this is a mesh's last digit
+    return box.low - MARGIN, np.array([*box.high[:2], top]) + MARGIN
 
 
 class NominalExcitation:

@@ -50,10 +50,10 @@ class FieldNoise:
     ) -> None:
         mains = section.mains_hz * mains_frequency
         lines = [(mains, 1.0)] + [(mains * int(order), size) for order, size in section.harmonics.items()]
-        sizes = [(1e-9 * section.mains_nt * size, 1e-9 * section.mains_gradient_nt_per_m * size) for _, size in lines]
+        sizes = [(section.mains * size, section.mains_gradient * size) for _, size in lines]
         for period in DRIFT_PERIODS:
             lines.append((1.0 / period, 1.0))
-            slope = 1e-9 * section.drift_nt_per_s * math.sqrt(2.0 / len(DRIFT_PERIODS))
+            slope = section.drift * math.sqrt(2.0 / len(DRIFT_PERIODS))
             sizes.append((slope * period / (2 * math.pi), 0.0))
         self.frequencies = np.array([frequency for frequency, _ in lines])
         self._amplitudes = np.empty((len(lines), len(positions)), dtype=np.complex128)
@@ -99,7 +99,7 @@ class SensorNoise:
     ) -> None:
         self._rng, self._rate = rng, sample_rate
         top = min(bandwidth, 0.25 * sample_rate)
-        floor, excess = section.floor_pt_per_rthz * 1e-12, section.at_1hz_pt_per_rthz * 1e-12
+        floor, excess = section.floor, section.at_1hz
         count = max(int(CORNERS_PER_DECADE * math.log10(0.4 * top / SLOWEST)), 1) + 1
         slow = SLOWEST * 10.0 ** (np.arange(count) / CORNERS_PER_DECADE)
         self._corners = np.concatenate([[top], slow])

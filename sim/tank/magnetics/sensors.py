@@ -44,12 +44,12 @@ class TrueSensors:
         self.rate = section.sample_rate_hz
         self._tau = 1.0 / (2 * math.pi * nominal.bandwidth) if np.isfinite(nominal.bandwidth) else 0.0
         self.lead = LEAD_TIME_CONSTANTS * self._tau
-        self._range = section.range_ut * 1e-6
-        volts_per_tesla = section.sensitivity_v_per_ut * 1e6
+        self._range = section.range
+        volts_per_tesla = section.volts_per_tesla
         self._full_scale = section.adc_range_v / volts_per_tesla
         self._step = 2 * self._full_scale / 2**section.adc_bits
         noise = rig.sections.noise
-        self._constant = noise.constant_nt * 1e-9
+        self._constant = noise.constant
         self._constants = constant_rng
         self.field_noise = FieldNoise(
             noise, self.positions, self.axes, nominal.bandwidth, truth.noise, truth.mains_frequency, field_rng

@@ -83,12 +83,9 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
         raise InputError(
             f"World '{rig.world}' of rig '{rig.name}' has no stage of its own; give a TRACK with recordings."
         )
-    box = rig.sections.container
-    middle, half = 1e-3 * np.array(box.center_mm), 0.5e-3 * np.array(box.size_mm)
-    low = np.array([*(middle - half), 1e-3 * box.floor_z_mm])
-    high = np.array([*(middle + half), 1e-3 * (box.surface_z_mm + box.wall_height_mm)])
+    box = rig.container
     stage = opened(rig, device, seed)
-    track = planned_track(low, high, count)
+    track = planned_track(box.low, box.high + np.array([0.0, 0.0, box.wall_height]), count)
     heard = [stage.record(p.position, np.array(p.orientation), HALF_PERIODS) for p in track]
     if keep is not None:
         _keep(keep, track, heard, rig)
@@ -97,7 +94,7 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
 
 def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfig) -> None:
     """Write track and samples as a lab would have them."""
-    scale = 1e6 * rig.sections.sensors.sensitivity_v_per_ut
+    scale = rig.sections.sensors.volts_per_tesla
     try:
         folder.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(

@@ -171,13 +171,13 @@ def _listen(rig: Rig, quiet: float, mains: float) -> list[Recording]:
 def _expected(config: RigConfig) -> Expected:
     noise, sensors = config.sections.noise, config.sections.sensors
     reach = float(np.linalg.norm(config.sensors.positions - config.sensors.positions.mean(axis=0), axis=1).max())
-    mains = 1e-9 * (noise.mains_nt + noise.mains_gradient_nt_per_m * reach)
+    mains = noise.mains + noise.mains_gradient * reach
     return Expected(
-        slow=1e-12 * max(noise.at_1hz_pt_per_rthz, noise.floor_pt_per_rthz),
-        floor=1e-12 * noise.floor_pt_per_rthz,
+        slow=max(noise.at_1hz, noise.floor),
+        floor=noise.floor,
         mains=mains,
         harmonics=mains * math.sqrt(sum(size**2 for size in noise.harmonics.values())),
-        range=1e-6 * min(sensors.range_ut, sensors.adc_range_v / sensors.sensitivity_v_per_ut),
+        range=min(sensors.range, sensors.adc_range_v / sensors.volts_per_tesla),
     )
 
 

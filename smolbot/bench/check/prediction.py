@@ -30,7 +30,7 @@ class Prediction:
 
 def predict(config: RigConfig) -> Prediction:
     """What the believed sensors should hear of the nominal coils."""
-    sensors, sections = config.sensors, config.sections
+    sensors = config.sensors
     flat = config.flat_coils()
     coils: list[RoundCoil | FlatCoil] = [*config.round_coils(), *flat]
     steps = STEP * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
@@ -42,6 +42,5 @@ def predict(config: RigConfig) -> Prediction:
         names=(*config.coil_names, *(f"excitation {coil.name}" for coil in flat)),
         response=np.einsum("cni,ni->cn", fields, sensors.responses),
         spread=spread_of(fields, gradients, sensors.axes),
-        constants=[1e-3 * c.time_constant_ms for c in sections.coils]
-        + [1e-3 * c.time_constant_ms for c in sections.excitation],
+        constants=config.time_constants,
     )

@@ -74,7 +74,7 @@ class Card:
         self.product, self.serial = "", ""
         self._stopped = threading.Event()
         self._lengths: dict[str, int] = {}
-        self._patience = 1e-3 * section.call_timeout_ms
+        self._patience = section.call_timeout
         self._tasks: list[Any] = []
         try:
             with self._naming("open"):

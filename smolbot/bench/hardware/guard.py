@@ -61,7 +61,7 @@ class Guard:
                 self._reader = DigitalMultiChannelReader(self._inputs.in_stream)
                 self._reader.verify_array_shape = False  # it asks the server, with every read
                 self._look()
-            self._watchdog = self._driver.watchdog(name, 1e-3 * section.watchdog.timeout_ms)
+            self._watchdog = self._driver.watchdog(name, section.watchdog.timeout)
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
             self._watchdog.cfg_watchdog_do_expir_states(states)
         except self._driver.errors as error:
@@ -143,11 +143,11 @@ class Guard:
 
     def _look(self) -> None:
         levels = np.zeros(len(self._section.input_lines), np.bool_)
-        self._reader.read_one_sample_one_line(levels, timeout=1e-3 * self._section.call_timeout_ms)
+        self._reader.read_one_sample_one_line(levels, timeout=self._section.call_timeout)
         self.lines = dict(zip(self._section.input_lines, levels.tolist(), strict=True))
 
     def _run(self) -> None:
-        pause = 1e-3 * self._section.watchdog.feed_ms
+        pause = self._section.watchdog.feed
         due = time.monotonic()
         while not self._end.is_set():
             try:

@@ -48,7 +48,7 @@ class Magnet:
         from smolbot.bench.hardware.stage import MagnetStage
 
         self._operator, self._patience = operator, patience.answer_timeout_s
-        self._steering_rate = math.radians(magnet.max_steering_deg_per_s)
+        self._steering_rate = magnet.max_steering_rate
         self.switched = section.switches
         self._stage = MagnetStage(section, self._steering_rate)
         self._stage.open()

@@ -37,7 +37,7 @@ def relay_probe(section: BenchSection, coil: str, current: float, input_rate: fl
     level = current / load.gain_a_per_v
     if abs(level) > section.outputs.range_v:
         raise InputError(f"{coil}: {current:g} A needs {level:.2f} V; the output gives ±{section.outputs.range_v:g} V.")
-    rate, opening = section.outputs.rate_hz, 1e-3 * section.relays.open_ms
+    rate, opening = section.outputs.rate_hz, section.relays.opening
     on, off = round(BEFORE * rate), round((BEFORE + HELD) * rate)
     end = off + math.ceil((LATEST * opening + SPARE) * rate)
     volts, lines = np.zeros((len(section.used_outputs), end + 2)), np.zeros(end + 2, np.uint32)

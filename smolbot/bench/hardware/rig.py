@@ -62,8 +62,8 @@ class BenchRig:
         self.recovered: Counter[str] = Counter()
         self._rig, self._section = rig, section
         self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
-        self._volts_per_tesla = rig.sections.sensors.sensitivity_v_per_ut * 1e6
-        self._range = rig.sections.sensors.range_ut * 1e-6
+        self._volts_per_tesla = rig.sections.sensors.volts_per_tesla
+        self._range = rig.sections.sensors.range
         self._compiler = WaveformCompiler(section, rig.coil_names, self._rate, _time_constants(rig))
         self._excitation = NominalExcitation(rig)
         self._epoch = time.monotonic()
@@ -86,7 +86,7 @@ class BenchRig:
         section, faults = self._section, []
         ask_for_priority()
         try:
-            self._driver = Driver(section.server, 1e-3 * section.call_timeout_ms)
+            self._driver = Driver(section.server, section.call_timeout)
             self._card = Card(section, self._rate, self._driver)
             self._guard = Guard(section, self._driver, self._trip)
             self._guard.open()
@@ -175,7 +175,7 @@ class BenchRig:
         heard = self._recording(Shot((Rest(BEFORE),)), waveform, volts, began - self._epoch)
         assert heard is not None
         relays = self._section.relays
-        return Probe(heard, on, off, 1e-3 * relays.close_ms, 1e-3 * relays.open_ms)
+        return Probe(heard, on, off, relays.closing, relays.opening)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
@@ -298,5 +298,5 @@ class BenchRig:
 
 def _time_constants(rig: RigConfig) -> dict[str, float]:
     """Of every coil by its name, in s."""
-    actuation = {coil.name: 1e-3 * coil.time_constant_ms for coil in rig.sections.coils}
-    return actuation | {f"excitation {c.name}": 1e-3 * c.time_constant_ms for c in rig.sections.excitation}
+    actuation = {coil.name: coil.time_constant for coil in rig.sections.coils}
+    return actuation | {f"excitation {c.name}": c.time_constant for c in rig.sections.excitation}

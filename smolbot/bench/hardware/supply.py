@@ -58,7 +58,7 @@ class Supply:
     def __init__(self, section: SupplySection) -> None:
         self._section = section
         self._name = f"power supply at {section.where}"
-        self._scpi = ScpiSocket(self._name, section.address, 1e-3 * section.timeout_ms)
+        self._scpi = ScpiSocket(self._name, section.address, section.timeout)
         self._offs = 0  # how often it was told to be off
         self._set_after = -1  # how often when it was last configured
         self._closed = False

@@ -8,8 +8,7 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from smolbot.config.document import FileModel
-
-Positive = Annotated[float, Field(gt=0)]
+from smolbot.config.units import SI, Positive
 
 _SOCKET = re.compile(r"TCPIP\d*::([^:\s]+)::(\d{1,5})::SOCKET", re.IGNORECASE)
 
@@ -46,6 +45,8 @@ class SupplySection(FileModel):
     model: str = "NGP8"
     timeout_ms: Annotated[float, Field(ge=50, le=10000)] = 500.0
     channels: Annotated[list[SupplyChannelSection], Field(min_length=1)]
+
+    timeout = SI("timeout_ms")
 
     @field_validator("address")
     @classmethod

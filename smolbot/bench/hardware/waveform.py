@@ -100,7 +100,7 @@ class WaveformCompiler:
         self._relay = [line_bit(load.relay) for load in section.loads]
         self._constants = [(constants or {}).get(name, 0.0) for name in names]
         self._names, self._enable = names, line_bit(section.outputs.enable)
-        self._close, self._open = 1e-3 * section.relays.close_ms, 1e-3 * section.relays.open_ms
+        self._close, self._open = section.relays.closing, section.relays.opening
         self._range, self._n_outputs = section.outputs.range_v, len(outputs)
         self.output_rate, self.input_rate = section.outputs.rate_hz, input_rate
 

@@ -11,9 +11,8 @@ from pydantic import Field, model_validator
 from smolbot.bench.hardware.products import PRODUCTS, Product
 from smolbot.bench.hardware.supplysection import SupplySection
 from smolbot.config.document import FileModel
+from smolbot.config.units import SI, NotNegative, Positive
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 Key = tuple[str | int, ...]
 
 ADDRESSES: tuple[tuple[str, ...], ...] = (("server",), ("truth",), ("stage", "port"), ("supply", "address"))
@@ -64,12 +63,18 @@ class RelaysSection(FileModel):
     open_ms: NotNegative
     all_open: str | None = None
 
+    closing = SI("close_ms")
+    opening = SI("open_ms")
+
 
 class WatchdogSection(FileModel):
     """The card's own timer that opens every relay unless it is fed."""
 
     timeout_ms: Annotated[float, Field(ge=20, le=1000)] = 100.0
     feed_ms: Annotated[float, Field(ge=2)] = 20.0
+
+    timeout = SI("timeout_ms")
+    feed = SI("feed_ms")
 
     @model_validator(mode="after")
     def _fed_in_time(self) -> WatchdogSection:
@@ -114,6 +119,8 @@ class BenchSection(FileModel):
     operator: OperatorSection = OperatorSection()
     stage: StageSection | None = None
     supply: SupplySection | None = None
+
+    call_timeout = SI("call_timeout_ms")
 
     @property
     def clocked_lines(self) -> tuple[str, ...]:

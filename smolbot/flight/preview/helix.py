@@ -74,7 +74,7 @@ def preview_helix(mission: Mission) -> HelixPreview:
     frequency = setup.limits.max_rotation_frequency
     arc = np.linspace(0.0, mission.path.length, 25)
     margin = np.array([setup.helix.torque_margin(p, frequency) for p in mission.path.at(arc)])
-    radius, bend = setup.helix.tightest(frequency, math.radians(controller.most_tilt_deg)), tightest_bend(mission.path)
+    radius, bend = setup.helix.tightest(frequency, controller.most_tilt), tightest_bend(mission.path)
     shots, clock, trail, reasons = _fly(mission, setup, controller)
     worst = int(np.argmin(margin))
     if margin[worst] < 1.0:

@@ -77,11 +77,9 @@ def preview_observation(mission: Observation) -> ObservationPreview:
 
 
 def _noise_errors(mission: Observation) -> FloatArray:
-    box = mission.rig.sections.container
-    center, half = np.array(box.center_mm), 0.4 * np.array(box.size_mm)
-    spans = [(center[0] - half[0], center[0] + half[0]), (center[1] - half[1], center[1] + half[1]),
-             (box.floor_z_mm, box.surface_z_mm)]  # fmt: skip
-    lines = [1e-3 * np.linspace(low, high, PER_AXIS) for low, high in spans]
+    box = mission.rig.container
+    inset = np.array([*(0.1 * box.size), 0.0])
+    lines = np.linspace(box.low + inset, box.high - inset, PER_AXIS).T
     points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     up = np.array([0.0, 0.0, 1.0])
     turns = 2.0 * np.pi * np.arange(len(points)) * 0.381966  # evenly spread, and no two neighbours alike

@@ -68,10 +68,10 @@ def _draw_watched(figure: Figure, mission: Observation, trace: Trace) -> None:
         3, 2, width_ratios=[1.25, 1.0], height_ratios=[1.0, 1.0, 1.0], wspace=0.17, hspace=0.34,
         left=0.06, right=0.975, top=0.845, bottom=0.085,
     )  # fmt: skip
-    box = mission.rig.sections.container
-    (cx, cy), (sx, sy) = box.center_mm, box.size_mm
-    sides = [(cx - 0.5 * sx, cx + 0.5 * sx), (cy - 0.5 * sy, cy + 0.5 * sy), (box.floor_z_mm, box.surface_z_mm)]
-    split = grid[:, 0].subgridspec(2, 1, height_ratios=[sy + 8.0, sides[2][1] - sides[2][0] + 8.0], hspace=0.17)
+    box = mission.rig.container
+    sides = 1e3 * np.column_stack([box.low, box.high])
+    heights = [side[1] - side[0] + 8.0 for side in sides[1:]]
+    split = grid[:, 0].subgridspec(2, 1, height_ratios=heights, hspace=0.17)
     above, front = figure.add_subplot(split[0]), figure.add_subplot(split[1])
     for axes, across in ((above, 1), (front, 2)):
         draw_view(axes, trace, sides, across)
@@ -85,7 +85,7 @@ def _draw_watched(figure: Figure, mission: Observation, trace: Trace) -> None:
     draw_rate(rates, mission, trace)
 
 
-def draw_view(axes: Axes, trace: Trace, sides: list[tuple[float, float]], across: int) -> None:
+def draw_view(axes: Axes, trace: Trace, sides: FloatArray, across: int) -> None:
     """The track from above (`across` 1) or from the front (2), in the container."""
     (x0, x1), (y0, y1) = sides[0], sides[across]
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PLANNED, lw=1.2)

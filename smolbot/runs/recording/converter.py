@@ -44,7 +44,7 @@ class Converter:
     @classmethod
     def of(cls, section: SensorsSection, gains: FloatArray) -> Converter:
         """As a rig file's ``[sensors]`` describes it."""
-        return cls(section.adc_bits, section.adc_range_v, section.sensitivity_v_per_ut * 1e6, np.asarray(gains, float))
+        return cls(section.adc_bits, section.adc_range_v, section.volts_per_tesla, np.asarray(gains, float))
 
     def counts(self, field: FloatArray) -> tuple[int, Counts | None]:
         """The scaling by which `field` (n_sensors, n), in T, are whole counts, and these; (FIELD, None) if by none.

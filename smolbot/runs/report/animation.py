@@ -257,9 +257,8 @@ def _limits(flight: Flight, trail: Track, heard: Track) -> tuple[FloatArray, Flo
     if flight.steered is not None:
         shown.append(1e3 * flight.steered.path.points[:, :2])
     if isinstance(flight.mission, Observation) and flight.mission.sections.observe.measurements is None:
-        box = flight.mission.rig.sections.container
-        (cx, cy), (sx, sy) = box.center_mm, box.size_mm
-        shown.append(np.array([[cx - 0.5 * sx, cy - 0.5 * sy], [cx + 0.5 * sx, cy + 0.5 * sy]]))
+        box = flight.mission.rig.container
+        shown.append(1e3 * np.array([box.low[:2], box.high[:2]]))
     places = np.vstack(shown)
     low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
     half = np.maximum(0.5 * (high - low), 0.5)

@@ -65,9 +65,8 @@ def track_figure(flight: Flight, mission: Observation) -> Figure:
         return figure
     grid = figure.add_gridspec(2, 2, height_ratios=[1.5, 1.0], width_ratios=[1.35, 1.0])
     above, front, close = (figure.add_subplot(grid[at]) for at in ((0, 0), (1, 0), (slice(None), 1)))
-    box = mission.rig.sections.container
-    (cx, cy), (sx, sy) = box.center_mm, box.size_mm
-    sides = [(cx - 0.5 * sx, cx + 0.5 * sx), (cy - 0.5 * sy, cy + 0.5 * sy), (box.floor_z_mm, box.surface_z_mm)]
+    box = mission.rig.container
+    sides = 1e3 * np.column_stack([box.low, box.high])
     for axes, across in ((above, 1), (front, 2)):
         observation_picture.draw_view(axes, flight.trace, sides, across)
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, fontsize=9)

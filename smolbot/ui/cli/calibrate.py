@@ -105,8 +105,8 @@ def find_target(
     is_rig = "sensors" in Document.read(Path(target)).data if is_path else target in rigs
     if is_rig:
         config = load_rig(target, {key.removeprefix("rig."): value for key, value in settings.items()} or None)
-        x, y = config.sections.container.center_mm
-        return config, load_robot(robot or DEFAULT_ROBOT), (1e-3 * x, 1e-3 * y)
+        x, y = config.container.center.tolist()
+        return config, load_robot(robot or DEFAULT_ROBOT), (x, y)
     mission = load_mission(target, None, settings)
     chosen = mission.robot if robot is None else load_robot(robot, beside=mission.document.path.parent)
     return mission.rig, chosen, mission.start
@@ -117,7 +117,7 @@ def expected_hum(rig: RigConfig) -> Hum:
     from smolbot.localization.device.thinning import Hum
 
     noise = rig.sections.noise
-    first = max(1e-9 * noise.mains_nt, 1e-10)
+    first = max(noise.mains, 1e-10)
     sizes = {1: first} | {int(order): max(first * size, 1e-10) for order, size in noise.harmonics.items()}
     return Hum(noise.mains_hz, sizes)
 

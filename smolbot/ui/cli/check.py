@@ -41,7 +41,7 @@ def check(
     config = load_rig(rig)
     held = load_robot(robot if robot is not None else _robot_of(config))
     world = load_world(config.world, config.document)
-    middle = tuple(1e-3 * x for x in config.sections.container.center_mm)
+    middle = tuple(config.container.center.tolist())
     with _told() as say:
         opened = world.open(config, held, middle, seed)
         try:

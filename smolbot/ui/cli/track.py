@@ -170,7 +170,7 @@ def _height(
     if poses is not None:
         mission = poses.mission
         if mission is not None and mission.robot.kind == "gradient":
-            return 1e-3 * mission.rig.sections.container.surface_z_mm, "the liquid's surface: it floats"
+            return mission.rig.surface_z, "the liquid's surface: it floats"
         return float(poses.positions[:, 2].mean()), "mean of the run's poses"
     if fiducials is not None:
         from smolbot.runs.optics.fiducials import read_fiducials

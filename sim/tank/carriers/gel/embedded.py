@@ -40,9 +40,9 @@ class Embedded:
         self._gel = pack_gel(rig, robot, settings, own)
         self._cube = pack_cube(rig, own)
         self._inclusions = pack_inclusions(settings)
-        self._lateness = 0.0 if ideal else 0.01 * settings.mismatch.scale * settings.gel.mismatch.lateness_percent
-        self.longest_step = 1e-3 * settings.gel.step_ms
-        self._steering_rate = math.radians(rig.magnet.max_steering_deg_per_s)
+        self._lateness = 0.0 if ideal else settings.lateness
+        self.longest_step = settings.gel.step
+        self._steering_rate = rig.limits.max_steering_rate
         self._near, self._steered = False, False
         self._turn_rate, self._steer_to = 0.0, 0.0
         self._state = np.zeros(kernels.GEL_STATE_LENGTH)
@@ -146,9 +146,8 @@ class Embedded:
     def _put_down(
         self, rig: RigConfig, robot: RobotConfig, truth: Truth, start: FloatArray, off: float, roll: float
     ) -> None:
-        section = rig.sections.container
-        away = np.abs(start[:2] - 1e-3 * np.array(section.center_mm))
-        room = 0.5e-3 * np.array(section.size_mm) - 0.5 * robot.size[2]
+        away = np.abs(start[:2] - rig.container.center)
+        room = 0.5 * rig.container.size - 0.5 * robot.size[2]
         if np.any(away > room):
             raise InputError(
                 f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "

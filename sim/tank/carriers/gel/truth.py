@@ -67,20 +67,20 @@ def draw_gel(settings: TankSettings, rng: np.random.Generator, *, ideal: bool = 
     spreads = Spreads(rng, 0.0 if ideal else settings.mismatch.scale)
     spread, factor = spreads.spread, spreads.one
     return GelTruth(
-        strength=factor(section.yield_percent),
-        viscosity=factor(section.viscosity_percent),
-        cutting=factor(section.cutting_percent),
-        friction=factor(section.friction_percent),
-        thread=factor(section.anisotropy_percent),
-        across=factor(section.anisotropy_percent),
-        tilt=factor(section.anisotropy_percent),
-        pitch=factor(section.pitch_percent),
-        remanence=factor(section.remanence_percent),
-        magnet_place=spread(1e-3 * section.magnet_place_mm, 3),
-        magnet_tilt=spread(np.radians(section.magnet_axis_deg), 3),
-        steering=float(spread(np.radians(section.steering_deg), 1)[0]),
-        home=float(spread(np.radians(section.home_deg), 1)[0]),
-        start_heading=float(np.radians(settings.gel.start_heading_deg) * np.clip(rng.standard_normal(), -CLIP, CLIP)),
+        strength=factor(section.strength),
+        viscosity=factor(section.viscosity),
+        cutting=factor(section.cutting),
+        friction=factor(section.friction),
+        thread=factor(section.anisotropy),
+        across=factor(section.anisotropy),
+        tilt=factor(section.anisotropy),
+        pitch=factor(section.pitch),
+        remanence=factor(section.remanence),
+        magnet_place=spread(section.magnet_place, 3),
+        magnet_tilt=spread(section.magnet_axis, 3),
+        steering=float(spread(section.steering, 1)[0]),
+        home=float(spread(section.home, 1)[0]),
+        start_heading=float(settings.gel.start_heading * np.clip(rng.standard_normal(), -CLIP, CLIP)),
         start_roll=float(rng.uniform(-np.pi, np.pi)),
         start_height=float(rng.uniform(-0.5, 0.5)),
     )
@@ -98,19 +98,19 @@ def pack_gel(rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: 
     section, medium, helix = settings.gel, rig.sections.medium, robot.helix
     radius, length = 0.5 * robot.size[0], robot.size[2]
     tau = medium.yield_stress_pa * truth.strength
-    box = rig.sections.container
+    box = rig.container
     gel = np.empty(kernels.GEL_LENGTH)
     gel[kernels.THREAD] = section.thread_hold * truth.thread * tau * 2 * math.pi * radius * length
     gel[kernels.ACROSS] = section.bearing * truth.across * tau * 2 * radius * length
     gel[kernels.SPIN] = tau * (2 * math.pi * radius**2 * length + 4 / 3 * math.pi * radius**3)
     gel[kernels.TILT] = section.bearing * truth.tilt * tau * 2 * radius * length * length / 4
     gel[kernels.RATE] = tau / (2 * medium.viscosity_pa_s * truth.viscosity)
-    gel[kernels.CUT] = section.nose_bearing * truth.cutting * tau * math.pi * (0.5e-3 * helix.core_diameter_mm) ** 2
+    gel[kernels.CUT] = section.nose_bearing * truth.cutting * tau * math.pi * (0.5 * helix.core_diameter) ** 2
     gel[kernels.BACK] = section.way_back
-    gel[kernels.LEAD] = 1e-3 * helix.pitch_mm * truth.pitch / (2 * math.pi)
+    gel[kernels.LEAD] = helix.pitch * truth.pitch / (2 * math.pi)
     gel[kernels.RADIUS], gel[kernels.REACH] = radius, 0.5 * length
-    gel[kernels.LOW] = 1e-3 * box.floor_z_mm + radius
-    gel[kernels.HIGH] = 1e-3 * box.surface_z_mm - radius
+    gel[kernels.LOW] = box.floor_z + radius
+    gel[kernels.HIGH] = box.surface_z - radius
     gel[kernels.PLATE] = section.plate_stiffness_n_per_m
     gel[kernels.FRICTION] = section.plate_friction * truth.friction
     return gel
@@ -121,15 +121,11 @@ def pack_cube(rig: RigConfig, truth: GelTruth) -> FloatArray:
     magnet = rig.magnet
     off = quaternion_from_rotation_vector(np.array([0.0, 0.0, truth.steering]))
     turned = matrix_from_quaternion(quaternion_from_rotation_vector(truth.magnet_tilt)) @ matrix_from_quaternion(off)
-    center = 1e-3 * np.array(magnet.center_mm) + truth.magnet_place
-    return np.array(
-        [0.5e-3 * magnet.side_mm, magnet.remanence_t * truth.remanence, *center, *turned.ravel(), truth.home]
-    )
+    center = magnet.center + truth.magnet_place
+    return np.array([0.5 * magnet.side, magnet.remanence_t * truth.remanence, *center, *turned.ravel(), truth.home])
 
 
 def pack_inclusions(settings: TankSettings) -> FloatArray:
     """The `inclusions` array (k, 4) of the kernels."""
-    rows = [
-        (1e-3 * i.center_mm[0], 1e-3 * i.center_mm[1], 1e-3 * i.radius_mm, i.factor) for i in settings.gel.inclusions
-    ]
+    rows = [(*i.center, i.radius, i.factor) for i in settings.gel.inclusions]
     return np.array(rows).reshape(-1, 4)
