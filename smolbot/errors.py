@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class SmolbotError(Exception):
     """Base of all errors raised on purpose."""
@@ -44,3 +47,12 @@ class SignalLostError(SmolbotError, RuntimeError):
 
 class PluginError(SmolbotError, ImportError):
     """A controller, rig or command that is not installed, or is shadowed by a foreign package."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """`` Did you mean …?`` with the known name most like `name`, or that of another unit; empty if none is."""
+    known = list(known)
+    stem = name.rsplit("_", 1)[0]
+    other_unit = [one for one in known if one.rsplit("_", 1)[0] in (stem, name)]
+    close = difflib.get_close_matches(name, known, 1) or other_unit
+    return f" Did you mean {close[0]}?" if close else ""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smolbot.errors import InputError
+from smolbot.errors import InputError, did_you_mean
 from smolbot.ui.cli.options import SetOption
 
 if TYPE_CHECKING:
@@ -92,10 +92,7 @@ def load_study(name: str) -> Study:
         If there is none.
     """
     if name not in STUDIES:
-        from difflib import get_close_matches
-
-        close = get_close_matches(name, STUDIES, 1)
-        hint = f" Did you mean {close[0]}?" if close else ""
+        hint = did_you_mean(name, STUDIES)
         raise InputError(f"No study is named '{name}'; there are: {', '.join(STUDIES)}.{hint}")
     found: Study = importlib.import_module(f"sim.studies.{name}").STUDY
     return found

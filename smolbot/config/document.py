@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 import tomllib
@@ -15,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smolbot.config.units import SI
-from smolbot.errors import ConfigError, MissingFileError
+from smolbot.errors import ConfigError, MissingFileError, did_you_mean
 
 KeyPath = tuple[str | int, ...]
 
@@ -125,10 +124,7 @@ def _fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
     kind, message = item["type"], item["msg"]
     if kind == "extra_forbidden":
         known = _fields_at(model, location[:-1])
-        message = f"unknown key; known keys: {', '.join(known)}."
-        close = _nearest(str(location[-1]), known)
-        if close:
-            message += f" Did you mean {close}?"
+        message = f"unknown key; known keys: {', '.join(known)}.{did_you_mean(str(location[-1]), known)}"
     elif kind == "missing" and isinstance(location[-1], int):
         message, location = (
             f"entry {location[-1] + 1} is missing; got {json.dumps(item['input'], default=str)[:60]}.",
@@ -143,15 +139,6 @@ def _fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
     else:
         message = f"{message[0].lower()}{message[1:]}; got {json.dumps(item['input'], default=str)[:60]}."
     return Fault(at + location, message)
-
-
-def _nearest(key: str, known: list[str]) -> str | None:
-    """The known key most like `key`, or one with the same name and another unit."""
-    close = difflib.get_close_matches(key, known, 1, cutoff=0.6)
-    if close:
-        return close[0]
-    stem = key.rsplit("_", 1)[0]
-    return next((name for name in known if name == key or name.rsplit("_", 1)[0] in (stem, key)), None)
 
 
 def _fields_at(model: type[BaseModel], location: KeyPath, *, required: bool = False) -> list[str]:

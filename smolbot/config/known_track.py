@@ -10,15 +10,15 @@ A .csv file with named columns; others are left alone, and so are lines that beg
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
+from smolbot.core.csvtable import Row, read_table
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.errors import InputError, MissingFileError
@@ -53,29 +53,15 @@ def read_track(path: str | Path) -> Track:
     path = Path(path)
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file.")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}.") from error
-    lines = [(n, row) for n, row in enumerate(text.splitlines(), 1) if row.strip() and not row.lstrip().startswith("#")]
-    if len(lines) < 2:
+    table = read_table(path, named=True)
+    if not table.rows:
         raise InputError(
             f"{path}: holds no track; a line of column names ({_needed()}) and a row per recording are needed."
         )
-    separator = max(",;\t", key=lines[0][1].count)
-    names = [name.strip() for name in next(csv.reader([lines[0][1]], delimiter=separator))]
-    turned = _orientation_columns(path, names)
-    poses, files = [], []
-    for number, line in lines[1:]:
-        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
-        if len(cells) != len(names):
-            raise InputError(f"{path}:{number}: has {len(cells)} columns; the line of names has {len(names)}.")
-        row = dict(zip(names, cells, strict=True))
-        place = 1e-3 * _numbers(path, number, row, PLACE)
-        orientation = _orientation(path, number, row, turned)
-        poses.append(Pose(0.0, place, orientation, UNKNOWN))
-        files.append(path.parent / row["file"] if row.get("file") else None)
-    return Track(path, tuple(poses), tuple(files))
+    turned = _orientation_columns(path, table.names)
+    poses = [Pose(0.0, 1e-3 * row.finite(PLACE), _orientation(row, turned), UNKNOWN) for row in table.rows]
+    files = [row["file"] if "file" in table.names else "" for row in table.rows]
+    return Track(path, tuple(poses), tuple(path.parent / file if file else None for file in files))
 
 
 def write_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -> None:
@@ -139,30 +125,15 @@ def _orientation_columns(path: Path, names: Sequence[str]) -> bool:
     return directions
 
 
-def _orientation(path: Path, number: int, row: Mapping[str, str], directions: bool) -> FloatArray:
+def _orientation(row: Row, directions: bool) -> FloatArray:
     if not directions:
-        quaternion = _numbers(path, number, row, QUATERNION)
+        quaternion = row.finite(QUATERNION)
         length = float(np.linalg.norm(quaternion))
         if not 0.99 < length < 1.01:
-            raise InputError(f"{path}:{number}: {', '.join(QUATERNION)} must be of unit length; got {length:.4g}.")
+            raise row.fault(f"{', '.join(QUATERNION)} must be of unit length; got {length:.4g}.")
         return quaternion / length
-    along, swing = (_numbers(path, number, row, columns) for columns in (ALONG, SWING))
+    along, swing = row.finite(ALONG), row.finite(SWING)
     sine = float(np.linalg.norm(np.cross(along, swing)))
     if not sine > 0.5 * float(np.linalg.norm(along)) * float(np.linalg.norm(swing)):
-        raise InputError(
-            f"{path}:{number}: along and swing must be two directions at right angles; got {along} and {swing}."
-        )
+        raise row.fault(f"along and swing must be two directions at right angles; got {along} and {swing}.")
     return quaternion_from_axes(along, swing, "zx")
-
-
-def _numbers(path: Path, number: int, row: Mapping[str, str], columns: Sequence[str]) -> FloatArray:
-    values = []
-    for column in columns:
-        try:
-            value = float(row[column])
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise InputError(f"{path}:{number}: {column} is not a number ('{row[column]}').")
-        values.append(value)
-    return np.array(values)

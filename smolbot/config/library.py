@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from importlib import resources
 from pathlib import Path
 
-from smolbot.errors import MissingFileError
+from smolbot.errors import MissingFileError, did_you_mean
 
 KINDS = ("missions", "rigs", "robots")
 
@@ -34,9 +33,7 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
             if path.is_file():
                 return path
         raise MissingFileError(f"{name}: no such file. Shipped {kind}: {', '.join(ours)}.")
-    close = difflib.get_close_matches(name, ours, 1)
-    hint = f" Did you mean {close[0]}?" if close else ""
     raise MissingFileError(
-        f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{hint} "
+        f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{did_you_mean(name, ours)} "
         f"Your own is given by its path, such as ./{name}.toml."
     )

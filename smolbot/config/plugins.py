@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from smolbot.config.document import Document, Fault
-from smolbot.errors import PluginError
+from smolbot.errors import PluginError, did_you_mean
 
 _OURS = {"controllers", "sim", "lookup_tables"}
 
@@ -35,8 +34,7 @@ def load(group: str, name: str) -> Any:
     found = _installed(group).get(name)
     if found is None:
         known = names(group)
-        close = difflib.get_close_matches(name, known, 1)
-        hint = f" Did you mean {close[0]}?" if close else ""
+        hint = did_you_mean(name, known)
         raise PluginError(f"No {group[:-1]} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
     return _load(found)
 

@@ -9,7 +9,6 @@ the root. A .csv file is one shot: a column per channel, in V, after header line
 
 from __future__ import annotations
 
-import difflib
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,8 +19,9 @@ import numpy as np
 
 from smolbot.config.sample_checks import check_units, unsound_channels
 from smolbot.core.arrays import FloatArray
+from smolbot.core.csvtable import read_table
 from smolbot.core.sensing import Recording
-from smolbot.errors import InputError, MissingFileError
+from smolbot.errors import InputError, MissingFileError, did_you_mean
 
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
@@ -161,8 +161,7 @@ def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
 def _check_keys(path: Path, values: Mapping[str, Any], quiet: bool) -> None:
     unknown = sorted(set(values) - set(KEYS))
     if unknown:
-        close = difflib.get_close_matches(unknown[0], KEYS, 1)
-        hint = f" Did you mean {close[0]}?" if close else ""
+        hint = did_you_mean(unknown[0], KEYS)
         raise InputError(f"{path}: unknown key {', '.join(unknown)}; known keys: {', '.join(KEYS)}.{hint}")
     needed = KEYS[:2] if quiet else KEYS[:3]
     missing = [key for key in needed if key not in values]
@@ -240,46 +239,16 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
 
 def _read_csv(path: Path) -> dict[str, Any]:
     """Header lines ``# key = value``, perhaps a line of column names, then a row per sample."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}.") from error
+    table = read_table(path)
     values: dict[str, Any] = {}
-    rows: list[list[float]] = []
-    named = False
-    for number, line in enumerate(lines, 1):
-        if line.lstrip().startswith("#"):
-            key, equals, text = line.lstrip("# \t").partition("=")
-            if equals:
-                values[key.strip()] = _cell(path, number, key.strip(), text)
-        elif line.strip():
-            if ";" in line and "," in line:
-                raise InputError(
-                    f"{path}:{number}: has both ',' and ';'. Write decimals with a point, 0.5 and not 0,5."
-                )
-            cells = line.replace(";", ",").replace("\t", ",").split(",")
-            if not rows and not named and not any(_is_number(c) for c in cells):
-                named = True
-                continue
-            row = [_cell(path, number, f"column {i}", cell) for i, cell in enumerate(cells)]
-            if rows and len(row) != len(rows[0]):
-                raise InputError(f"{path}:{number}: has {len(row)} columns; the rows above have {len(rows[0])}.")
-            rows.append(row)
+    for comment in table.comments:
+        key, equals, text = comment.text.lstrip("# \t").partition("=")
+        if equals:
+            values[key.strip()] = comment.number(text, key.strip())
+    rows = [[row.number(cell, f"column {i}") for i, cell in enumerate(row.cells)] for row in table.rows]
+    for row, numbers in zip(table.rows, rows, strict=True):
+        if len(numbers) != len(rows[0]):
+            raise row.fault(f"has {len(numbers)} columns; the rows above have {len(rows[0])}.")
     if rows:
         values["volts"] = np.array(rows).T
     return values
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _cell(path: Path, number: int, name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise InputError(f"{path}:{number}: {name} is not a number ('{text.strip()}').") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
@@ -12,7 +11,7 @@ from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Mechanical, Rotate
-from smolbot.errors import InputError
+from smolbot.errors import InputError, did_you_mean
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths.curve import Curve
@@ -205,9 +204,7 @@ def complete_gains(known: Mapping[str, Gain], given: Mapping[str, float], law: s
 def gain_fault(known: Mapping[str, Gain], name: str, value: Any, law: str) -> str | None:
     """What is wrong with one gain of controller `law`, or None."""
     if name not in known:
-        close = difflib.get_close_matches(name, known, 1)
-        hint = f" Did you mean {close[0]}?" if close else ""
-        return f"unknown gain of {law}; known gains: {', '.join(known)}.{hint}"
+        return f"unknown gain of {law}; known gains: {', '.join(known)}.{did_you_mean(name, known)}"
     gain = known[name]
     if not gain.low <= value <= gain.high:
         return f"must lie within {gain.low:g} to {gain.high:g}; got {value:g}."

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.core.csvtable import read_table
 from smolbot.errors import InputError
 from smolbot.paths.speed_profile import SpeedProfile
 
@@ -91,14 +92,6 @@ class Curve:
         return s, distance[rows, best]
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def read_csv(path: Path) -> FloatArray:
     """Points (n, 2) in mm of a CSV file with the columns x and y; a header line is allowed.
 
@@ -107,27 +100,14 @@ def read_csv(path: Path) -> FloatArray:
     InputError
         With file and line of the first row that is not two numbers.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}.") from error
     rows: list[tuple[float, float]] = []
-    header = False
-    for number, line in enumerate(lines, 1):
-        cells = [cell.strip() for cell in line.replace(";", ",").split(",")]
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for row in read_table(path).rows:
         try:
-            x, y = (float(cell) for cell in cells)
+            x, y = (float(cell) for cell in row.cells)
         except ValueError:
-            if not rows and not header and not any(_is_number(cell) for cell in cells):
-                header = True
-                continue
-            raise InputError(
-                f"{path}:{number}: each row must be two numbers, x and y in mm; got {line.strip()!r}."
-            ) from None
+            raise row.fault(f"each row must be two numbers, x and y in mm; got {row.text!r}.") from None
         if not np.isfinite([x, y]).all():
-            raise InputError(f"{path}:{number}: x and y must be finite; got {line.strip()!r}.")
+            raise row.fault(f"x and y must be finite; got {row.text!r}.")
         rows.append((x, y))
     if len(rows) < 2:
         raise InputError(f"{path}: a path needs at least two points; found {len(rows)}.")

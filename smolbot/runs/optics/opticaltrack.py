@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from smolbot.core.arrays import BoolArray, FloatArray, IntArray
+from smolbot.core.csvtable import Row, read_table
 from smolbot.errors import InputError, MissingFileError
 
 COLUMNS = ("frame", "time_s", "x_m", "y_m", "z_m", "heading_rad", "sigma_m", "share")
@@ -125,14 +126,11 @@ def read_optical_track(path: str | Path) -> OpticalTrack:
     path = Path(path)
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file.")
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        missing = [name for name in NEEDED if name not in (reader.fieldnames or [])]
-        if missing:
-            raise InputError(
-                f"{path}: column {', '.join(missing)} is missing; an optical track has {', '.join(NEEDED)}."
-            )
-        rows = [_numbers(path, number, row) for number, row in enumerate(reader, 2)]
+    found = read_table(path, named=True)
+    missing = [name for name in NEEDED if name not in found.names]
+    if missing:
+        raise InputError(f"{path}: column {', '.join(missing)} is missing; an optical track has {', '.join(NEEDED)}.")
+    rows = [[*row.finite(NEEDED), *(_optional(row, name) for name in COLUMNS[len(NEEDED) :])] for row in found.rows]
     if len(rows) < 2:
         raise InputError(f"{path}: holds {len(rows)} rows; a track has two or more.")
     table = np.array(rows)
@@ -144,17 +142,5 @@ def read_optical_track(path: str | Path) -> OpticalTrack:
     )
 
 
-def _numbers(path: Path, number: int, row: dict[str, str]) -> list[float]:
-    values = []
-    for name in COLUMNS:
-        if name not in NEEDED and name not in row:
-            values.append(math.nan)
-            continue
-        try:
-            value = float(row[name])
-        except (TypeError, ValueError):
-            value = math.nan
-        if name in NEEDED and not math.isfinite(value):
-            raise InputError(f"{path}:{number}: {name} is not a number ('{row[name]}').")
-        values.append(value)
-    return values
+def _optional(row: Row, name: str) -> float:
+    return row.number(row[name], name) if name in row.names and row[name] else math.nan

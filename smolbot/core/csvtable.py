@@ -1,0 +1,96 @@
+"""Tables in text, as people and programs write them: commas, semicolons or tabs, comments, perhaps a line of names."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: its cells, their names if the table has any, and where it stands, for messages."""
+
+    path: Path
+    line: int
+    text: str
+    cells: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> str:
+        return self.cells[self.names.index(name)]
+
+    def fault(self, message: str) -> InputError:
+        """The error to raise, with ``file:line``."""
+        return InputError(f"{self.path}:{self.line}: {message}")
+
+    def number(self, cell: str, name: str) -> float:
+        """What stands in a cell that messages call `name`. Raises InputError if that is no number."""
+        try:
+            return float(cell)
+        except ValueError:
+            if "," in self.text and ";" in self.text:
+                raise self.fault("has both ',' and ';'. Write decimals with a point, 0.5 and not 0,5.") from None
+            raise self.fault(f"{name} is not a number ('{cell.strip()}').") from None
+
+    def finite(self, names: Sequence[str]) -> FloatArray:
+        """The numbers of these columns. Raises InputError for the first that is none, infinite or nan."""
+        values = [self.number(self[name], name) for name in names]
+        for name, value in zip(names, values, strict=True):
+            if not math.isfinite(value):
+                raise self.fault(f"{name} is not a number ('{self[name]}').")
+        return np.array(values)
+
+
+@dataclass(frozen=True)
+class Table:
+    """The lines of a file; blank ones are left out, and a ``#`` begins a comment."""
+
+    names: tuple[str, ...]
+    rows: tuple[Row, ...]
+    comments: tuple[Row, ...]
+
+
+def read_table(path: Path, *, named: bool = False) -> Table:
+    """Read a table; `named` says that its first line holds names, which is else seen by its lack of numbers.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, and for a row with more or fewer cells than names that are known.
+    """
+    names: tuple[str, ...] = ()
+    rows: list[Row] = []
+    comments: list[Row] = []
+    try:
+        for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+            if line.lstrip().startswith("#"):
+                comments.append(Row(path, number, line))
+            elif line.strip():
+                separator = max(",;\t", key=line.count)
+                cells = tuple(cell.strip() for cell in next(csv.reader([line], delimiter=separator)))
+                if not names and not rows and (named or not any(map(_is_number, cells))):
+                    names = cells
+                else:
+                    rows.append(Row(path, number, line.strip(), cells, names))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as text: {error}.") from error
+    for row in rows if named else ():
+        if len(row.cells) != len(names):
+            raise row.fault(f"has {len(row.cells)} columns; the line of names has {len(names)}.")
+    return Table(names, tuple(rows), tuple(comments))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
