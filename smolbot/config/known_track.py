@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.core.csvtable import Row, read_table
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
+from smolbot.core.text_table import Row, read_table
 from smolbot.errors import InputError, MissingFileError
 
 PLACE = ("x_mm", "y_mm", "z_mm")

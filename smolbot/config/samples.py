@@ -19,8 +19,8 @@ import numpy as np
 
 from smolbot.config.sample_checks import check_units, unsound_channels
 from smolbot.core.arrays import FloatArray
-from smolbot.core.csvtable import read_table
 from smolbot.core.sensing import Recording
+from smolbot.core.text_table import read_table
 from smolbot.errors import InputError, MissingFileError, did_you_mean
 
 if TYPE_CHECKING:

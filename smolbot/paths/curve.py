@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from smolbot.core.arrays import FloatArray, as_floats, frozen
-from smolbot.core.csvtable import read_table
+from smolbot.core.text_table import read_table
 from smolbot.errors import InputError
 from smolbot.paths.speed_profile import SpeedProfile
 

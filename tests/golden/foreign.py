@@ -137,6 +137,7 @@ def keys(signals: dict[str, Any]) -> list[str]:
 
 def locate_all(estimator: str) -> dict[str, Any]:
     """Every window located from nothing, and from a pose 2 mm and 5 degrees away."""
+    from smolbot.core.blas_threads import one_thread
     from smolbot.core.pose import Pose
     from smolbot.core.rotations import quaternion_from_matrix, quaternion_from_rotation_vector, quaternion_product
     from smolbot.core.sensing import Recording, SensorArray
@@ -146,7 +147,8 @@ def locate_all(estimator: str) -> dict[str, Any]:
     signals = read()
     sensors = SensorArray(signals["places"], signals["axes"], bandwidth=1000.0)
     step, rate = float(signals["step"]), float(signals["rate"])
-    noise = NoiseModel.learn([Recording(signals["quiet"] * step, rate, 0.0)])
+    with one_thread():
+        noise = NoiseModel.learn([Recording(signals["quiet"] * step, rate, 0.0)])
     poses: dict[str, Any] = {}
     for key in keys(signals):
         device = device_of(key)
@@ -155,7 +157,8 @@ def locate_all(estimator: str) -> dict[str, Any]:
         off = quaternion_from_rotation_vector(np.radians([3.0, -4.0, 0.0]))
         near = quaternion_product(off, quaternion_from_matrix(signals[f"{key}_turn"]))
         prior = Pose(recording.middle, signals[f"{key}_position"] + [1.2e-3, -1.2e-3, 1e-3], near, 1e-6 * np.eye(6))
-        poses[key] = {"cold": localizer.locate(recording), "near": localizer.locate(recording, prior)}
+        with one_thread():
+            poses[key] = {"cold": localizer.locate(recording), "near": localizer.locate(recording, prior)}
     return poses
 
 

@@ -201,8 +201,8 @@ def test_a_robot_that_turns_less_or_more_than_believed_is_in_doubt_by_that_and_n
     track, heading, currents = tracker(), np.radians(degrees), (8.0, 0.0, 0.0, 0.0)
     for i in range(6):
         track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (0, 0), heading))
-    field, gradient = SETUP.table.field_and_gradient(track.pose.position[None, :])
-    step, turned = advance(SETUP.robot, field[:, 0], gradient[:, 0], np.array(currents), heading, duration)
+    field, gradient = known().table.field_and_gradient(track.pose.position[None, :])
+    step, turned = advance(known().robot, field[:, 0], gradient[:, 0], np.array(currents), heading, duration)
     pull = Shot((Actuate(currents, duration), *LISTEN), start=0.6)
     believed = track.update(pull, None)
     error = off * (turned - heading)

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from smolbot.core.arrays import BoolArray, FloatArray, IntArray
-from smolbot.core.csvtable import Row, read_table
+from smolbot.core.text_table import Row, read_table
 from smolbot.errors import InputError, MissingFileError
 
 COLUMNS = ("frame", "time_s", "x_m", "y_m", "z_m", "heading_rad", "sigma_m", "share")
