@@ -34,7 +34,8 @@ test: setup
 	$(REALTIME) || $(REALTIME) --last-failed
 
 # A machine that stands still for a tenth of a second is no fault of what is tested: what failed is tried once more.
-REALTIME = $(BIN)/python -m pytest -n 0 -m "realtime and not slow"
+# Only files that hold such tests are read.
+REALTIME = $(BIN)/python -m pytest -n 0 -m "realtime and not slow" $$(grep -rl 'mark\.realtime' tests --include='*.py')
 
 lint: setup
 	$(BIN)/ruff check .

@@ -17,7 +17,7 @@ from smolbot.ui.cli.stop_key import Keyboard
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and terminals of POSIX")
 
-SHORT = ["--set", "path.points_mm=[[-1, 0], [1.5, 0]]", "--set", "localization.estimator=paper"]
+SHORT = ["--set", "path.points_mm=[[-1, 0], [1.5, 0]]", "--set", "localization.estimator=paper", "--no-report"]
 
 # `smolbot run` that is hit by signals: in the n-th cycle, while outputs go to zero, while the folder is written.
 HIT = """
@@ -218,8 +218,9 @@ def test_without_a_terminal_there_is_no_key_and_no_harm():
 
 def test_a_key_stops_a_run_on_a_terminal_with_3(tmp_path):
     terminal = Terminal(
-        sys.executable, "-m", "smolbot", "run", "r_path", "--out", str(tmp_path / "run"), "--set", "path.glyph='8'"
-    )
+        sys.executable, "-m", "smolbot", "run", "r_path", "--out", str(tmp_path / "run"), "--no-report",
+        "--set", "path.glyph='8'",
+    )  # fmt: skip
     terminal.until("q, Esc or Ctrl-C stops the run")
     terminal.type(b"q")
     assert terminal.end() == 3

@@ -69,7 +69,7 @@ def test_what_was_learned_in_flight_is_learned_again(flown):
     assert [json.loads(json.dumps(e.detail)) for e in run.events] == [e.detail for e in recorded]
 
 
-@pytest.mark.parametrize("lost", [{7}, {9, 10}, {25}, {30, 31, 32}])
+@pytest.mark.parametrize("lost", [{7, 30, 31, 32}, {9, 10, 25}])
 def test_a_flight_that_lost_windows_is_replayed_bit_for_bit(tmp_path, lost):
     mission = load_mission("line", None, {**SHORT, **DECAY, "stop.lost_shots": "8"})
 
@@ -83,20 +83,14 @@ def test_a_flight_that_lost_windows_is_replayed_bit_for_bit(tmp_path, lost):
     assert len(again.cycles) == len(run.cycles) > 5
 
 
-@pytest.mark.parametrize("name", ["brain_marker"])
-def test_a_mission_that_only_looks_is_replayed_bit_for_bit(tmp_path, name):
-    fly(load_mission(name, None, {"localization.quiet_s": "2.0"}), 1, folder=RunFolder(tmp_path / "run"))
-    assert replay(tmp_path / "run").first_difference() is None
-
-
 def test_a_replay_does_not_depend_on_how_many_threads_a_machine_lends(flown):
+    """It was flown with one thread, and is replayed with one by the other tests."""
     look = f"from smolbot.flight.replay import replay; print(replay({str(flown[1])!r}).first_difference())"
-    for threads in ("1", "2"):
-        done = subprocess.run(
-            [sys.executable, "-c", look], env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        assert done.stdout.strip().endswith("None")
+    done = subprocess.run(
+        [sys.executable, "-c", look], env={**os.environ, "OPENBLAS_NUM_THREADS": "2"},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip().endswith("None")
 
 
 def test_a_replay_does_not_know_the_truth(flown):

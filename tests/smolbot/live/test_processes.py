@@ -38,7 +38,7 @@ class Session:
 
     def flying(self, name: str) -> subprocess.Popen[str]:
         """A mission that has begun to cycle."""
-        run = self.begin("run", "r_path", "--live", "--out", name, *SLOW)
+        run = self.begin("run", "r_path", "--live", "--no-report", "--out", name, *SLOW)
         table = self.folder / name / "cycles.csv"
         while run.poll() is None and not (table.is_file() and table.read_text().count("\n") > 5):
             time.sleep(0.05)
