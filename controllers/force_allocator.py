@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from controllers.allocation import field_and_force, search, strongest_alone
-from smolbot.core.arrays import BoolArray, FloatArray, as_floats
+from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.errors import InputError, SmolbotError
 
 if TYPE_CHECKING:
@@ -91,11 +91,6 @@ class ForceReach:
     def polygon(self) -> FloatArray:
         """Corners (n, 2) of what can be reached, in N."""
         return self.force[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1)
-
-    @property
-    def unreachable(self) -> BoolArray:
-        """Which directions are out of reach, shape (n,)."""
-        return np.asarray(self.force <= 0.0)
 
 
 class ForceAllocator:

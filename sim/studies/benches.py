@@ -59,11 +59,6 @@ def optimised() -> Device:
     return Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, math.radians(30.0), 160.0, 1.1, "linear")
 
 
-def in_glycerol() -> Device:
-    """The gradient robot's device: moment along the cantilever, 31.7 1/s."""
-    return Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, math.radians(17.8), 103.5, 31.7, "exponential")
-
-
 @lru_cache(maxsize=8)
 def rig_named(name: str) -> RigConfig:
     """A rig file, read once per process."""
@@ -96,25 +91,6 @@ def localizers(
         volume = SearchVolume((-wide, -wide, 0.03), (wide, wide, max(reach, 0.12)), max(0.008, 0.06 * reach))
     noise = NoiseModel.learn(bench.quiet(quiet)) if "whitened" in estimators else None
     return {e: Localizer(bench.sensors, bench.device, noise, e, volume) for e in estimators}
-
-
-def true_noise_model(bench: StaticBench, top: float = 2500.0, spacing: float = 0.5) -> NoiseModel:
-    """The noise as it truly is, as a localizer takes it: lines, and the spectrum of the sensors' own noise."""
-    noise = bench.true_sensors.field_noise
-    frequencies = np.arange(0.0, top + 0.5 * spacing, spacing)
-    corners, deviations = bench.true_sensors.sensor_noise.processes
-    power = 2.0 / np.pi * deviations**2 / corners  # of a first-order process, one-sided, at 0 Hz
-    density = np.sum(power / (1.0 + (frequencies[:, None] / corners) ** 2), axis=1)
-    density += bench.true_sensors.converter_step**2 / 6.0 / bench.rate
-    phasors = noise.amplitudes
-    eye = np.eye(len(bench.sensors), dtype=np.complex128)
-    return NoiseModel(
-        line_frequencies=np.array(noise.frequencies),
-        lines=np.einsum("lj,lk->ljk", phasors, phasors.conj()),
-        frequencies=frequencies,
-        spectrum=density[:, None, None] * eye,
-        block=1.0 / bench.rate,
-    )
 
 
 def prior_near(position: FloatArray, orientation: FloatArray, rng: np.random.Generator) -> Pose:

@@ -27,7 +27,6 @@ BLOCK = 0.8e-3
 """Coarser than the estimator's, in s: a search needs the order of layouts, not their last per cent."""
 
 N_PHASES = 2
-N_AMPLITUDE = 7  # index of the amplitude among the eight unknowns
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ PATIENCE = 0.01
 # Actions by their numbers in the driver
 ABORT, FOR_ALL_LINES = 6, 1
 TERMINALS = {-1: "differential", 10106: "differential", 10083: "rse", 10078: "nrse"}
-RESET_TIMER, CLEAR_EXPIRATION = 0, 1
+RESET_TIMER = 0
 
 
 class TwinServicer(Attributes):

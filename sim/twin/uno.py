@@ -118,10 +118,6 @@ class SimulatedUno:
         """Lose the end of each of the next `n` lines, in turn one to the board and one from it."""
         self._order(f"truncate {n:d}")
 
-    def run_free(self) -> None:
-        """No longer keep to real time: as fast as the machine runs."""
-        self._order("free")
-
     def close(self) -> None:
         """Power down, for good. May be called twice."""
         process, self._process = self._process, None

@@ -55,11 +55,6 @@ class Bound:
         return np.sqrt(np.trace(self.covariance[:, :3, :3], axis1=1, axis2=2) / 3.0)
 
     @property
-    def rotation_rms(self) -> FloatArray:
-        """Root mean square error per axis at each pose, shape (n_poses,), in rad."""
-        return np.sqrt(np.trace(self.covariance[:, 3:6, 3:6], axis1=1, axis2=2) / 3.0)
-
-    @property
     def height_amplitude_correlation(self) -> FloatArray:
         """Correlation of z with the amplitude at each pose, shape (n_poses,)."""
         spread = np.sqrt(self.covariance[:, 2, 2] * self.covariance[:, 7, 7])

@@ -55,18 +55,6 @@ def coefficient_of_determination(measured: npt.ArrayLike, fitted: npt.ArrayLike)
     return 1.0 - sum_squared_error(measured, fitted) / total
 
 
-def mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLike) -> float:
-    """MAE = 1/(kn) sum |d - f|  (Eq. S24).
-
-    Examples
-    --------
-    >>> mean_absolute_error([[1.0, 2.0], [3.0, 5.0]], [[1.0, 1.0], [3.0, 3.0]])
-    0.75
-    """
-    d, f = _pair(measured, truth)
-    return float(np.mean(np.abs(d - f)))
-
-
 def differential_mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     """MAE of differences from a reference place (Eq. S25).
 

@@ -253,13 +253,14 @@ def test_a_force_beyond_reach_is_refused_with_what_is_possible():
 def test_far_out_the_tail_first_fills_gaps_that_head_first_leaves():
     """At 20 mm between two coils, brute force finds none within a degree of 28 to 62 degrees."""
     here, head, either = place(20.0, 45.0), allocator(tolerance=0.0), allocator(head_first=False)
-    assert not either.reach(here, 36).unreachable.any()
+    assert np.all(either.reach(here, 36).force > 0.0)
     reach = head.reach(here, 120)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], reach.unreachable, [0]])))
+    unreachable = reach.force <= 0.0
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], unreachable, [0]])))
     gaps = 3.0 * (ends[1::2] - ends[::2])
     assert 30.0 <= gaps.max() <= 42.0
-    assert not allocator(tolerance=0.0).reach(place(8.0, 45.0), 120).unreachable.any()
-    for angle in reach.angles[reach.unreachable][:2]:
+    assert np.all(allocator(tolerance=0.0).reach(place(8.0, 45.0), 120).force > 0.0)
+    for angle in reach.angles[unreachable][:2]:
         with pytest.raises(UnreachableForceError, match="head first") as refused:
             head.currents(here, unit(np.degrees(angle)))
         assert refused.value.most == 0.0

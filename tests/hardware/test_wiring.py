@@ -7,7 +7,6 @@ import tomllib
 
 import pytest
 
-from smolbot.bench.hardware.wiring import ADDRESSES
 from smolbot.config.library import find_file
 from smolbot.config.rig import load_rig
 from smolbot.errors import ConfigError, RigError
@@ -75,6 +74,10 @@ def test_a_magnet_needs_a_stage(tmp_path):
     path.write_text(re.sub(r"\[bench\.stage\].*?\n\n", "", text, flags=re.S), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"\[magnet\] needs \[bench\.stage\]"):
         load_rig(str(path))
+
+
+ADDRESSES: tuple[tuple[str, ...], ...] = (("server",), ("truth",), ("stage", "port"), ("supply", "address"))
+"""Keys of [bench] that say where a device is, not what it is: all in which a bench and its twin differ."""
 
 
 @pytest.mark.parametrize("name", ["", "_gel"])

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sim.studies.benches import characterised, in_glycerol, optimised, reference_orientation, true_noise_model
+from sim.studies.benches import characterised, optimised, reference_orientation
 from sim.studies.cramer_rao import bound, own_covariance, position_bound
 from sim.tank.static_bench import StaticBench, with_sensors
 from smolbot.config.rig import load_rig
+from smolbot.core.sensing import Device
 from smolbot.errors import InputError
 from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.noise.model import NoiseModel
 
 PLACE, TURN = np.array([0.004, -0.006, 0.08]), reference_orientation()
 SILENT = {
@@ -23,6 +26,30 @@ SILENT = {
 
 def bench(seed=1, mismatch=0.0, device=None, settings=None):
     return StaticBench(load_rig("tank", settings), device or characterised(), seed, mismatch)
+
+
+def in_glycerol():
+    """The gradient robot's device: moment along the cantilever, 31.7 1/s."""
+    return Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, math.radians(17.8), 103.5, 31.7, "exponential")
+
+
+def true_noise_model(bench, top=2500.0, spacing=0.5):
+    """The noise as it truly is, as a localizer takes it: lines, and the spectrum of the sensors' own noise."""
+    noise = bench.true_sensors.field_noise
+    frequencies = np.arange(0.0, top + 0.5 * spacing, spacing)
+    corners, deviations = bench.true_sensors.sensor_noise.processes
+    power = 2.0 / np.pi * deviations**2 / corners  # of a first-order process, one-sided, at 0 Hz
+    density = np.sum(power / (1.0 + (frequencies[:, None] / corners) ** 2), axis=1)
+    density += bench.true_sensors.converter_step**2 / 6.0 / bench.rate
+    phasors = noise.amplitudes
+    eye = np.eye(len(bench.sensors), dtype=np.complex128)
+    return NoiseModel(
+        line_frequencies=np.array(noise.frequencies),
+        lines=np.einsum("lj,lk->ljk", phasors, phasors.conj()),
+        frequencies=frequencies,
+        spectrum=density[:, None, None] * eye,
+        block=1.0 / bench.rate,
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,8 +112,6 @@ def test_quiet_recordings_are_as_long_as_asked_and_follow_no_drive():
 
 
 def test_learned_noise_comes_near_the_true_one():
-    from smolbot.localization.noise.model import NoiseModel
-
     ours = bench(2)
     learned, true = NoiseModel.learn(ours.quiet(6.0)), true_noise_model(ours)
     for order in (1, 3, 5):

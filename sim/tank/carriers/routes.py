@@ -63,12 +63,6 @@ class Route:
         steps = np.diff(self._arc)
         return 0.5 * (self._arc[1:] + self._arc[:-1]), turn / steps
 
-    @property
-    def total_turn(self) -> float:
-        """By how much the curve's direction turns in all, in rad."""
-        arc, curvature = self.bends
-        return float(np.trapezoid(curvature, arc))
-
 
 def _interpolated(arc: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
     return np.stack([np.interp(arc, known, column) for column in values.T], axis=1)

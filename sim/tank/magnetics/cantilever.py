@@ -18,7 +18,6 @@ Quad = tuple[float, float, float, float]
 
 # Entries of `device`: m (A·m²), direction at rest (x, z), l0, theta_max, omega0², friction (rad/s²), damping eta (1/s),
 # restitution of the stops, inertia (kg·m²), middle of the housing seen from the rotation centre (3)
-DEVICE_LENGTH = 13
 # Entries of `state`: deflection (rad), rate (rad/s), time in the window (s), angular frequency of the drive (rad/s)
 STATE_LENGTH = 4
 # Columns of `circuits`: current (A), constant command (A), amplitude of a sine command (A), time constant (s)

@@ -15,9 +15,6 @@ from smolbot.config.units import SI, NotNegative, Positive
 
 Key = tuple[str | int, ...]
 
-ADDRESSES: tuple[tuple[str, ...], ...] = (("server",), ("truth",), ("stage", "port"), ("supply", "address"))
-"""Keys of the section that say where a device is, not what it is: all in which a bench and its twin differ."""
-
 
 class InputsSection(FileModel):
     """Analog inputs, one for each sensor, in the sensors' order."""

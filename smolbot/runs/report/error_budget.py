@@ -112,10 +112,6 @@ class Budget:
         square = float(np.mean(self.error**2))
         return {name: float(np.mean(self.error * values)) / square for name, values in self.parts.items()}
 
-    @property
-    def together(self) -> float:
-        """Mean square, in m², that the parts' own mean squares leave unexplained: what goes together, or against."""
-        return self.total_rms**2 - sum(value**2 for value in self.rms.values())
 
 
 def split(mission: Mission, steps: list[Step]) -> Budget | None:

@@ -79,14 +79,13 @@ def test_determination_is_one_minus_unexplained_share():
     line = stats.linregress(x, d)
     fitted = line.intercept + line.slope * x
     assert s.coefficient_of_determination(d, fitted) == pytest.approx(line.rvalue**2)
-    assert s.mean_absolute_error(d, d) == 0.0
 
 
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: s.mean_absolute_error([1.0, np.nan], [1.0, 2.0]), "measured must be finite"),
-        (lambda: s.mean_absolute_error([1.0, 2.0], [1.0, 2.0, 3.0]), "must match"),
+        (lambda: s.coefficient_of_determination([1.0, np.nan], [1.0, 2.0]), "measured must be finite"),
+        (lambda: s.coefficient_of_determination([1.0, 2.0], [1.0, 2.0, 3.0]), "must match"),
         (lambda: s.circular_mean([0.0, np.pi]), "cancel"),
         (lambda: s.coefficient_of_determination([1.0, 1.0], [1.0, 2.0]), "differ"),
         (lambda: s.standard_deviation([1.0]), "at least two"),

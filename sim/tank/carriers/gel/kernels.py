@@ -76,7 +76,6 @@ THREAD, ACROSS, SPIN, TILT, RATE, CUT, BACK, LEAD, RADIUS, REACH, LOW, HIGH, PLA
 GEL_LENGTH = 14
 # Entries of `cube`: half the side (m), remanence (T), centre (3, m), columns of the stage's true rotation (9, row by
 # row), how far the pole stands from straight down at a turn of zero (rad)
-CUBE_LENGTH = 15
 # Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection (rad), turn of the magnet
 # and heading of its axis (rad), velocity (3, m/s) and spin (3, rad/s) in the last step, world frame
 X, Q, DEFLECTION, TURN, STEER, V, W = 0, 3, 7, 8, 9, 10, 13
