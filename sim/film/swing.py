@@ -16,7 +16,6 @@ from sim.tank.magnetics.magnet import true_device
 from sim.tank.magnetics.sensors import TrueSensors
 from sim.tank.mismatch import Streams, draw
 from sim.tank.settings import TankSettings
-from smolbot.config.document import validate
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
@@ -62,11 +61,9 @@ def swung(
     Driven by `cycles` of `current` (A) at the believed resonance, then free for `free` s. Returned are also when the
     drive ended, and the device as packed for the kernel.
     """
-    settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
-    if settings is None:
-        raise rig.document.error(faults)
+    settings = rig.section_of("tank", TankSettings)
     streams = Streams.from_seed(seed)
-    truth = draw(settings, len(rig.sections.coils) + len(rig.sections.excitation), len(rig.sensors), streams)
+    truth = draw(settings, len(rig.driven), len(rig.sensors), streams)
     sensors = TrueSensors(rig, truth, streams.field_noise, streams.sensor_noise, streams.constants)
     coils = TankCoils.build(rig, settings, truth, sensors.positions, sensors.axes)
     device = true_device(robot, settings, truth)

@@ -9,7 +9,6 @@ import numpy as np
 
 from sim.tank.settings import TankSettings
 from sim.twin.plant import Plant
-from smolbot.config.document import validate
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
 
@@ -28,9 +27,7 @@ def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[st
         Of the plant's time, for each state.
     """
     rig = load_rig(rig_name)
-    settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
-    if settings is None:
-        raise rig.document.error(faults)
+    settings = rig.section_of("tank", TankSettings)
     plant = Plant(rig, load_robot(robot_name), settings, np.zeros(2), seed=1)
     still = np.zeros((len(plant.loads), PIECE))
     wave = 3.0 * np.sin(2 * np.pi * 100.0 * np.arange(PIECE) / plant.rate)

@@ -14,7 +14,6 @@ from sim.reduced.plant import ReducedPlant
 from sim.tank.history import TankWitness
 from sim.tank.magnetics.coils import NominalExcitation
 from sim.tank.settings import TankSettings
-from smolbot.config.document import validate
 from smolbot.config.load import AnyMission
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -153,9 +152,7 @@ class ReducedRig:
 def open_reduced(mission: AnyMission, seed: int, *, ideal: bool = False) -> ReducedRig:
     """The reduced plant of a mission: an ``opener`` for `smolbot.flight.session.fly`. Raises as `require_flyable`."""
     require_flyable(mission)
-    settings, faults = validate(TankSettings, mission.rig.sections.tank, ("tank",))
-    if settings is None:
-        raise mission.rig.document.error(faults)
+    settings = mission.rig.section_of("tank", TankSettings)
     start = np.asarray(mission.start, dtype=np.float64)
     return ReducedRig(mission.rig, mission.robot, settings, start, seed, ideal=ideal)
 

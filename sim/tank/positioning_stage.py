@@ -6,7 +6,6 @@ import numpy as np
 
 from sim.tank.settings import TankSettings
 from sim.tank.static_bench import StaticBench
-from smolbot.config.document import validate
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
@@ -25,9 +24,7 @@ class TankStage:
     """
 
     def __init__(self, rig: RigConfig, device: Device, seed: int) -> None:
-        settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
-        if settings is None:
-            raise rig.document.error(faults)
+        settings = rig.section_of("tank", TankSettings)
         self._scale = settings.mismatch.scale
         self.bench = StaticBench(rig, device, seed, self._scale)
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 3])))

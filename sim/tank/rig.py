@@ -59,7 +59,7 @@ class TankRig:
         self._tank = Tank(rig, robot, settings, start, seed, gui=gui, ideal=ideal)
         self.witness: Witness | None = TankWitness(self._tank.history)
         self._excitation = NominalExcitation(rig)
-        self._driven = (*rig.coil_names, *(f"excitation {coil.name}" for coil in rig.sections.excitation))
+        self._driven = rig.driven
         self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
         self._turnaround = rig.turnaround
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0

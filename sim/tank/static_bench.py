@@ -16,7 +16,6 @@ from sim.tank.magnetics.magnet import pack_device
 from sim.tank.magnetics.sensors import TrueSensors
 from sim.tank.mismatch import Streams, Truth, draw
 from sim.tank.settings import TankSettings
-from smolbot.config.document import validate
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import BoolArray, FloatArray, as_floats
 from smolbot.core.sensing import Device, Recording, SensorArray
@@ -84,13 +83,12 @@ class StaticBench:
     def __init__(self, rig: RigConfig, device: Device, seed: int, mismatch_scale: float = 1.0) -> None:
         if not 0 <= mismatch_scale < np.inf:
             raise InputError(f"mismatch_scale must not be negative; got {mismatch_scale}.")
-        settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
-        if settings is None:
-            raise rig.document.error(faults)
+        settings = rig.section_of("tank", TankSettings)
         mismatch = settings.mismatch.model_copy(update={"scale": float(mismatch_scale)})
         streams = Streams.from_seed(seed)
-        n_coils = len(rig.sections.coils) + len(rig.sections.excitation)
-        self.truth: Truth = draw(settings.model_copy(update={"mismatch": mismatch}), n_coils, len(rig.sensors), streams)
+        self.truth: Truth = draw(
+            settings.model_copy(update={"mismatch": mismatch}), len(rig.driven), len(rig.sensors), streams
+        )
         self.true_sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         self.sensors: SensorArray = rig.sensors
         self.device = device

@@ -56,8 +56,7 @@ class Tank:
         *, gui: bool = False, ideal: bool = False,
     ) -> None:  # fmt: skip
         streams = Streams.from_seed(seed)
-        n_coils = len(rig.sections.coils) + len(rig.sections.excitation)
-        self.truth: Truth = draw(settings, n_coils, len(rig.sensors), streams, ideal=ideal)
+        self.truth: Truth = draw(settings, len(rig.driven), len(rig.sensors), streams, ideal=ideal)
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
         self.device = true_device(robot, settings, self.truth)

@@ -64,9 +64,7 @@ class TankWorld:
         from sim.tank.rig import TankRig
         from sim.tank.settings import TankSettings
 
-        settings, faults = validate(TankSettings, rig.sections.tank, ("tank",))
-        if settings is None:
-            raise rig.document.error(faults)
+        settings = rig.section_of("tank", TankSettings)
         place = np.asarray(start, dtype=np.float64)
         return TankRig(rig, robot, settings, place, seed, gui=gui, ideal=ideal)
 

@@ -49,7 +49,7 @@ class Plant(Tank):
         self.rate = self.sensors.rate
         if abs(self.rate * SUBSTEP - 1.0) > 1e-9:
             raise InputError(f"The twin samples at {1 / SUBSTEP:g} Hz; got sensors.sample_rate_hz = {self.rate:g}.")
-        self.loads = (*rig.coil_names, *(f"excitation {c.name}" for c in rig.sections.excitation))
+        self.loads = rig.driven
         self.played = 0
         self._turned = self.carrier if isinstance(self.carrier, Embedded) else None
         self._target: tuple[float, float, bool] | None = None

@@ -23,7 +23,6 @@ from sim.twin.plant import Plant
 from sim.twin.supply import SupplyServer
 from sim.twin.truth import TruthServer
 from smolbot.bench.hardware.wiring import BenchSection, StageSection
-from smolbot.config.document import validate
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.errors import InputError
@@ -72,10 +71,7 @@ class Twin:
     def __init__(
         self, rig: RigConfig, robot: RobotConfig, start: FloatArray, seed: int, *, control: str = CONTROL
     ) -> None:
-        section, faults = validate(BenchSection, rig.sections.bench, ("bench",))
-        settings, more = validate(TankSettings, rig.sections.tank, ("tank",))
-        if section is None or settings is None:
-            raise rig.document.error(faults + more)
+        section, settings = rig.section_of("bench", BenchSection), rig.section_of("tank", TankSettings)
         if not section.server or not section.truth:
             raise InputError(f"'{rig.name}' names no bench.server and bench.truth to listen on; use --rig twin.")
         self.section = section

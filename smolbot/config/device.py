@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.document import Document, Fault, FileModel, quoted, write_lines
 from smolbot.config.robot import DeviceSection
 from smolbot.config.units import NotNegative
 from smolbot.core.sensing import Device
@@ -94,15 +94,7 @@ def load_device(path: str | Path, robot: str | None = None) -> DeviceConfig:
         raise document.error([Fault(("robot",), f"{message} Calibrate that one, or give the file that is its own.")])
     s = sections.device
     try:
-        device = Device(
-            moment=s.moment_ma_m2 * 1e-3,
-            moment_in_body=np.array(s.moment_in_body),
-            l0=s.l0_mm * 1e-3,
-            theta_max=float(np.radians(s.theta_max_deg)),
-            frequency=s.frequency_hz,
-            damping=s.damping_per_s,
-            damping_model=s.damping_model,
-        )
+        device = s.in_si
     except InputError as error:
         raise document.error([Fault(("device",), str(error))]) from error
     std = None
@@ -123,9 +115,9 @@ def write_device(path: str | Path, config: DeviceConfig) -> None:
     d = config.device
     along = ", ".join(f"{c:.9g}" for c in d.moment_in_body)
     lines = ["# SMOL device as calibrated; smolbot calibrate writes such files."]
-    lines += [f"robot = {_text(config.robot)}", f"rig = {_text(config.rig)}", f"date = {config.date.isoformat()}"]
+    lines += [f"robot = {quoted(config.robot)}", f"rig = {quoted(config.rig)}", f"date = {config.date.isoformat()}"]
     if config.description:
-        lines.append(f"description = {_text(config.description)}")
+        lines.append(f"description = {quoted(config.description)}")
     if config.height is not None:
         lines.append(f"{_entry('z_mm', config.height * 1e3)}  # known height of the rotation centre during calibration")
     lines += ["", "[device]"]
@@ -141,11 +133,8 @@ def write_device(path: str | Path, config: DeviceConfig) -> None:
     lines += _measured("theta_max_deg", float(np.degrees(d.theta_max)), theta_std)
     lines += _measured("frequency_hz", d.frequency, frequency_std)
     lines += _measured("damping_per_s", d.damping, damping_std)
-    lines += [f"damping_model = {_text(d.damping_model)}"]
-    try:
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error}.") from error
+    lines += [f"damping_model = {quoted(d.damping_model)}"]
+    write_lines(path, lines)
 
 
 def _measured(key: str, value: float, std: float | None) -> list[str]:
@@ -154,10 +143,3 @@ def _measured(key: str, value: float, std: float | None) -> list[str]:
 
 def _entry(key: str, value: float) -> str:
     return f"{key} = {float(value):.10g}"
-
-
-def _text(value: str) -> str:
-    """A TOML basic string."""
-    import json
-
-    return json.dumps(value, ensure_ascii=False)

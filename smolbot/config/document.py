@@ -7,6 +7,7 @@ import re
 import tomllib
 import types
 import typing
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smolbot.config.units import SI
-from smolbot.errors import ConfigError, MissingFileError, did_you_mean
+from smolbot.errors import ConfigError, InputError, MissingFileError, did_you_mean
 
 KeyPath = tuple[str | int, ...]
 
@@ -110,6 +111,19 @@ def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tupl
         return model.model_validate_json(json.dumps(data, default=str)), []
     except ValidationError as error:
         return None, [_fault(model, item, at) for item in error.errors()]
+
+
+def write_lines(path: str | Path, lines: Iterable[str]) -> None:
+    """Write a text file. Raises InputError if that cannot be done."""
+    try:
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}.") from error
+
+
+def quoted(value: str) -> str:
+    """A TOML basic string."""
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _setting(text: str) -> Any:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from smolbot.config.document import write_lines
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
@@ -76,10 +77,7 @@ def write_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -
     for pose, file in zip(poses, files, strict=True):
         values = [*(1e3 * pose.position), *pose.body_axis("z"), *pose.body_axis("x")]
         lines.append(",".join([*(f"{v:.9g}" for v in values), file]))
-    try:
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error}.") from error
+    write_lines(path, lines)
 
 
 def planned_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.document import Document, Fault, FileModel, Model, validate
 from smolbot.config.library import find_file
 from smolbot.config.plugins import load_world
 from smolbot.config.safety_section import SafetySection
@@ -321,9 +321,27 @@ class RigConfig:
             raise self.document.error([Fault(("magnet",), "this rig has no [magnet]; a helical robot needs one.")])
         return self.sections.magnet
 
+    def section_of(self, world: str, model: type[Model]) -> Model:
+        """The section that a world keeps to itself, ``[tank]`` or ``[bench]``, as `model`.
+
+        Raises
+        ------
+        ConfigError
+            With every fault of it.
+        """
+        section, faults = validate(model, getattr(self.sections, world), (world,))
+        if section is None:
+            raise self.document.error(faults)
+        return section
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Names of all coils as messages call them: actuation, then ``excitation x``."""
+        return (*self.coil_names, *(f"excitation {coil.name}" for coil in self.sections.excitation))
+
     @property
     def time_constants(self) -> list[float]:
-        """Of actuation and excitation coils, in the rig's order, in s."""
+        """Of all coils that are driven, in s."""
         return [c.time_constant for c in self.sections.coils] + [c.time_constant for c in self.sections.excitation]
 
     @property

@@ -66,6 +66,19 @@ class DeviceSection(FileModel):
             raise ValueError(f"must point somewhere in the plane of oscillation (body x, z); got {list(value)}.")
         return value
 
+    @property
+    def in_si(self) -> Device:
+        """The device. Raises InputError for values that do not go together."""
+        return Device(
+            moment=self.moment_ma_m2 * 1e-3,
+            moment_in_body=np.array(self.moment_in_body),
+            l0=self.l0_mm * 1e-3,
+            theta_max=float(np.radians(self.theta_max_deg)),
+            frequency=self.frequency_hz,
+            damping=self.damping_per_s,
+            damping_model=self.damping_model,
+        )
+
 
 class RobotFile(FileModel):
     """Everything a robot file says."""
@@ -121,16 +134,7 @@ class RobotConfig:
         """The device as it is believed to be."""
         if self.calibrated is not None:
             return self.calibrated
-        section = self.sections.device
-        return Device(
-            moment=section.moment_ma_m2 * 1e-3,
-            moment_in_body=np.array(section.moment_in_body),
-            l0=section.l0_mm * 1e-3,
-            theta_max=float(np.radians(section.theta_max_deg)),
-            frequency=section.frequency_hz,
-            damping=section.damping_per_s,
-            damping_model=section.damping_model,
-        )
+        return self.sections.device.in_si
 
     @property
     def body(self) -> BodySection:

@@ -11,11 +11,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.document import Document, Fault, FileModel, quoted, write_lines
 from smolbot.config.units import SI, NotNegative, Positive, Vector
 from smolbot.core.arrays import FloatArray, frozen
 from smolbot.core.sensing import SensorArray
-from smolbot.errors import InputError
 
 SAME = ("bandwidth_hz", "sensitivity_v_per_ut")
 """What a calibration takes for granted, so that it holds for no other array."""
@@ -218,9 +217,9 @@ def write_sensors(path: str | Path, config: SensorsFile) -> None:
         "# Sensors as found on a known track (smolbot calibrate-array) or in flight (smolbot run, in its run folder).",
         '# Believe them: name this file in the [sensors] section of a rig file, calibrated = "this_file.toml",',
         "# or paste the section over a real bench's own. A tank is built around what stands there: only name the file.",
-        f"rig = {_text(config.rig)}",
+        f"rig = {quoted(config.rig)}",
         f"date = {config.date.isoformat()}",
-        *([f"description = {_text(config.description)}"] if config.description else []),
+        *([f"description = {quoted(config.description)}"] if config.description else []),
         "",
         "[sensors]",
         *_rows("positions_mm", s.positions_mm),
@@ -252,10 +251,7 @@ def write_sensors(path: str | Path, config: SensorsFile) -> None:
         if u.correlations is not None:
             rows = [f"    [{', '.join(f'{value:.5f}' for value in row)}]," for row in u.correlations]
             lines += ["correlations = [               # gain, two tilts, place of each sensor", *rows, "]"]
-    try:
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error}.") from error
+    write_lines(path, lines)
 
 
 def _rows(key: str, values: Sequence[str | float | tuple[float, ...]]) -> list[str]:
@@ -265,7 +261,7 @@ def _rows(key: str, values: Sequence[str | float | tuple[float, ...]]) -> list[s
 
 def _cell(value: str | float | tuple[float, ...]) -> str:
     if isinstance(value, str):
-        return _text(value)
+        return quoted(value)
     return f"[{', '.join(map(_number, value))}]" if isinstance(value, tuple) else _number(value)
 
 
@@ -273,10 +269,3 @@ def _number(value: float) -> str:
     """A TOML float of seven digits: a nanometre of a place, a microradian of an axis."""
     text = f"{value:.7g}"
     return text if any(c in text for c in ".e") else f"{text}.0"
-
-
-def _text(value: str) -> str:
-    """A TOML basic string."""
-    import json
-
-    return json.dumps(value, ensure_ascii=False)

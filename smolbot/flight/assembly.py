@@ -77,11 +77,10 @@ def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memor
         max_age=section.max_age + mission.rig.turnaround,
         reach=None if isinstance(mission, Observation) else _reach(mission, section.reach_margin),
     )
-    names = (*mission.rig.coil_names, *(f"excitation {coil.name}" for coil in mission.rig.sections.excitation))
     return Safety(
         rig.limits,
         rules,
-        Duty(names, section.duty_window_s),
+        Duty(mission.rig.driven, section.duty_window_s),
         CoilHeat(mission.rig.thermal, section.ambient_c),
         SoundWatch(len(rig.sensors), section.sensor_shots, section.broken_sensors),
         latch,

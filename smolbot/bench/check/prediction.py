@@ -39,7 +39,7 @@ def predict(config: RigConfig) -> Prediction:
     fields = around[:, 0]
     gradients = np.moveaxis((around[:, 1:4] - around[:, 4:7]) / (2 * STEP), 1, -1)
     return Prediction(
-        names=(*config.coil_names, *(f"excitation {coil.name}" for coil in flat)),
+        names=config.driven,
         response=np.einsum("cni,ni->cn", fields, sensors.responses),
         spread=spread_of(fields, gradients, sensors.axes),
         constants=config.time_constants,

@@ -64,7 +64,9 @@ class BenchRig:
         self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
         self._volts_per_tesla = rig.sections.sensors.volts_per_tesla
         self._range = rig.sections.sensors.range
-        self._compiler = WaveformCompiler(section, rig.coil_names, self._rate, _time_constants(rig))
+        self._compiler = WaveformCompiler(
+            section, rig.coil_names, self._rate, dict(zip(rig.driven, rig.time_constants, strict=True))
+        )
         self._excitation = NominalExcitation(rig)
         self._epoch = time.monotonic()
         self._drive_end: float | None = None
@@ -294,9 +296,3 @@ class BenchRig:
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
             raise self._latched
-
-
-def _time_constants(rig: RigConfig) -> dict[str, float]:
-    """Of every coil by its name, in s."""
-    actuation = {coil.name: coil.time_constant for coil in rig.sections.coils}
-    return actuation | {f"excitation {c.name}": c.time_constant for c in rig.sections.excitation}

@@ -53,7 +53,5 @@ class BenchWorld:
         from smolbot.bench.hardware.rig import BenchRig
         from smolbot.core.operator import TerminalOperator
 
-        section, faults = validate(BenchSection, rig.sections.bench, ("bench",))
-        if section is None:
-            raise rig.document.error(faults)
+        section = rig.section_of("bench", BenchSection)
         return BenchRig(rig, section, operator if operator is not None else TerminalOperator())

@@ -46,7 +46,7 @@ def strain_of(flight: Flight) -> Strain:
     """Heat and duty over a run, coils beginning as hot as the record says."""
     rig = flight.mission.rig
     safety = rig.sections.safety
-    names = (*rig.coil_names, *(f"excitation {coil.name}" for coil in rig.sections.excitation))
+    names = rig.driven
     heat = CoilHeat(rig.thermal, safety.ambient_c)
     told: Any = flight.run.safety.get("coil_temperature_begin_c", {})
     heat.temperatures = [float(told.get(name, safety.ambient_c)) for name in names]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smolbot.errors import ConfigError, InputError
+from smolbot.ui.cli.observations import cycle_figures, show_observation_preview, show_verdict
 from smolbot.ui.cli.show import as_json, echo_json, table
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
     from smolbot.config.observation import Observation
     from smolbot.flight.preview.gradient import preview as look
     from smolbot.flight.preview.observation import preview_observation
-    from smolbot.ui.cli.observations import show_observation_preview
 
     try:
         loaded = load_mission(mission, rig, settings_from(set_))
@@ -72,38 +72,26 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
         ),
         ("localization error", f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose"),
         ("coil energy", f"{seen.coil_energy:.0f} J"),
-        ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons)),
     ]
-    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=json)
-    if json:
-        echo_json(
-            {
-                "mission": mission.name,
-                "rig": mission.rig.name,
-                "go": seen.go,
-                "reasons": seen.reasons,
-                "cycle": str(seen.shot),
-                "cycle_ms": seen.shot.duration * 1e3,
-                "timeline_limit_hz": seen.rate_limit,
-                "loop_rate_hz": seen.rate,
-                "path_length_mm": seen.length * 1e3,
-                "path_corners": seen.corners,
-                "path_tightest_bend_mm": as_json(seen.tightest * 1e3),
-                "path_remarks": list(seen.remarks),
-                "path_time_s": as_json(seen.path_time),
-                "path_time_wanted_s": seen.wanted_time,
-                "expected_duration_s": as_json(seen.duration),
-                "expected_cycles": seen.cycles,
-                "force_un": {"min": reach.force.min() * 1e6, "max": reach.force.max() * 1e6},
-                "force_direction_error_deg": {
-                    "median": float(np.degrees(np.median(reach.direction_error))),
-                    "max": float(np.degrees(reach.direction_error.max())),
-                },
-                "localization_error_mm": {"min": error.min(), "max": error.max()},
-                "coil_energy_j": seen.coil_energy,
-            }
-        )
-    raise typer.Exit(0 if seen.go else 1)
+    figures = {
+        **cycle_figures(seen),
+        "path_length_mm": seen.length * 1e3,
+        "path_corners": seen.corners,
+        "path_tightest_bend_mm": as_json(seen.tightest * 1e3),
+        "path_remarks": list(seen.remarks),
+        "path_time_s": as_json(seen.path_time),
+        "path_time_wanted_s": seen.wanted_time,
+        "expected_duration_s": as_json(seen.duration),
+        "expected_cycles": seen.cycles,
+        "force_un": {"min": reach.force.min() * 1e6, "max": reach.force.max() * 1e6},
+        "force_direction_error_deg": {
+            "median": float(np.degrees(np.median(reach.direction_error))),
+            "max": float(np.degrees(reach.direction_error.max())),
+        },
+        "localization_error_mm": {"min": error.min(), "max": error.max()},
+        "coil_energy_j": seen.coil_energy,
+    }
+    show_verdict(mission, seen, rows, figures if json else None)
 
 
 def _show_helix_preview(mission: Mission, seen: HelixPreview, json: bool) -> None:
@@ -118,28 +106,19 @@ def _show_helix_preview(mission: Mission, seen: HelixPreview, json: bool) -> Non
         ("tightest bend", f"{seen.bend * 1e3:.1f} mm in the path, {seen.radius * 1e3:.1f} mm for this robot"),
         ("torque to spare", f"{margin.min():.2f} to {margin.max():.2f} times what the gel asks for"),
         ("localization error", f"{error.min():.3f} to {error.max():.3f} mm rms in the plane, each pose"),
-        ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons)),
     ]
-    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=json)
-    if json:
-        echo_json(
-            {
-                "mission": mission.name,
-                "rig": mission.rig.name,
-                "go": seen.go,
-                "reasons": seen.reasons,
-                "listening": str(seen.listening),
-                "maneuver": str(seen.maneuver),
-                "turns": list(seen.turns),
-                "pauses": len(seen.turns),
-                "path_length_mm": seen.length * 1e3,
-                "expected_duration_s": as_json(seen.duration),
-                "bend_radius_mm": {"path": as_json(seen.bend * 1e3), "robot": as_json(seen.radius * 1e3)},
-                "torque_margin": {"min": float(margin.min()), "max": float(margin.max())},
-                "localization_error_mm": {"min": float(error.min()), "max": float(error.max())},
-            }
-        )
-    raise typer.Exit(0 if seen.go else 1)
+    figures = {
+        "listening": str(seen.listening),
+        "maneuver": str(seen.maneuver),
+        "turns": list(seen.turns),
+        "pauses": len(seen.turns),
+        "path_length_mm": seen.length * 1e3,
+        "expected_duration_s": as_json(seen.duration),
+        "bend_radius_mm": {"path": as_json(seen.bend * 1e3), "robot": as_json(seen.radius * 1e3)},
+        "torque_margin": {"min": float(margin.min()), "max": float(margin.max())},
+        "localization_error_mm": {"min": float(error.min()), "max": float(error.max())},
+    }
+    show_verdict(mission, seen, rows, figures if json else None)
 
 
 def _path(seen: Preview) -> str:

@@ -9,7 +9,10 @@ import typer
 from smolbot.ui.cli.show import as_json, echo_json, table
 
 if TYPE_CHECKING:
+    from smolbot.config.load import AnyMission
     from smolbot.config.observation import Observation
+    from smolbot.flight.preview.gradient import Preview
+    from smolbot.flight.preview.helix import HelixPreview
     from smolbot.flight.preview.observation import ObservationPreview
 
 
@@ -54,23 +57,36 @@ def show_observation_preview(mission: Observation, seen: ObservationPreview, jso
             "noise alone",
             f"{error.min():.3f} to {error.max():.3f} mm rms in space, each pose; sensors out of place add to it",
         ),
-        ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons)),
     ]
-    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=json)
-    if json:
-        echo_json(
-            {
-                "mission": mission.name,
-                "rig": mission.rig.name,
-                "go": seen.go,
-                "reasons": seen.reasons,
-                "cycle": str(seen.shot),
-                "cycle_ms": seen.shot.duration * 1e3,
-                "timeline_limit_hz": seen.rate_limit,
-                "loop_rate_hz": seen.rate,
-                "expected_duration_s": as_json(seen.duration),
-                "expected_cycles": seen.cycles,
-                "noise_error_mm": {"min": error.min(), "max": error.max()},
-            }
-        )
+    more = {
+        **cycle_figures(seen),
+        "expected_duration_s": as_json(seen.duration),
+        "expected_cycles": seen.cycles,
+        "noise_error_mm": {"min": error.min(), "max": error.max()},
+    }
+    show_verdict(mission, seen, rows, more if json else None)
+
+
+def cycle_figures(seen: Preview | ObservationPreview) -> dict[str, Any]:
+    """What ``--json`` says of a cycle."""
+    return {
+        "cycle": str(seen.shot),
+        "cycle_ms": seen.shot.duration * 1e3,
+        "timeline_limit_hz": seen.rate_limit,
+        "loop_rate_hz": seen.rate,
+    }
+
+
+def show_verdict(
+    mission: AnyMission,
+    seen: Preview | HelixPreview | ObservationPreview,
+    rows: list[tuple[str, str]],
+    figures: dict[str, Any] | None,
+) -> None:
+    """Print the table of a preview, and its JSON if there are `figures`; exits with 0 for go, 1 for no-go."""
+    rows = [*rows, ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons))]
+    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=figures is not None)
+    if figures is not None:
+        head = {"mission": mission.name, "rig": mission.rig.name, "go": seen.go, "reasons": seen.reasons}
+        echo_json(head | figures)
     raise typer.Exit(0 if seen.go else 1)
