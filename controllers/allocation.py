@@ -270,19 +270,20 @@ def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, cur
             rows[FIELD, c] = ux * b[c, 0] + uy * b[c, 1] - side * b[c, 2]
         wanted[BESIDE] = wanted[ACROSS] = 0.0
         wanted[FIELD], wanted[FORCE] = least, size
-        if size < 0.0 or cold[0] < 0.0:
-            if not _programme(rows, wanted, False, slack, low, high, order, basis, matrix, work, warm, currents):
+        for cool in (False, True):
+            if size < 0.0 if cool else size >= 0.0 and cold[0] >= 0.0:
+                continue
+            memory = cold if cool else warm
+            if not _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
                 return -1e300, -1e300
+            if cool:
+                continue
             force = 0.0
             for c in range(n):
                 force += rows[FORCE, c] * currents[c]
                 rows[ACROSS, c] = work[3, c]
             if force < size:
                 return -1e300, -1e300
-        if size >= 0.0 and not _programme(
-            rows, wanted, True, slack, low, high, order, basis, matrix, work, cold, currents
-        ):
-            return -1e300, -1e300
         field = up = 0.0
         for c in range(n):
             field += currents[c] * (ux * b[c, 0] + uy * b[c, 1])
@@ -369,7 +370,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
         values[i] = found[pick]
         if values[i] > best:
             best, best_force = values[i], found[0]
-            currents[:] = trial
+            currents, trial = trial, currents
     if head_first:  # at a right angle to the way the force may miss it toward the field alone
         for hand in (-1.0, 1.0):
             along, aside = math.cos(0.5 * slack), hand * math.sin(0.5 * slack)
@@ -379,7 +380,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
             found = _at_angle(angle, beside, size, narrow, b, g, low, high, store, order, basis, trial)
             if found[pick] > best:
                 best, best_force = found[pick], found[0]
-                currents[:] = trial
+                currents, trial = trial, currents
     if best <= -1e299:
         return -1e300, currents
     for i in range(count):
@@ -400,7 +401,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
             found = _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, trial)
             if found[pick] > best:
                 best, best_force = found[pick], found[0]
-                currents[:] = trial
+                currents, trial = trial, currents
             if found[pick] > top:
                 if angle < center:
                     z = center

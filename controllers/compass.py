@@ -106,7 +106,7 @@ def _soonest(cost: FloatArray, going: FloatArray, turning: FloatArray) -> npt.ND
                 if time < least:
                     least, came[i, new] = time, old
             total[new] = least
-        cost[:] = total
+        cost, total = total, cost
     best = np.zeros(n, np.int64)
     best[n - 1] = np.argmin(cost)
     for i in range(n - 1, 0, -1):

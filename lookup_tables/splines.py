@@ -170,6 +170,9 @@ def evaluate_points(
             if not (limits[0, i] <= points[n, i] <= limits[1, i]):
                 return n
         _evaluate(coefficients, origin, spacing, points[n], one_field, one_gradient)
-        field[:, n] = one_field
-        gradient[:, n] = one_gradient
+        for c in range(field.shape[0]):
+            for i in range(3):
+                field[c, n, i] = one_field[c, i]
+                for j in range(3):
+                    gradient[c, n, i, j] = one_gradient[c, i, j]
     return -1

@@ -142,7 +142,7 @@ class FieldTable:
         points = as_points(points)
         field = np.empty((len(self.names), len(points), 3))
         gradient = np.empty((len(self.names), len(points), 3, 3))
-        held = points if not self._single.any() else np.where(self._single, self.bounds[0], points)
+        held = np.array(points) if not self._single.any() else np.where(self._single, self.bounds[0], points)
         outside = self._kernel(*self.spline, self._limits, held, field, gradient)
         if outside >= 0:
             raise OutsideTableError(self._outside(points[outside]))

@@ -1,18 +1,20 @@
 """Rotations: unit quaternions, scalar first, that take body vectors to world vectors.
 
-Compiled, since a cycle of the loop makes dozens of them.
+Compiled, since a cycle of the loop makes dozens of them: each once, for arrays of any layout, frozen or not.
 """
 
 # mypy: disable-error-code="untyped-decorator"
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from smolbot.core.arrays import FloatArray
 
+_VECTOR, _MATRIX = (types.Array(types.float64, n, "A", readonly=True) for n in (1, 2))
 
-@njit(cache=True)
+
+@njit((_VECTOR,), cache=True, error_model="numpy")
 def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
     """Rotation matrix of a unit quaternion (Eq. S18).
 
@@ -36,7 +38,7 @@ def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
     )
 
 
-@njit(cache=True)
+@njit((_MATRIX,), cache=True, error_model="numpy")
 def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
     """Unit quaternion (4,) with non-negative scalar part of a rotation matrix (3, 3)."""
     m = matrix
@@ -54,7 +56,7 @@ def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
     return -q if q[0] < 0 else q
 
 
-@njit(cache=True)
+@njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
 def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
     """Hamilton product: the rotation `b` followed by the rotation `a`; both shape (4,)."""
     aw, ax, ay, az = a[0], a[1], a[2], a[3]
@@ -69,7 +71,7 @@ def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
-@njit(cache=True)
+@njit((_VECTOR,), cache=True, error_model="numpy")
 def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
     """Unit quaternion exp(e) of a rotation vector `e`, shape (3,), in rad."""
     angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
@@ -78,7 +80,7 @@ def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
     return np.array([np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2]])
 
 
-@njit(cache=True)
+@njit((_VECTOR,), cache=True, error_model="numpy")
 def rotation_vector(quaternion: FloatArray) -> FloatArray:
     """Rotation vector (3,), in rad, of at most pi, of a unit quaternion (4,)."""
     q = -quaternion if quaternion[0] < 0 else 1.0 * quaternion
@@ -87,7 +89,7 @@ def rotation_vector(quaternion: FloatArray) -> FloatArray:
     return scale * q[1:]
 
 
-@njit(cache=True)
+@njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
 def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     """World-frame error e (3,), in rad, with R_estimate = exp(e) R_true; both quaternions (4,)."""
     inverse = np.array([truth[0], -truth[1], -truth[2], -truth[3]])

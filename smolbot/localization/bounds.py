@@ -191,9 +191,10 @@ def channel_series(
     angles = time_functions.nodes() * time_functions.REFERENCE_ANGLE
     values = np.zeros((len(places), len(sensors), len(angles)))
     slopes = np.zeros((*values.shape, 6))
+    array = (np.array(sensors.positions), np.array(sensors.responses))
     for i in range(len(places)):
         kernels.series(
-            sensors.positions, sensors.responses, device.moment * device.moment_in_body, device.l0, angles,
+            *array, device.moment * device.moment_in_body, device.l0, angles,
             time_functions.power_matrix(), places[i], np.ascontiguousarray(turns[i]), values[i], slopes[i],
         )  # fmt: skip
     return values, slopes

@@ -127,8 +127,9 @@ def model(
 
 
 @njit(cache=True)
-def solve_posdef(matrix, right, n):
+def solve_posdef(matrix, right):
     """Solve in place for a symmetric positive definite `matrix` by Cholesky; False where it is not."""
+    n = matrix.shape[0]
     for i in range(n):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -244,7 +245,7 @@ def fit(
                     system[7, a] = 0.0
                 system[7, 7] = 1.0
                 right[7, 0] = 0.0
-            if not solve_posdef(system, right, 8):
+            if not solve_posdef(system, right):
                 damping = max(damping, 1e-6) * 10.0
                 continue
             step = right[:, 0].copy()
@@ -267,8 +268,8 @@ def fit(
                 gain = (cost - new_cost) / cost
                 position, rotation, phase, amplitude = new_position, new_rotation, new_phase, new_amplitude
                 cost, sse = new_cost, new_sse
-                normal[:] = trial_normal
-                gradient[:] = trial_gradient
+                normal, trial_normal = trial_normal, normal
+                gradient, trial_gradient = trial_gradient, gradient
                 damping = max(damping * 0.1, 1e-12)
                 accepted = True
                 if gain < tolerance and shrink == 1.0:
@@ -320,7 +321,7 @@ def covariance(normal, variance):
     for a in range(8):
         for b in range(8):
             system[a, b] = normal[a, b] * scale[a] * scale[b]
-    if not solve_posdef(system, inverse, 8):
+    if not solve_posdef(system, inverse):
         return out
     worst = 0.0
     for a in range(8):
@@ -433,7 +434,7 @@ def grid_moments(gram, right, positions, axes, grid, moments):
         for i in range(6):
             normal[i, i] += 1e-9 * trace
         saved = solution.copy()
-        if solve_posdef(normal, solution, 6):
+        if solve_posdef(normal, solution):
             for i in range(6):
                 gains[g] += saved[i, 0] * solution[i, 0]
                 moments[g, i] = solution[i, 0]

@@ -204,7 +204,7 @@ class Problem:
         tolerance: float = 1e-5,
     ) -> Fit:
         """Levenberg-Marquardt from one start; amplitudes are fractions of the reference angle."""
-        start = (np.ascontiguousarray(position), np.ascontiguousarray(rotation), float(phase), float(amplitude))
+        start = (np.array(position), np.array(rotation, order="C"), float(phase), float(amplitude))
         limits = (self.model.amplitude_max, self.model.belief, iterations, tolerance)
         return Fit(*_kernels.fit(self.data, *self.model.constants, *start, *limits))
 
@@ -229,7 +229,7 @@ class Problem:
 
     def phase_and_amplitude(self, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
         """Best phase and amplitude at a fixed pose, from a linear solve."""
-        place = (np.ascontiguousarray(position), np.ascontiguousarray(rotation))
+        place = (np.array(position), np.array(rotation, order="C"))
         top = self.model.amplitude_max
         phase, size = _kernels.linear_start(self.data, *self.model.constants, *place, 0.5 * top)
         return phase, min(max(size, 0.05 * top), 0.98 * top)

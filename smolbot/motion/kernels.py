@@ -69,7 +69,7 @@ def roll(body, field, gradient, x, y, heading, duration, steps):
         How far the robot was pushed tail first.
     """
     none = np.empty((0, 0))
-    return _rolled(body, field, gradient, x, y, heading, duration, steps, none, none, 0)
+    return _rolled(body, field, gradient, x, y, heading, duration, steps, none, none, none.shape[1])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -85,7 +85,7 @@ def moved(body, b, g, currents, heading, duration, steps):
             gradient[i, 0] += currents[c] * g[c, i, 0]
             gradient[i, 1] += currents[c] * g[c, i, 1]
     none = np.empty((0, 0))
-    x, y, after, _, _, _ = _rolled(body, field, gradient, 0.0, 0.0, heading, duration, steps, none, none, 0)
+    x, y, after, _, _, _ = _rolled(body, field, gradient, 0.0, 0.0, heading, duration, steps, none, none, none.shape[1])
     return x, y, after
 
 
@@ -443,7 +443,7 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
     jacobian, hessian, none = np.empty((total, size)), np.empty((size, size)), np.empty((0, 0))
     inputs, slopes, field, gradient = np.empty((6, size)), np.empty((7, size)), np.empty(2), np.empty((2, 2))
     rough, full = (none, inputs, slopes, field, gradient), (jacobian, inputs, slopes, field, gradient)
-    ends, z = np.empty((windows, 3)), np.empty((windows, n))
+    ends = np.empty((windows, 3))
     lows, highs = np.empty(size), np.empty(size)
     for i in range(size):
         lows[i], highs[i] = low[i % n], high[i % n]
@@ -457,7 +457,7 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
         k = int(np.argmin(costs))
         if costs[k] >= 1e299:
             break
-        z[:] = starts[k]
+        z = starts[k].copy()
         cost, damping = costs[k], 1e-3
         costs[k] = 1e300
         flat = z.reshape(size)
@@ -488,7 +488,7 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
                 break
         if cost < best:
             best = cost
-            chosen[:] = z
+            chosen = z
     _residuals(chosen, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough)
     return best, chosen, ends
 

@@ -314,8 +314,9 @@ def swing(
     state[2] += step
 
     dx, dz = sum_x / substeps, sum_z / substeps
-    b[n_live] = e
     g[n_live] = 0.0
+    for r in range(3):
+        b[n_live, r] = e[r]
     fx = fy = fz = tx = ty = tz = 0.0
     for n in range(n_live + 1):
         mx, mz = drawn[n, 0] / substeps, drawn[n, 1] / substeps
