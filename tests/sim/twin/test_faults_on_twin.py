@@ -14,7 +14,7 @@ from smolbot.bench.hardware.guard import Guard
 from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.core.shots import Actuate, Excite, Listen, Rest, Shot
 from smolbot.errors import InputError, RigError
-from tests.twin.conftest import Bench, NoGuard
+from tests.sim.twin.conftest import Bench, NoGuard
 
 pytestmark = pytest.mark.realtime
 

@@ -24,7 +24,7 @@ from smolbot.paths.curve import Curve
 from smolbot.ui.cli import app as command_line
 from tests.conftest import mission_of
 
-LINE = str(Path(__file__).parent.parent / "missions" / "flown" / "screw_line.toml")
+LINE = str(Path(__file__).parents[2] / "missions" / "flown" / "screw_line.toml")
 SHORT = {"cycle.half_periods": "4"}  # how long it listens changes nothing of the way, and is quicker to check
 ACROSS = quaternion_from_axes(np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), "zx")
 

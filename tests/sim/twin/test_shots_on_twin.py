@@ -8,7 +8,7 @@ import pytest
 from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Excite, Listen, Rest, Shot
-from tests.twin.conftest import Bench, NoGuard
+from tests.sim.twin.conftest import Bench, NoGuard
 
 pytestmark = pytest.mark.realtime
 

@@ -13,7 +13,7 @@ from nidaqmx.errors import DaqError, DaqReadError, DaqWriteError, RpcError
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 
 from sim.twin.faults import parse_fault
-from tests.twin.conftest import Bench
+from tests.sim.twin.conftest import Bench
 
 pytestmark = pytest.mark.realtime
 

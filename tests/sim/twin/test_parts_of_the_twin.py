@@ -23,7 +23,7 @@ from sim.twin.journal import Journal, Line
 from smolbot.bench.hardware.waveform import line_bit
 from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.errors import RigError
-from tests.twin.conftest import Echo
+from tests.sim.twin.conftest import Echo
 
 RATE = 50_000.0
 Wiring = tuple[BenchSection, tuple[str, ...]]
