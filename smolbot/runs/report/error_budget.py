@@ -113,7 +113,6 @@ class Budget:
         return {name: float(np.mean(self.error * values)) / square for name, values in self.parts.items()}
 
 
-
 def split(mission: Mission, steps: list[Step]) -> Budget | None:
     """The budget of `steps` along the mission's path; None without any."""
     if not steps:

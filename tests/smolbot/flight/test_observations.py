@@ -201,7 +201,9 @@ def test_a_verdict_names_every_limit_that_was_missed(bend):
 def test_a_run_from_the_command_line_leaves_its_figures_and_says_no_where_they_are_missed(smolbot, tmp_path):
     quick = ["--set", "observe.measurements=2", "--set", "localization.quiet_s=1.0"]
     strict = ["--set", "verdict.max_sigma_mm=0.0001"]
-    code, out, err = smolbot("run", "brain_marker", "--seed", "2", "--out", "one", "--json", "--no-report", *quick, *strict)
+    code, out, err = smolbot(
+        "run", "brain_marker", "--seed", "2", "--out", "one", "--json", "--no-report", *quick, *strict
+    )
     assert code == 1
     told = json.loads(out)
     assert told["verdict_reasons"][0].startswith("sigma ")
