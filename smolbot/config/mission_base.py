@@ -10,7 +10,7 @@ from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.library import find_file
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
-from smolbot.config.units import Positive
+from smolbot.config.units import NotNegative, Positive
 from smolbot.errors import ConfigError, SmolbotError
 from smolbot.motion.controller import Cycle
 
@@ -28,7 +28,7 @@ class LocalizationSection(FileModel):
     """How poses are found."""
 
     estimator: Literal["whitened", "paper"] = "whitened"
-    quiet_s: Annotated[float, Field(ge=0)] = 10.0
+    quiet_s: NotNegative = 10.0
     learn_ring_down: bool = False
 
 

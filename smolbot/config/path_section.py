@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
-from smolbot.config.units import Point, Positive
+from smolbot.config.units import NotNegative, Point, Positive
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.paths.corners import rounded
@@ -45,7 +44,7 @@ class PathSection(FileModel):
     file: str | None = None
     element: str | None = None
     center_mm: Point = (0.0, 0.0)
-    corner_radius_mm: Annotated[float, Field(ge=0)] = 0.0
+    corner_radius_mm: NotNegative = 0.0
     speed_mm_s: Positive | None = None
     lateral_mm_s2: Positive | None = None
     acceleration_mm_s2: Positive | None = None

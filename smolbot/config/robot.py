@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.library import find_file
-from smolbot.config.units import SI, Positive, Vector
+from smolbot.config.units import SI, NotNegative, Positive, Vector
 from smolbot.core.sensing import Device
 
 
@@ -49,14 +49,14 @@ class DeviceSection(FileModel):
     that is not quite as stated, it does not blame on them.
     """
 
-    moment_tolerance_percent: Annotated[float, Field(ge=0)] = 0.0
-    l0_tolerance_percent: Annotated[float, Field(ge=0)] = 0.0
+    moment_tolerance_percent: NotNegative = 0.0
+    l0_tolerance_percent: NotNegative = 0.0
     moment_ma_m2: Positive
     moment_in_body: Vector
     l0_mm: Positive
     theta_max_deg: Annotated[float, Field(gt=0, le=60)]
     frequency_hz: Positive
-    damping_per_s: Annotated[float, Field(ge=0)]
+    damping_per_s: NotNegative
     damping_model: Literal["linear", "exponential"]
 
     @field_validator("moment_in_body")

@@ -34,11 +34,11 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from smolbot.config.document import Document, FileModel
+from smolbot.config.units import NotNegative, Positive
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.optics.view import View, find_view
 
-Positive = Annotated[float, Field(gt=0)]
 LEAST = 2  # markers: one alone says too little of how the camera is tilted
 MISPLACED = 0.5e-3  # m: markers that fit no better do not lie where the file says
 KINDS = [f"{n}x{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000)] + ["apriltag_36h11"]
@@ -59,7 +59,7 @@ class FiducialsSection(FileModel):
     dictionary: str = "4x4_50"
     side_mm: Positive
     height_mm: float
-    place_tolerance_mm: Annotated[float, Field(ge=0)] = 0.05
+    place_tolerance_mm: NotNegative = 0.05
     markers: Annotated[list[MarkerSection], Field(min_length=LEAST)]
 
     @field_validator("dictionary")
