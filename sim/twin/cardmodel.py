@@ -426,6 +426,12 @@ class CardModel:
             self.faults.count_anew()
             self.journal.note("reset")
 
+    def rests(self, within: float = 0.0) -> bool:
+        """Whether, within so many s, nothing is driven, amplifiers are off, and every relay is open that can be."""
+        lines = self.watch.driven, self.watch.closed, self.watch.enabled
+        with self._changed:
+            return self._changed.wait_for(lambda: not any(line.on for line in lines), within)
+
     def state(self) -> Mapping[str, Any]:
         """What it does now, for whoever watches."""
         with self._changed:
