@@ -23,6 +23,7 @@ from smolbot.runs.recording.files import RunFiles
 from smolbot.ui.cli.app import main
 
 SEED, POSES = 3, 48
+SOME = 24  # of them, where less will do
 ACROSS = "x_mm,y_mm,z_mm,along_x,along_y,along_z,swing_x,swing_y,swing_z"
 
 
@@ -51,6 +52,14 @@ def stage(tmp_path_factory):
         with pytest.raises(SystemExit) as left:
             main()
     return folder, left.value.code, json.loads("".join(text))
+
+
+def few(stage, folder):
+    """The first recordings alone, as ``samples.npz`` in `folder`; what that file holds."""
+    with np.load(stage[0] / "kept" / "samples.npz") as held:
+        values = {name: value[:SOME] if np.ndim(value) and len(value) == POSES else value for name, value in held.items()}
+    np.savez(folder / "samples.npz", **values)
+    return values
 
 
 @pytest.fixture
@@ -136,7 +145,8 @@ def test_rows_that_do_not_belong_to_their_recordings_fail_the_check_and_nothing_
     stage, tmp_path, monkeypatch, capsys
 ):
     track = read_track(stage[0] / "kept" / "track.csv")
-    write_track(tmp_path / "wrong.csv", track.poses[::-1], [str(track.files[0].resolve())] * POSES)
+    few(stage, tmp_path)
+    write_track(tmp_path / "wrong.csv", track.poses[:SOME][::-1], ["samples.npz"] * SOME)
     out = tmp_path / "s.toml"
     code, printed, error = run(monkeypatch, capsys, tmp_path / "wrong.csv", "--out", out, "--json")
     assert code == 1
@@ -147,19 +157,18 @@ def test_rows_that_do_not_belong_to_their_recordings_fail_the_check_and_nothing_
 
 def test_recordings_of_no_use_are_named_and_left_out(stage, tmp_path, monkeypatch, capsys):
     track = read_track(stage[0] / "kept" / "track.csv")
-    with np.load(stage[0] / "kept" / "samples.npz") as held:
-        values = dict(held)
+    values = few(stage, tmp_path)
     values["volts"][5] = 1e-4 * np.random.default_rng(0).standard_normal(values["volts"][5].shape)
     values["volts"][9, :8, 100] = 10.0
     values["volts"][12, 4] = 0.5
     np.savez(tmp_path / "spoilt.npz", **values)
-    write_track(tmp_path / "t.csv", track.poses, [""] * POSES)
+    write_track(tmp_path / "t.csv", track.poses[:SOME], [""] * SOME)
     code, printed, _ = run(
         monkeypatch, capsys, tmp_path / "t.csv", "--samples", tmp_path / "spoilt.npz", "--json", "--out",
         tmp_path / "s.toml",
     )  # fmt: skip
     told = json.loads(printed)
-    assert (code, told["recordings"]) == (0, POSES - 2)
+    assert (code, told["recordings"]) == (0, SOME - 2)
     notes = "\n".join(told["notes"])
     assert "spoilt.npz, shot 5: left out: nothing rings" in notes
     assert "spoilt.npz, shot 9: left out: Only 2 channels" in notes
