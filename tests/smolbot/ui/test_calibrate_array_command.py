@@ -57,7 +57,9 @@ def stage(tmp_path_factory):
 def few(stage, folder):
     """The first recordings alone, as ``samples.npz`` in `folder`; what that file holds."""
     with np.load(stage[0] / "kept" / "samples.npz") as held:
-        values = {name: value[:SOME] if np.ndim(value) and len(value) == POSES else value for name, value in held.items()}
+        values = {
+            name: value[:SOME] if np.ndim(value) and len(value) == POSES else value for name, value in held.items()
+        }
     np.savez(folder / "samples.npz", **values)
     return values
 
