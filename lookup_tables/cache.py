@@ -7,8 +7,9 @@ import json
 import os
 import sys
 import tempfile
+import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -23,6 +24,10 @@ from lookup_tables.files import FORMAT_VERSION
 from lookup_tables.table import FieldTable
 
 FloatArray = npt.NDArray[np.float64]
+LARGEST = 1_000_000_000
+"""Bytes that kept fields may take: those of all shipped missions take 80 MB, one large rig's 200 MB."""
+ABANDONED = 86_400.0
+"""Age, in s, at which a file that is not finished belongs to nobody: one is written in seconds."""
 _warned: set[Path] = set()
 
 
@@ -48,21 +53,12 @@ def cached_table(
     """
     folder = Path(cache_dir) if cache_dir is not None else default_cache_dir()
     path = folder / f"table-{table_key(coils, x, y, z)}.npz"
-    if path.is_file():
-        with suppress(TableError, OSError):
-            return FieldTable.read(path)
+    with suppress(TableError, OSError):
+        table = FieldTable.read(path)
+        used(path)
+        return table
     table = build(coils, x, y, z)
-    try:
-        write_atomically(table, path)
-    except (OSError, TableError) as error:
-        if folder not in _warned:
-            _warned.add(folder)
-            warnings.warn(
-                f"Built tables cannot be kept in {folder} ({error}); they are built anew each time. "
-                "SMOLBOT_CACHE names another folder.",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+    keep(path, table.write)
     return table
 
 
@@ -88,15 +84,57 @@ def default_cache_dir() -> Path:
     return Path.home() / ".cache" / "smolbot"
 
 
-def write_atomically(table: FieldTable, path: Path) -> None:
-    """Write the table under another name and rename it, so that no reader ever sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(suffix=".npz", prefix=".table-", dir=path.parent)
-    os.close(handle)
+def used(path: Path) -> None:
+    """Note that a kept file was of use, so that others go first; a folder that cannot be written notes nothing."""
+    with suppress(OSError):
+        os.utime(path)
+
+
+def keep(path: Path, write: Callable[[str], None]) -> None:
+    """Let `write` fill a file under another name and rename it, so that no reader ever sees half a file.
+
+    What was longest of no use goes, until the folder's fields take `LARGEST` bytes at most. A folder that cannot be
+    written is no fault: there is one warning for each.
+    """
+    temporary = ""
     try:
-        table.write(temporary)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(suffix=path.suffix, prefix=".table-", dir=path.parent)
+        os.close(handle)
+        write(temporary)
+        size = os.path.getsize(temporary)
         os.replace(temporary, path)
-    except BaseException:
+        _make_room(path, size)
+    except (OSError, TableError) as error:
+        if path.parent not in _warned:
+            _warned.add(path.parent)
+            warnings.warn(
+                f"Built tables cannot be kept in {path.parent} ({error}); they are built anew each time. "
+                "SMOLBOT_CACHE names another folder.",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+    finally:
         with suppress(OSError):
-            os.unlink(temporary)
-        raise
+            os.unlink(temporary)  # only there if something failed
+
+
+def _make_room(newest: Path, total: int) -> None:
+    """Delete the fields that were longest of no use, and what a killed process left half written.
+
+    Never `newest`, of `total` bytes, nor what another process may be writing. One that reads has read all before it uses any; one that
+    finds nothing builds anew.
+    """
+    found = []
+    for file in newest.parent.iterdir():
+        with suppress(OSError):  # another process was faster
+            state = file.stat()
+            if file.name.startswith((".table-", ".tank-")) and time.time() - state.st_mtime > ABANDONED:
+                file.unlink()
+            elif file.name.startswith(("table-", "tank-coil-")) and file != newest:
+                found.append((state.st_mtime, state.st_size, file))
+    for _, size, file in sorted(found, reverse=True):
+        total += size
+        if total > LARGEST:
+            with suppress(OSError):  # open in another process, on Windows
+                file.unlink(missing_ok=True)

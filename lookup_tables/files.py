@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -56,7 +57,7 @@ def write_samples(samples: Samples, path: Path, layout: str) -> None:
 
 def _write_npz(samples: Samples, path: Path) -> None:
     assert samples.potential is not None  # every table has its fit
-    np.savez(
+    np.savez_compressed(
         path,
         format=np.array(FORMAT_VERSION),
         x=samples.x,
@@ -77,7 +78,7 @@ def _read_npz(path: Path) -> Samples:
             names = tuple(str(name) for name in data["names"])
     except TableError:
         raise
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, OSError) as error:
+    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OSError) as error:
         raise TableError(f"{path}: this is not a table that FieldTable.write wrote ({error}).") from error
     x, y, z, field, potential = arrays
     return Samples(x, y, z, field, names, potential)

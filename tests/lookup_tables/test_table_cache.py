@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from lookup_tables import cache, cached_table
+from lookup_tables import build, cache, cached_table
 from lookup_tables.cache import default_cache_dir, table_key
 
 AXES = (np.linspace(-0.002, 0.002, 3), np.linspace(-0.002, 0.002, 3), np.array([0.0]))
@@ -59,6 +62,62 @@ def test_a_folder_that_cannot_be_written_warns_once_and_builds(coils, tmp_path, 
         warnings.simplefilter("error")
         cached_table(coils, *AXES, cache_dir=blocked / "cache")
     assert len(builds) == 2
+
+
+@pytest.fixture
+def room_for_two(coils, tmp_path, monkeypatch):
+    """A cache that holds two tables like these, and gives the nth of them."""
+
+    def table(n):
+        return cached_table(coils, *AXES[:2], np.array([n * 1e-3]), cache_dir=tmp_path)
+
+    table(0)
+    (file,) = tmp_path.iterdir()
+    monkeypatch.setattr(cache, "LARGEST", round(2.5 * file.stat().st_size))
+    os.utime(file, (1.0, 1.0))
+    return table
+
+
+def test_the_table_that_was_longest_of_no_use_makes_room(room_for_two, tmp_path, builds):
+    room_for_two(1)
+    (second,) = (p for p in tmp_path.iterdir() if p.stat().st_mtime > 1.0)
+    os.utime(second, (2.0, 2.0))
+    room_for_two(0)  # used once more
+    room_for_two(2)
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= cache.LARGEST
+    assert not second.exists()
+    room_for_two(0)
+    assert len(builds) == 2
+
+
+def test_only_fields_make_room_and_what_nobody_writes_any_more(room_for_two, tmp_path):
+    now = time.time()
+    for name, age in (("heat.json", 2e6), (".table-a.npz", 1.0), (".table-b.npz", 2e6), ("tank-coil-a.npy", 2e6)):
+        (tmp_path / name).write_bytes(bytes(cache.LARGEST))
+        os.utime(tmp_path / name, (now - age, now - age))
+    room_for_two(1)
+    left = {p.name for p in tmp_path.iterdir()}
+    assert {"heat.json", ".table-a.npz"} <= left
+    assert not {".table-b.npz", "tank-coil-a.npy"} & left
+
+
+def test_a_table_larger_than_the_bound_is_kept_alone(room_for_two, tmp_path, monkeypatch, builds):
+    monkeypatch.setattr(cache, "LARGEST", 1)
+    room_for_two(1)
+    room_for_two(1)
+    assert len(builds) == len(list(tmp_path.iterdir())) == 1
+
+
+def test_processes_that_write_at_once_leave_one_whole_table(coils, tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, "LARGEST", 1)  # each deletes what the others keep
+    with ThreadPoolExecutor(8) as pool:
+        found = list(
+            pool.map(lambda n: cached_table(coils, *AXES[:2], np.array([n % 2 * 1e-3]), cache_dir=tmp_path), range(32))
+        )
+    for n in (0, 1):
+        same = {table.spline.coefficients.tobytes() for table in found[n::2]}
+        assert same == {build(coils, *AXES[:2], np.array([n * 1e-3])).spline.coefficients.tobytes()}
+    assert all(p.name.startswith("table-") for p in tmp_path.iterdir())
 
 
 def test_a_failed_write_leaves_nothing_behind(coils, tmp_path, monkeypatch):

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lookup_tables.cache import default_cache_dir
+from lookup_tables.cache import default_cache_dir, keep, used
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
@@ -82,7 +80,7 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
         return ShapeTable(kind, origin, spacing, _kept(path))
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     coefficients = _coefficients(_round_values(standing, mesh) if kind == ROUND else _flat_values(standing, mesh))
-    _keep(path, coefficients)
+    keep(path, lambda name: np.save(name, coefficients))
     return ShapeTable(kind, origin, spacing, coefficients)
 
 
@@ -196,6 +194,7 @@ def _kept(path: Path) -> FloatArray:
     """Coefficients from the cache on disk, read once in a process that flies many tanks; not to be changed."""
     coefficients: FloatArray = np.load(path)
     coefficients.setflags(write=False)
+    used(path)
     return coefficients
 
 
@@ -203,13 +202,3 @@ def _cache_path(parameters: dict[str, object], origin: FloatArray, counts: objec
     recipe = [FORMAT, parameters, origin.tolist(), np.asarray(counts).tolist(), spacing]
     key = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()[:32]
     return default_cache_dir() / f"tank-coil-{key}.npy"
-
-
-def _keep(path: Path, coefficients: FloatArray) -> None:
-    """Write under another name and rename, so that no reader sees half a file; a read-only cache is no fault."""
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(suffix=".npy", prefix=".tank-", dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
-            np.save(file, coefficients)
-        os.replace(temporary, path)

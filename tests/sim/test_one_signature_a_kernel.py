@@ -1,0 +1,35 @@
+"""A kernel that is compiled for two signatures makes the first flight wait twice for it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+FLIGHT = """
+import sys, tempfile
+import smolbot
+from numba.core.registry import CPUDispatcher
+
+with tempfile.TemporaryDirectory() as folder:
+    smolbot.run(sys.argv[1], out=folder + "/run", report=False, stop__max_duration_s=1.0, localization__quiet_s=1.0)
+seen = {}
+for name, module in list(sys.modules.items()):
+    if name.split(".")[0] in ("smolbot", "sim", "controllers", "lookup_tables"):
+        seen |= {v: v.signatures for v in vars(module).values() if isinstance(v, CPUDispatcher)}
+print(sum(len(s) == 1 for s in seen.values()))
+for kernel, signatures in seen.items():
+    if len(signatures) > 1:
+        print(kernel.py_func.__module__, kernel.py_func.__name__, *signatures, sep="\\n    ")
+"""
+
+
+@pytest.mark.parametrize("mission", ["line", "s_path"])
+def test_a_flight_compiles_each_kernel_for_one_signature(mission):
+    told = subprocess.run(
+        [sys.executable, "-c", FLIGHT, mission], capture_output=True, text=True, check=True, timeout=300
+    )
+    compiled, *twice = told.stdout.split("\n", 1)
+    assert not "".join(twice).strip(), twice
+    assert int(compiled.split()[-1]) > 20
