@@ -122,8 +122,8 @@ def keep(path: Path, write: Callable[[str], None]) -> None:
 def _make_room(newest: Path, total: int) -> None:
     """Delete the fields that were longest of no use, and what a killed process left half written.
 
-    Never `newest`, of `total` bytes, nor what another process may be writing. One that reads has read all before it uses any; one that
-    finds nothing builds anew.
+    Never `newest`, of `total` bytes, nor what another process may be writing. One that reads has read all before it
+    uses any; one that finds nothing builds anew.
     """
     found = []
     for file in newest.parent.iterdir():
