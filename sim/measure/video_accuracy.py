@@ -49,22 +49,28 @@ def rms(values: FloatArray) -> float:
 def accuracy(run: Path, seed: int, folder: Path, fps: float = 12.0, size: str = "1280x960") -> Accuracy:
     """Film `run` with the camera of `seed`, track the video, and hold the track against the truth."""
     from sim.film.command import film
-    from smolbot.runs.optics.opticaltrack import read_optical_track
     from smolbot.ui.cli.track import track
 
     video, truth, out = folder / f"film{seed}.avi", folder / f"truth{seed}.csv", folder / f"track{seed}"
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         film(run, video, fps=fps, seed=seed, size=size, truth=truth)
         track(video, fiducials=video.with_suffix(".toml"), run=run, out=out)
+    return held_against(truth, out / "track.csv", run.name, seed)
+
+
+def held_against(truth: Path, track: Path, run: str, seed: int) -> Accuracy:
+    """A track of the video of `run` by the camera of `seed`, against where its robot truly was."""
+    from smolbot.runs.optics.opticaltrack import read_optical_track
+
     with truth.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    found = read_optical_track(out / "track.csv")
+    found = read_optical_track(track)
     there = [rows[frame] for frame in found.frames]
     places = np.array([[float(row["x_m"]), float(row["y_m"])] for row in there])
     headings = np.array([float(row["heading_rad"]) for row in there])
     turned = found.headings - headings
     return Accuracy(
-        run.name,
+        run,
         seed,
         found.total,
         1e3 * np.linalg.norm(found.positions[:, :2] - places, axis=1),

@@ -13,7 +13,7 @@ pytest.importorskip("cv2", reason="needs the extra track")
 
 from sim.film.command import film
 from sim.film.swing import film_swing
-from sim.measure.video_accuracy import accuracy, rms
+from sim.measure.video_accuracy import accuracy, held_against, rms
 from smolbot.config.load import load_mission
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
@@ -39,7 +39,8 @@ def filmed(flown, tmp_path_factory):
     """A film of it: video, and its file of markers; a rod lies over the robot for a while."""
     video = tmp_path_factory.mktemp("film") / "clip.avi"
     begin = flown[0].begun
-    film(flown[1], video, fps=4.0, seed=2, size="960x720", hide=[f"{begin + 2.0}..{begin + 3.0}"])
+    hidden = [f"{begin + 2.0}..{begin + 3.0}"]
+    film(flown[1], video, fps=4.0, seed=2, size="960x720", hide=hidden, truth=video.with_name("truth.csv"))
     return video, video.with_suffix(".toml")
 
 
@@ -50,8 +51,8 @@ def tracked(flown, filmed, tmp_path_factory):
     return out, json.loads((out / "track.json").read_text())
 
 
-def test_centre_and_heading_are_found_to_a_tenth_of_a_millimetre_and_two_degrees(flown, tmp_path):
-    found = accuracy(flown[1], 1, tmp_path, fps=0.75)
+def test_centre_and_heading_are_found_to_a_tenth_of_a_millimetre_and_two_degrees(filmed, tracked):
+    found = held_against(filmed[0].with_name("truth.csv"), tracked[0] / "track.csv", "run", 2)
     assert found.frames > 20
     assert len(found.center) >= 0.9 * found.frames
     assert rms(found.center) < 0.1
