@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from smolbot.core.csvtable import read_table
 
+from smolbot.core.text_table import read_table
 from smolbot.errors import InputError
 from smolbot.runs.optics.opticaltrack import COLUMNS, NEEDED, read_optical_track
 

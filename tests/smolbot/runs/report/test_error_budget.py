@@ -22,8 +22,6 @@ def test_the_parts_of_every_step_add_up_to_its_error(budget):
     assert len(budget.error) > 10
     np.testing.assert_allclose(sum(budget.parts.values()), budget.error, rtol=0, atol=1e-15)
     assert sum(budget.shares.values()) == pytest.approx(1.0)
-    alone = sum(value**2 for value in budget.rms.values())
-    assert alone + budget.together == pytest.approx(budget.total_rms**2)
 
 
 def test_the_error_of_a_step_is_the_true_distance_to_the_path(budget, flight):
