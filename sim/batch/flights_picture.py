@@ -9,7 +9,7 @@ import numpy as np
 
 from smolbot.config.load import AnyMission
 from smolbot.config.mission import Mission
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, from_above, limit_line, sheet
 from smolbot.runs.summary import label_of
 
 if TYPE_CHECKING:
@@ -20,13 +20,8 @@ if TYPE_CHECKING:
 
 def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
     """Write the picture of all flights of one mission to `path` (PNG, 16:9)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+    world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
+    with sheet(path, headline(mission, flights), f"{world}, each flight a robot and a bench drawn anew") as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.0, 1.1], wspace=0.22, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09
         )
@@ -39,11 +34,6 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
         ]  # fmt: skip
         for index, (title, columns, limit) in enumerate(rows):
             draw_bars(figure.add_subplot(grid[index, 1]), flights, title, columns, limit)
-        world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
-        figure.text(0.06, 0.945, headline(mission, flights), fontsize=17, fontweight="bold", color="#222222")
-        figure.text(0.06, 0.905, f"{world}, each flight a robot and a bench drawn anew", fontsize=11.5, color="#555555")
-        figure.savefig(path)
-        plt.close(figure)
 
 
 def headline(mission: AnyMission, flights: list[Flight]) -> str:
@@ -61,11 +51,7 @@ def _draw_trails(axes: Axes, mission: Mission, flights: list[Flight]) -> None:
         good = flight.summary["verdict"] == "passed"
         label = {0: "true, each flight"}.get(number)
         axes.plot(trail[:, 0], trail[:, 1], color=TRUE if good else LOCATED, lw=0.9, alpha=0.6, label=label)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x in mm")
-    axes.set_ylabel("y in mm")
-    axes.grid(color="#eeeeee")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=2, frameon=False)
+    from_above(axes)
 
 
 def draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str], limit: float | None) -> None:
@@ -81,17 +67,7 @@ def draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str],
             seeds + (index - 0.5 * (len(columns) - 1)) * width, heights, width, color=color, label=names.get(column)
         )
     if limit is not None:
-        axes.axhline(limit, color="#999999", lw=1, ls="--")
-        axes.text(
-            1.0,
-            limit,
-            "limit ",
-            color="#777777",
-            fontsize=9,
-            ha="right",
-            va="bottom",
-            transform=axes.get_yaxis_transform(),
-        )
+        limit_line(axes, limit, "limit ")
     if len(columns) > 1:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
     axes.set_title(title, loc="left", fontsize=11)

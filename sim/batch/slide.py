@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, sheet
+from smolbot.runs.pictures.style import limit_line as level_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,21 +26,10 @@ def slide(
 
     `spacing` goes to the grid of axes (``width_ratios``, ``wspace``, ``hspace``, …).
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context({"font.size": 12, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+    with sheet(path, headline, subline, heights=(0.94, 0.895), sizes=(12, 19, 12)) as figure:
         place = {"left": 0.07, "right": 0.97, "top": 0.82, "bottom": 0.1, "wspace": 0.22, "hspace": 0.42, **spacing}
         grid = figure.add_gridspec(rows, columns, **place)
-        axes = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(rows * columns)]
-        figure.text(0.06, 0.94, headline, fontsize=19, fontweight="bold", color="#222222")
-        figure.text(0.06, 0.895, subline, fontsize=12, color="#555555")
-        yield axes
-        figure.savefig(path)
-        plt.close(figure)
+        yield [figure.add_subplot(grid[i // columns, i % columns]) for i in range(rows * columns)]
 
 
 def name_line(axes: Axes, x: float, y: float, text: str, color: str, **kwargs: Any) -> None:
@@ -54,9 +44,7 @@ def limit_line(axes: Axes, value: float, text: str, *, vertical: bool = False) -
         axes.axvline(value, color=LIMIT, lw=1, ls="--", zorder=0)
         axes.text(value, 0.98, f" {text}", color="#777777", fontsize=10, va="top", transform=axes.get_xaxis_transform())
     else:
-        axes.axhline(value, color=LIMIT, lw=1, ls="--", zorder=0)
-        axes.text(1.0, value, text, color="#777777", fontsize=10, ha="right", va="bottom",
-                  transform=axes.get_yaxis_transform())  # fmt: skip
+        level_line(axes, value, text, size=10, zorder=0)
 
 
 def titled(axes: Axes, title: str, x: str = "", y: str = "") -> None:

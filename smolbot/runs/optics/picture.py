@@ -11,6 +11,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.runs.optics.analysis import PathAnalysis
 from smolbot.runs.optics.opticaltrack import OpticalTrack
 from smolbot.runs.optics.view import View
+from smolbot.runs.pictures.style import sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,13 +40,7 @@ def draw_track(
     planned : ndarray, shape (k, 2 or 3), in m
         The path that was to be followed.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+    with sheet(path, title, line, left=0.05) as figure:
         grid = figure.add_gridspec(
             4, 2, width_ratios=[1.0, 1.05], wspace=0.16, hspace=0.3, left=0.05, right=0.975, top=0.84, bottom=0.08
         )
@@ -53,10 +48,6 @@ def draw_track(
         first = figure.add_subplot(grid[0, 1])
         panels = [first, *(figure.add_subplot(grid[i, 1], sharex=first) for i in (1, 2, 3))]
         _draw_panels(panels, track, analysis)
-        figure.text(0.05, 0.945, title, fontsize=17, fontweight="bold", color="#222222")
-        figure.text(0.05, 0.905, line, fontsize=11.5, color="#555555")
-        figure.savefig(path)
-        plt.close(figure)
 
 
 def _draw_scene(

@@ -10,20 +10,15 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.runs.optics.deflection import Swing
 from smolbot.runs.optics.ringing import Ringing
+from smolbot.runs.pictures.style import sheet
 
 SEEN, FIT, PALE = "#1b4965", "#e4572e", "#b9bec7"
 
 
 def draw_swing(swing: Swing, ringing: Ringing, path: Path, *, title: str, line: str) -> None:
     """Write the picture to `path` (PNG, 16:9)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     times = 1e3 * swing.times
-    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+    with sheet(path, title, line) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[3.0, 1.0], wspace=0.12, hspace=0.36, left=0.06, right=0.975, top=0.84, bottom=0.085
         )
@@ -54,10 +49,6 @@ def draw_swing(swing: Swing, ringing: Ringing, path: Path, *, title: str, line: 
                 wide.set_xlabel("time in ms")
                 near.set_xlabel("time in ms")
                 _envelope(wide, ringing)
-        figure.text(0.06, 0.945, title, fontsize=17, fontweight="bold", color="#222222")
-        figure.text(0.06, 0.905, line, fontsize=11.5, color="#555555")
-        figure.savefig(path)
-        plt.close(figure)
 
 
 def _draw(

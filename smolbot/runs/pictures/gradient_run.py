@@ -9,7 +9,18 @@ import numpy as np
 
 from smolbot.config.mission import Mission
 from smolbot.runs.pictures import helix_run as helixpicture
-from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, dots, nothing
+from smolbot.runs.pictures.style import (
+    COILS,
+    LOCATED,
+    PLANNED,
+    TRUE,
+    dots,
+    from_above,
+    limit_line,
+    nothing,
+    sheet,
+    true_way,
+)
 from smolbot.runs.run import Run
 from smolbot.runs.summary import label_of, tracking_distance
 from smolbot.runs.trace import Trace
@@ -20,13 +31,7 @@ if TYPE_CHECKING:
 
 def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
     """Write the picture of a run to `path` (PNG, 16:9)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+    with sheet(path, headline(mission, run), subline(run.summary)) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.0, 1.25], height_ratios=[1.0, 1.0, 1.0], wspace=0.2, hspace=0.28,
             left=0.06, right=0.975, top=0.845, bottom=0.085,
@@ -43,10 +48,6 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
             draw_tracking(errors, mission, trace)
             draw_localization(middle, trace)
             draw_currents(low, mission, trace)
-        figure.text(0.06, 0.945, headline(mission, run), fontsize=17, fontweight="bold", color="#222222")
-        figure.text(0.06, 0.905, subline(run.summary), fontsize=11.5, color="#555555")
-        figure.savefig(path)
-        plt.close(figure)
 
 
 def headline(mission: Mission, run: Run) -> str:
@@ -76,19 +77,9 @@ def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
     if heard:
         located = np.array([p.position for p in heard]) * 1e3
         dots(axes, located[:, 0], located[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
-    truth = trace.true_positions() * 1e3
-    if len(truth):
-        axes.plot(truth[:, 0], truth[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
-        axes.plot(*truth[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
-        axes.annotate(
-            "put down", (truth[0, 0], truth[0, 1]), xytext=(6, -13), textcoords="offset points", color=TRUE, fontsize=10
-        )
-    axes.set_aspect("equal", adjustable="datalim")
+    true_way(axes, trace.true_positions() * 1e3, (6, -13))
     axes.margins(0.08)
-    axes.set_xlabel("x in mm")
-    axes.set_ylabel("y in mm")
-    axes.grid(color="#eeeeee", zorder=0)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
+    from_above(axes)
 
 
 def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
@@ -97,9 +88,7 @@ def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
     if moments:
         times = [t for m in moments for t in (m.truth.time if m.truth else m.cycle.shot.end, m.cycle.shot.end)]
         axes.plot(times, tracking_distance(mission, moments) * 1e3, color=TRUE, lw=1.3)
-        axes.axhline(mission.tolerance * 1e3, color="#999999", lw=1, ls="--")
-        axes.text(1.0, mission.tolerance * 1e3, " arrival ", color="#777777", fontsize=9, va="bottom", ha="right",
-                  transform=axes.get_yaxis_transform())  # fmt: skip
+        limit_line(axes, mission.tolerance * 1e3, " arrival ")
     else:
         nothing(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
     axes.set_ylim(bottom=0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Rotate
-from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, nothing
+from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, from_above, nothing, true_way
 from smolbot.runs.summary import axis_angle
 from smolbot.runs.trace import Moment, Trace
 
@@ -30,13 +30,7 @@ def draw_axes_on_path(axes: Axes, mission: Mission, trace: Trace) -> None:
                       textcoords="data", fontsize=9, color="#9a7b3a")  # fmt: skip
     planned = mission.path.points * 1e3
     axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
-    truth = trace.true_positions() * 1e3
-    if len(truth):
-        axes.plot(truth[:, 0], truth[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
-        axes.plot(*truth[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
-        axes.annotate(
-            "put down", (truth[0, 0], truth[0, 1]), xytext=(8, -4), textcoords="offset points", color=TRUE, fontsize=10
-        )
+    true_way(axes, trace.true_positions() * 1e3, (8, -4))
     for moment in pauses(trace):
         for pose, color, width, order in ((moment.truth, TRUE, 0.006, 5), (moment.cycle.tracked, LOCATED, 0.004, 6)):
             if pose is not None:
@@ -44,12 +38,8 @@ def draw_axes_on_path(axes: Axes, mission: Mission, trace: Trace) -> None:
                 axes.quiver(*(1e3 * pose.position[:2]), *tip, color=color, angles="xy", scale_units="xy", scale=1.0,
                             width=width, headwidth=4.5, headlength=5, zorder=order)  # fmt: skip
     axes.plot([], [], color=LOCATED, lw=2, label="tracked propulsion axis")
-    axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
-    axes.set_xlabel("x in mm")
-    axes.set_ylabel("y in mm")
-    axes.grid(color="#eeeeee", zorder=0)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
+    from_above(axes)
 
 
 def pauses(trace: Trace) -> list[Moment]:

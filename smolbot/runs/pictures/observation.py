@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smolbot.config.observation import Observation
+from smolbot.config.rig import ContainerSection
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.runs.observation_summary import measurements
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
+from smolbot.runs.pictures.style import LOCATED, TRUE, dots, ellipse, limit_line, nothing, outline, sheet, two_views
 from smolbot.runs.run import Run
 from smolbot.runs.summary import label_of, orientation_error
 from smolbot.runs.trace import Moment, Trace
@@ -26,21 +27,11 @@ ARROWS = 36  # shown of a whole track
 
 def draw_observation(mission: Observation, run: Run, trace: Trace, path: Path) -> None:
     """Write the picture of an observation to `path` (PNG, 16:9)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = plt.figure(figsize=(13.6, 7.65), dpi=120)
+    with sheet(path, headline(mission, run), subline(run.summary)) as figure:
         if mission.sections.observe.measurements is None:
             _draw_watched(figure, mission, trace)
         else:
             _draw_measured(figure, mission, trace)
-        figure.text(0.06, 0.945, headline(mission, run), fontsize=17, fontweight="bold", color="#222222")
-        figure.text(0.06, 0.905, subline(run.summary), fontsize=11.5, color="#555555")
-        figure.savefig(path)
-        plt.close(figure)
 
 
 def headline(mission: Observation, run: Run) -> str:
@@ -68,16 +59,10 @@ def _draw_watched(figure: Figure, mission: Observation, trace: Trace) -> None:
         3, 2, width_ratios=[1.25, 1.0], height_ratios=[1.0, 1.0, 1.0], wspace=0.17, hspace=0.34,
         left=0.06, right=0.975, top=0.845, bottom=0.085,
     )  # fmt: skip
-    box = mission.rig.container
-    sides = 1e3 * np.column_stack([box.low, box.high])
-    heights = [side[1] - side[0] + 8.0 for side in sides[1:]]
-    split = grid[:, 0].subgridspec(2, 1, height_ratios=heights, hspace=0.17)
-    above, front = figure.add_subplot(split[0]), figure.add_subplot(split[1])
+    above, front = two_views(figure, grid[:, 0], mission.rig.container)
     for axes, across in ((above, 1), (front, 2)):
-        draw_view(axes, trace, sides, across)
+        draw_view(axes, trace, mission.rig.container, across)
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
-    above.tick_params(labelbottom=False)
-    front.set_xlabel("x in mm")
     errors = figure.add_subplot(grid[0, 1])
     turns = figure.add_subplot(grid[1, 1], sharex=errors)
     rates = figure.add_subplot(grid[2, 1], sharex=errors)
@@ -85,10 +70,9 @@ def _draw_watched(figure: Figure, mission: Observation, trace: Trace) -> None:
     draw_rate(rates, mission, trace)
 
 
-def draw_view(axes: Axes, trace: Trace, sides: FloatArray, across: int) -> None:
+def draw_view(axes: Axes, trace: Trace, box: ContainerSection, across: int) -> None:
     """The track from above (`across` 1) or from the front (2), in the container."""
-    (x0, x1), (y0, y1) = sides[0], sides[across]
-    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PLANNED, lw=1.2)
+    outline(axes, box, across)
     truth = 1e3 * trace.true_positions()
     if len(truth):
         axes.plot(truth[:, 0], truth[:, across], color=TRUE, lw=0.9, label="true", zorder=4)
@@ -103,11 +87,6 @@ def draw_view(axes: Axes, trace: Trace, sides: FloatArray, across: int) -> None:
             angles="xy", scale_units="xy", scale=1.0, width=0.0028, headwidth=4.0, color="#f2a541", zorder=2,
             label="the tip's axis, localized",
         )  # fmt: skip
-    axes.set_aspect("equal")
-    axes.set_xlim(x0 - 4.0, x1 + 4.0)
-    axes.set_ylim(y0 - 4.0, y1 + 4.0)
-    axes.set_ylabel(f"{'xyz'[across]} in mm")
-    axes.grid(color="#eeeeee", zorder=0)
 
 
 def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None:
@@ -145,9 +124,7 @@ def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
         axes.legend(loc="lower right", frameon=False, fontsize=9)
     wanted = mission.sections.verdict.min_rate_hz
     if wanted is not None:
-        axes.axhline(wanted, color="#999999", lw=1, ls="--")
-        axes.text(1.0, wanted, "wanted ", color="#777777", fontsize=9, va="bottom", ha="right",
-                  transform=axes.get_yaxis_transform())  # fmt: skip
+        limit_line(axes, wanted, "wanted ")
     axes.set_ylim(bottom=0.0)
     axes.set_title("Trusted poses in every second", loc="left", fontsize=11)
     axes.set_xlabel("time in s")

@@ -65,10 +65,8 @@ def track_figure(flight: Flight, mission: Observation) -> Figure:
         return figure
     grid = figure.add_gridspec(2, 2, height_ratios=[1.5, 1.0], width_ratios=[1.35, 1.0])
     above, front, close = (figure.add_subplot(grid[at]) for at in ((0, 0), (1, 0), (slice(None), 1)))
-    box = mission.rig.container
-    sides = 1e3 * np.column_stack([box.low, box.high])
     for axes, across in ((above, 1), (front, 2)):
-        observation_picture.draw_view(axes, flight.trace, sides, across)
+        observation_picture.draw_view(axes, flight.trace, mission.rig.container, across)
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, fontsize=9)
     front.set_xlabel("x in mm")
     seen = [m for m in flight.trace.moments if m.cycle.tracked is not None and m.cycle.tracked.trusted]
