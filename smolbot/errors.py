@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 
 class SmolbotError(Exception):
@@ -47,6 +49,15 @@ class SignalLostError(SmolbotError, RuntimeError):
 
 class PluginError(SmolbotError, ImportError):
     """A controller, rig or command that is not installed, or is shadowed by a foreign package."""
+
+
+@contextmanager
+def writing(path: str | Path, what: str = "", done: str = "written") -> Iterator[None]:
+    """What the system says against a file or folder that the block writes, as our error; `what` says what it holds."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: {what}{' ' if what else ''}cannot be {done}: {error}.") from error
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -33,7 +33,7 @@ def simulate(
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
     from sim.batch.executors import open_executor
     from smolbot.config.load import load_mission
-    from smolbot.runs.folder import RunFolder, provenance
+    from smolbot.runs.folder import RunFolder, dated, provenance
     from smolbot.runs.recording.files import RunFiles
 
     wanted = parse_seeds(seeds)
@@ -45,7 +45,7 @@ def simulate(
         require_flyable(loaded)
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
-    folder = RunFolder(out) if out is not None else _new_folder(loaded.name)
+    folder = RunFolder(out or dated(f"simulate-{loaded.name}"))
     where = provenance(wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
     folder.begin(RunFiles.of(loaded).contents, where)
     begin = time.perf_counter()
@@ -96,25 +96,14 @@ def draw(mission: AnyMission, flights: list[Flight], path: Path) -> None:
         draw_flights(mission, flights, path)
 
 
-def _new_folder(name: str) -> Any:
-    from datetime import datetime
-
-    from smolbot.runs.folder import RunFolder
-
-    return RunFolder(Path("runs") / f"simulate-{name}-{datetime.now():%Y%m%d-%H%M%S}")
-
-
 def _watched(flights: Iterator[Flight], name: str, total: int) -> Iterator[Flight]:
-    from rich.console import Console
-    from rich.progress import Progress
+    from smolbot.ui.cli.show import bar
 
-    console = Console(stderr=True)
     passed = 0
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(name, total=total)
+    with bar(name, total=total) as tell:
         for flight in flights:
             passed += flight.summary["verdict"] == "passed"
-            progress.update(task, advance=1, description=f"{name}: {passed} passed")
+            tell(advance=1, description=f"{name}: {passed} passed")
             yield flight
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import time
 from collections.abc import Iterator
@@ -11,6 +10,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
+
+from smolbot.core.text_table import write_rows
 
 COLUMNS = {
     "seed": ("seed",),
@@ -163,8 +164,5 @@ def warm_rates(flights: list[Flight]) -> dict[str, float | None]:
 
 def write_results(path: Path, flights: list[Flight]) -> None:
     """One line per flight."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        told = [column for column in COLUMNS if any(f.value(column) is not None for f in flights)]
-        writer.writerow(told)
-        writer.writerows([[f.value(column) for column in told] for f in flights])
+    told = [column for column in COLUMNS if any(f.value(column) is not None for f in flights)]
+    write_rows(path, told, ([f.value(column) for column in told] for f in flights))

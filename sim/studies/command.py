@@ -101,11 +101,12 @@ def load_study(name: str) -> Study:
 def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool = False) -> tuple[Outcome, Path]:
     """Run all chunks that are not done, conclude, and leave ``study.json``, ``results.csv`` and the figure."""
     from sim.studies.benches import rig_named
-    from sim.studies.running import StudyFolder, described, executor_for, new_folder, run_chunks
+    from sim.studies.running import StudyFolder, described, executor_for, run_chunks
+    from smolbot.runs.folder import dated
 
     begin = time.perf_counter()
     config = study.rig_of(options) if study.rig_of is not None else rig_named(options.rig)
-    folder = StudyFolder(out if out is not None else new_folder(study.name), options.asked(), resume=resume)
+    folder = StudyFolder(out or dated(f"study-{study.name}"), options.asked(), resume=resume)
     chunks = study.chunks(options)
     with executor_for(options.jobs if len(chunks) > 1 else 1) as executor, _shown(study.name) as progress:
         parts = run_chunks(chunks, folder, executor, progress)
@@ -152,19 +153,10 @@ def _mission_options(
 @contextmanager
 def _shown(name: str) -> Iterator[Callable[[int, int], None]]:
     """A bar with the time left on a terminal, nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-    with bar:
-        task = bar.add_task(name, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    from smolbot.ui.cli.show import bar
+
+    columns = TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn()
+    with bar(name, *columns) as tell:
+        yield lambda done, total: tell(completed=done, total=total)

@@ -5,24 +5,24 @@ Each chunk leaves its rows in ``chunks/NAME.npz`` when it is done, so that a stu
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sim.batch.executors import open_executor
 from sim.studies.study import Chunk, Columns, Options, Study
 from smolbot.config.rig import RigConfig
 from smolbot.core.sensing import Device, SensorArray
-from smolbot.errors import InputError
+from smolbot.core.text_table import write_rows
+from smolbot.errors import InputError, writing
 
 
 class StudyFolder:
@@ -50,10 +50,8 @@ class StudyFolder:
             if not resume:
                 raise InputError(f"{path}: is not empty; name a new folder, or go on with --resume.")
             self._check()
-        try:
+        with writing(path, "the study's folder", "made"):
             (path / "chunks").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{path}: the study's folder cannot be made: {error}.") from error
         self._write_json("asked.json", self.asked)
 
     def _check(self) -> None:
@@ -86,15 +84,12 @@ class StudyFolder:
         """Write ``study.json`` and ``results.csv``."""
         self._write_json("study.json", figures)
         shown = {key: column for key, column in columns.items() if not key.startswith("_")}
-        with (self.path / "results.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(shown)
-            writer.writerows(zip(*(_texts(column) for column in shown.values()), strict=True))
+        write_rows(self.path / "results.csv", shown, zip(*map(_texts, shown.values()), strict=True))
 
     def _write_json(self, name: str, data: Any) -> None:
-        from smolbot.ui.cli.show import as_json
+        from smolbot.ui.cli.show import json_text
 
-        (self.path / name).write_text(json.dumps(as_json(data), indent=2, default=str) + "\n", encoding="utf-8")
+        (self.path / name).write_text(json_text(data), encoding="utf-8")
 
 
 def _texts(column: Any) -> list[str]:
@@ -102,26 +97,14 @@ def _texts(column: Any) -> list[str]:
     return [f"{v:.8g}" if values.dtype.kind == "f" else str(v) for v in values]
 
 
-def new_folder(name: str) -> Path:
-    """A new folder in runs/."""
-    return Path("runs") / f"study-{name}-{datetime.now():%Y%m%d-%H%M%S}"
-
-
 @contextmanager
 def executor_for(jobs: int) -> Iterator[Executor | None]:
     """Processes for chunks: 0 for one per core; None for 1, which stays in this process."""
-    import multiprocessing
-
-    count = jobs or os.cpu_count() or 1
-    if count == 1:
+    if (jobs or os.cpu_count() or 1) == 1:
         yield None
         return
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
-    try:
+    with open_executor(jobs) as pool:
         yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def run_chunks(

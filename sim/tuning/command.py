@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sim.batch.flights import Plant
-from smolbot.errors import InputError
+from smolbot.errors import InputError, writing
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 
 if TYPE_CHECKING:
@@ -49,6 +48,7 @@ def tune(
     from sim.tuning.verdict import better
     from sim.tuning.verdict import held_out as confirm
     from smolbot.config.mission import load_mission
+    from smolbot.runs.folder import dated
 
     settings = settings_from(set_)
     loaded = load_mission(mission, rig, settings)
@@ -56,7 +56,7 @@ def tune(
     loaded.rig.table()  # built once, before the workers need it
     if resume and out is None:
         raise InputError("--resume needs --out, the folder of the search to go on with.")
-    folder = out or Path("runs") / f"tune-{loaded.name}-{datetime.now():%Y%m%d-%H%M%S}"
+    folder = out or dated(f"tune-{loaded.name}")
     _make(folder, resume)
     kind = f"{loaded.name} {loaded.law} {plant} seed {seed} worlds {worlds} {','.join(problem.gains)}"
     study = open_study(folder / JOURNAL, seed, kind, resume=resume)
@@ -108,29 +108,23 @@ def _make(folder: Path, resume: bool) -> None:
         return
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is not empty; name a new folder, or go on with --resume.")
-    try:
+    with writing(folder, done="made"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error}.") from error
 
 
 @contextmanager
 def _progress(name: str, trials: int) -> Iterator[Callable[[Study], None]]:
     """A bar on the terminal with the best cost so far."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from sim.tuning.search import finished
+    from smolbot.ui.cli.show import bar
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(name, total=trials)
+    with bar(name, total=trials) as tell:
 
         def ended(study: Study) -> None:
             done = finished(study)
             costs = [t.value for t in done if t.value is not None]
             best = f"best {min(costs):.3f} mm" if costs else "no trial whole yet"
-            progress.update(task, completed=len(done), description=f"{name}: {best}")
+            tell(completed=len(done), description=f"{name}: {best}")
 
         yield ended
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from sim.tuning.search import Problem, finished
 from sim.tuning.verdict import Flown
+from smolbot.core.text_table import write_rows
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -52,11 +52,8 @@ def write_trials(study: Study, path: Path) -> None:
     """One line for each trial: number, how it ended, cost, gains."""
     trials = study.get_trials(deepcopy=False)
     names = sorted({name for t in trials for name in t.params})
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["trial", "state", "cost_mm", *names])
-        for t in trials:
-            writer.writerow([t.number, t.state.name.lower(), t.value, *[t.params.get(name) for name in names]])
+    rows = ([t.number, t.state.name.lower(), t.value, *[t.params.get(name) for name in names]] for t in trials)
+    write_rows(path, ["trial", "state", "cost_mm", *names], rows)
 
 
 def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown, headline: str, path: Path) -> None:

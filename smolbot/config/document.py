@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smolbot.config.units import SI
-from smolbot.errors import ConfigError, InputError, MissingFileError, did_you_mean
+from smolbot.errors import ConfigError, MissingFileError, did_you_mean, writing
 
 KeyPath = tuple[str | int, ...]
 
@@ -104,6 +104,13 @@ class Document:
         """The document as `model`, or None and every fault found."""
         return validate(model, self.data)
 
+    def validated(self, model: type[Model]) -> Model:
+        """The document as `model`. Raises ConfigError with every fault."""
+        sections, faults = self.validate(model)
+        if sections is None:
+            raise self.error(faults)
+        return sections
+
 
 def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tuple[Model | None, list[Fault]]:
     """Check a section (standing at key path `at`) against its model."""
@@ -115,10 +122,8 @@ def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tupl
 
 def write_lines(path: str | Path, lines: Iterable[str]) -> None:
     """Write a text file. Raises InputError if that cannot be done."""
-    try:
+    with writing(path):
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error}.") from error
 
 
 def quoted(value: str) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -86,6 +87,14 @@ def read_table(path: Path, *, named: bool = False) -> Table:
         if len(row.cells) != len(names):
             raise row.fault(f"has {len(row.cells)} columns; the line of names has {len(names)}.")
     return Table(names, tuple(rows), tuple(comments))
+
+
+def write_rows(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write a table with commas between, as programs read it."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(rows)
 
 
 def _is_number(text: str) -> bool:

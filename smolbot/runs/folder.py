@@ -8,13 +8,14 @@ import json
 import platform
 import subprocess
 from collections.abc import Mapping
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TextIO
 
 from smolbot.core.blas_threads import kernel
 from smolbot.core.version import __version__
-from smolbot.errors import InputError
+from smolbot.errors import InputError, writing
 from smolbot.runs.trace import Moment, row
 
 SUMMARY, PROVENANCE, CYCLES, PICTURE = "summary.json", "provenance.json", "cycles.csv", "path.png"
@@ -47,13 +48,11 @@ class RunFolder:
 
     def begin(self, contents: Mapping[str, bytes], provenance: Mapping[str, Any]) -> None:
         """Make the folder and write what the run starts from: files by their names, and where it came from."""
-        try:
+        with writing(self.path, "the run folder", "made"):
             self.path.mkdir(parents=True, exist_ok=True)
             for name, content in contents.items():
                 write_whole(self.path / name, content)
             write_whole(self.path / PROVENANCE, json_bytes(provenance))
-        except OSError as error:
-            raise InputError(f"{self.path}: the run folder cannot be made: {error}.") from error
 
     def record(self, moment: Moment) -> None:
         """Append one cycle to ``cycles.csv``; a disk that refuses ends that table, not the run."""
@@ -79,6 +78,11 @@ class RunFolder:
             with contextlib.suppress(OSError):  # of what could not be flushed, which is known
                 self._file.close()
         write_whole(self.path / SUMMARY, json_bytes(summary))
+
+
+def dated(name: str) -> Path:
+    """A folder in runs/ of that name and of this moment."""
+    return Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
 def write_whole(path: Path, content: bytes) -> None:

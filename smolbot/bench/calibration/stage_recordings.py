@@ -13,7 +13,7 @@ from smolbot.config.known_track import planned_track, read_track, write_track
 from smolbot.config.samples import read_samples, recordings_from
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device, Recording
-from smolbot.errors import InputError
+from smolbot.errors import InputError, writing
 
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
@@ -95,7 +95,7 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
 def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfig) -> None:
     """Write track and samples as a lab would have them."""
     scale = rig.sections.sensors.volts_per_tesla
-    try:
+    with writing(f"--keep {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(
             folder / "samples.npz",
@@ -104,8 +104,6 @@ def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfi
             time_since_drive_ms=[1e3 * h.time_since_drive for h in heard],
             clock_s=[h.clock for h in heard],
         )
-    except OSError as error:
-        raise InputError(f"--keep {folder}: cannot be written: {error}.") from error
     write_track(folder / "track.csv", track, ["samples.npz"] * len(track))
 
 

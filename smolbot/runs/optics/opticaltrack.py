@@ -15,7 +15,6 @@ Frames that hide the robot have no row.
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from smolbot.core.arrays import BoolArray, FloatArray, IntArray
-from smolbot.core.text_table import Row, read_table
-from smolbot.errors import InputError, MissingFileError
+from smolbot.core.text_table import Row, read_table, write_rows
+from smolbot.errors import InputError, MissingFileError, writing
 
 COLUMNS = ("frame", "time_s", "x_m", "y_m", "z_m", "heading_rad", "sigma_m", "share")
 NEEDED = COLUMNS[:6]
@@ -104,13 +103,8 @@ def write_optical_track(path: Path, track: OpticalTrack) -> None:
         If it cannot be written.
     """
     table = zip(track.frames, track.times, *track.positions.T, track.headings, track.sigmas, track.shares, strict=True)
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            writer.writerows([int(number), *(f"{v:.9g}" for v in values)] for number, *values in table)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error}.") from error
+    with writing(path):
+        write_rows(path, COLUMNS, ([int(number), *(f"{v:.9g}" for v in values)] for number, *values in table))
 
 
 def read_optical_track(path: str | Path) -> OpticalTrack:

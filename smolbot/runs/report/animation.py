@@ -12,7 +12,7 @@ import numpy as np
 from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rotate, Window
-from smolbot.errors import InputError
+from smolbot.errors import InputError, writing
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.interpolated_track import Track, ways
@@ -78,13 +78,11 @@ def make_animation(run: str | Path, path: Path, seconds: float = 10.0, fps: int 
     with page_style():
         scene = Scene(flight, speed)
         times = np.linspace(begin, end, count)
-        try:
+        with writing(path, "the animation"):
             if path.suffix.lower() == ".gif":
                 _write_gif(path, scene.pictures(times), fps)
             else:
                 _write_mp4(path, scene, times, fps)
-        except OSError as error:
-            raise InputError(f"{path}: the animation cannot be written: {error}.") from error
     return Animation(count / fps, fps, speed, path.stat().st_size)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.errors import InputError
+from smolbot.errors import writing
 from smolbot.runs.pictures.style import COILS, PLANNED, dots, nothing
 from smolbot.runs.report.comparison import Comparison, series_of
 from smolbot.runs.report.figures_of_merit import number
@@ -36,10 +36,8 @@ def write_comparison(found: Comparison, path: Path) -> Path:
         Where it cannot be written.
     """
     content = comparison_page(found)
-    try:
+    with writing(path, "the comparison"):
         path.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: the comparison cannot be written: {error}.") from error
     return path
 
 

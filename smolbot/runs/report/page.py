@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.config.observation import Observation
-from smolbot.errors import InputError
+from smolbot.errors import InputError, writing
 from smolbot.runs.report import machine_figures as machinery
 from smolbot.runs.report import position_figures as whereabouts
 from smolbot.runs.report import signal_figures as signals
@@ -38,10 +38,8 @@ def save_report(flight: Flight, out: Path | None = None) -> Path:
     """
     path = flight.record.folder / REPORT if out is None else out
     content = report_of(flight)
-    try:
+    with writing(path, "the report"):
         path.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: the report cannot be written: {error}.") from error
     return path
 
 

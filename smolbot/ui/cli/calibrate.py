@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -48,6 +48,7 @@ def calibrate(
     from smolbot.config.device import DeviceConfig, write_device
     from smolbot.config.plugins import load_world
     from smolbot.config.world import World
+    from smolbot.ui.cli.show import spinner
 
     plan = Plan(cycles, sweep_span=span_hz, sweep_points=points, repeats=repeats, height_std=1e-3 * z_std_mm)
     rig_config, robot_config, start = find_target(target, robot, settings_from(set_))
@@ -57,7 +58,7 @@ def calibrate(
     world: World = load_world(rig_config.world, rig_config.document)
     rig = world.open(rig_config, robot_config, start, seed)
     try:
-        with _told(json) as tell:
+        with spinner("calibrating", quiet=json) as tell:
             found = measure(
                 rig, robot_config.device, 1e-3 * z_mm, plan=plan, hum=expected_hum(rig_config), progress=tell
             )
@@ -132,30 +133,11 @@ def _check_height(z_mm: float, rig: RigConfig) -> None:
         )
 
 
-def _told(json: bool) -> Any:
-    """A spinner on a terminal, nothing elsewhere."""
-    from contextlib import contextmanager
-
-    from rich.console import Console
-
-    @contextmanager
-    def shown() -> Any:
-        console = Console(stderr=True)
-        if json or not console.is_terminal:
-            yield lambda _: None
-            return
-        with console.status("calibrating") as status:
-            yield lambda text: status.update(text)
-
-    return shown()
-
-
 def _show(found: Calibration, robot: str, rig: str, path: Path, json: bool) -> None:
     import numpy as np
-    from rich.console import Console
     from rich.table import Table
 
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.ui.cli.show import console, echo_json, table
 
     device, old, std = found.device, found.believed, found.std
     values = {
@@ -169,10 +151,7 @@ def _show(found: Calibration, robot: str, rig: str, path: Path, json: bool) -> N
     for key, (value, error, before) in values.items():
         shown.add_row(key, f"{value:.4g}" if key != "frequency_hz" else f"{value:.3f}", f"{error:.2g}", f"{before:g}")
     shown.add_row("damping_model", device.damping_model, f"BIC {found.evidence:.0f}", old.damping_model)
-    console = Console(stderr=json, highlight=False)
-    if not console.is_terminal:
-        console = Console(stderr=json, highlight=False, width=120)
-    console.print(shown)
+    console(err=json).print(shown)
     strongest = max(found.drives, key=lambda d: d.amplitude)
     notes = [
         ("shots", str(found.shots)),

@@ -121,10 +121,9 @@ def _show(
     json: bool,
 ) -> None:  # fmt: skip
     import numpy as np
-    from rich.console import Console
     from rich.table import Table
 
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.ui.cli.show import console, echo_json, table
 
     check, holder = found.held_out, found.holder
     moved = 1e3 * (found.sensors.positions - rig.sensors.positions)
@@ -138,10 +137,7 @@ def _show(
         place_std = 1e3 * float(np.sqrt(np.mean(found.place_std[i] ** 2)))
         cells = [*(f"{v:+.3f}" for v in moved[i]), f"{place_std:.3f}", f"{gain:+.2f}", f"{gain_std:.2f}"]
         shown.add_row(str(i), *cells, f"{tilted[i]:.2f}", f"{tilt_std[i]:.2f}")
-    console = Console(stderr=json, highlight=False)
-    if not console.is_terminal:
-        console = Console(stderr=json, highlight=False, width=120)
-    console.print(shown)
+    console(err=json).print(shown)
     turns = np.degrees([check.orientation_before, check.orientation_after])
     places = 1e3 * np.array([check.position_before, check.position_after])
     rows = [

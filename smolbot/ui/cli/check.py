@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smolbot.ui.cli.show import echo_json
+from smolbot.ui.cli.show import console, echo_json, spinner
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,7 +40,7 @@ def check(
     held = load_robot(robot if robot is not None else _robot_of(config))
     world = load_world(config.world, config.document)
     middle = tuple(config.container.center.tolist())
-    with _told() as say:
+    with spinner("opening") as say:
         opened = world.open(config, held, middle, seed)
         try:
             found = check_rig(opened, config, quiet_s, say)
@@ -64,19 +62,6 @@ def _robot_of(config: RigConfig) -> str:
         if mission.get("rig") == config.name:
             return str(mission.get("robot"))
     return "helical" if config.sections.magnet is not None else "gradient"
-
-
-@contextmanager
-def _told() -> Iterator[Callable[[str], None]]:
-    """Something that says, on a terminal, what is going on."""
-    from rich.console import Console
-
-    console = Console(stderr=True, highlight=False)
-    if not console.is_terminal:
-        yield lambda _: None
-        return
-    with console.status("opening") as status:
-        yield lambda what: status.update(what)
 
 
 def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
@@ -136,25 +121,22 @@ def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
 
 def show(found: Checkup, config: RigConfig, *, err: bool = False) -> None:
     """Print the tables: devices, sensors, coils, verdict, and what only a person can verify."""
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console(stderr=err, highlight=False)
-    if not console.is_terminal:
-        console = Console(stderr=err, highlight=False, width=120)
-    console.print(Text.assemble(("check of ", "bold"), (config.name, "bold"), f"  {config.sections.description}"))
+    shown = console(err=err)
+    shown.print(Text.assemble(("check of ", "bold"), (config.name, "bold"), f"  {config.sections.description}"))
     if found.devices:
-        console.print()
-        console.print(_devices(found))
-    console.print()
-    console.print(_sensors(found))
+        shown.print()
+        shown.print(_devices(found))
+    shown.print()
+    shown.print(_sensors(found))
     if found.coils:
-        console.print()
-        console.print(_coils(found))
+        shown.print()
+        shown.print(_coils(found))
     for note in found.notes:
-        console.print(f"\n{note}")
-    _verdict(console, found)
-    _by_hand(console, found)
+        shown.print(f"\n{note}")
+    _verdict(shown, found)
+    _by_hand(shown, found)
 
 
 def _grid(title: str, columns: list[tuple[str, str]]) -> Table:
@@ -264,33 +246,33 @@ def _milliseconds(time: float | None) -> str:
     return "never" if time is None else f"{abs(1e3 * time) if abs(time) < 5e-6 else 1e3 * time:.2f}"
 
 
-def _verdict(console: Console, found: Checkup) -> None:
+def _verdict(shown: Console, found: Checkup) -> None:
     from rich.text import Text
 
     faults = found.faults
-    console.print()
+    shown.print()
     if not faults:
         what = "every device, sensor and coil" if found.coils else "every device and sensor"
-        console.print(Text.assemble(("passed", "bold green"), f": {what} is as the rig file says"))
+        shown.print(Text.assemble(("passed", "bold green"), f": {what} is as the rig file says"))
         return
     count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
-    console.print(Text.assemble(("failed", "bold red"), f": {count}"))
+    shown.print(Text.assemble(("failed", "bold red"), f": {count}"))
     for fault in faults:
-        console.print(Text(f"  {fault}"))
+        shown.print(Text(f"  {fault}"))
 
 
-def _by_hand(console: Console, found: Checkup) -> None:
+def _by_hand(shown: Console, found: Checkup) -> None:
     from rich.table import Table
     from rich.text import Text
 
     title = Text("only a person can verify", "bold")
     if found.simulated:
         title.append(" (on a bench; this one is simulated)", "dim")
-    console.print()
-    console.print(title)
+    shown.print()
+    shown.print(title)
     boxes = Table.grid(padding=(0, 1))
     boxes.add_column(width=3, justify="right")
     boxes.add_column()
     for line in found.by_hand:
         boxes.add_row("☐", Text(line))
-    console.print(boxes)
+    shown.print(boxes)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smolbot.errors import InputError
+from smolbot.core.text_table import write_rows
+from smolbot.errors import InputError, writing
 from smolbot.ui.cli.options import JsonOption
 
 if TYPE_CHECKING:
@@ -200,30 +201,20 @@ def _lost(number: int, recording: Recording, note: str) -> Row:
 
 
 def _write(out: Path, head: dict[str, Any], rows: list[Row]) -> None:
-    import csv
-    import json
+    from smolbot.ui.cli.show import json_text
 
-    from smolbot.ui.cli.show import as_json
-
-    try:
+    with writing(out):
         if out.suffix.lower() == ".json":
-            out.write_text(json.dumps(as_json({**head, "poses": rows}), indent=2) + "\n", encoding="utf-8")
+            out.write_text(json_text({**head, "poses": rows}), encoding="utf-8")
             return
-        with out.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(
-                {k: "" if isinstance(v, float) and math.isnan(v) else v for k, v in r.items()} for r in rows
-            )
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error}.") from error
+        cells = (["" if isinstance(v, float) and math.isnan(v) else v for v in row.values()] for row in rows)
+        write_rows(out, COLUMNS, cells)
 
 
 def _show(head: dict[str, Any], rows: list[Row], out: Path | None, json: bool) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.ui.cli.show import console, echo_json, table
 
     facts = [(key.replace("_", " "), str(value)) for key, value in head.items() if value is not None]
     if out is not None:
@@ -242,9 +233,6 @@ def _show(head: dict[str, Any], rows: list[Row], out: Path | None, json: bool) -
     for row in rows:
         cells = ["" if isinstance(row[k], float) and math.isnan(row[k]) else format(row[k], f) for k, _, f in columns]
         shown.add_row(*cells, "yes" if row["trusted"] else "no", row["note"])
-    console = Console(stderr=json, highlight=False)
-    if not console.is_terminal:
-        console = Console(stderr=json, highlight=False, width=160)
-    console.print(shown)
+    console(err=json, width=160).print(shown)
     if json:
         echo_json({**head, "poses": rows})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smolbot.errors import ConfigError, InputError
+from smolbot.errors import ConfigError, InputError, writing
 from smolbot.ui.cli.observations import cycle_figures, show_observation_preview, show_verdict
 from smolbot.ui.cli.show import as_json, echo_json, table
 
@@ -181,7 +181,7 @@ def init(
     existing = [name for name in files if (folder / name).exists()]
     if existing:
         raise InputError(f"{folder}: {', '.join(existing)} stand there already; nothing was written.")
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in files.items():
             shutil.copyfile(path, folder / name)
@@ -191,7 +191,5 @@ def init(
             given = re.escape(str(section["file"] if key == "file" else data[key]))
             text = re.sub(rf"""(?m)(\b{key}\s*=\s*)["']{given}["']""", rf'\g<1>"{path.name}"', text, count=1)
         own.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error}.") from error
     table(f"{folder}", [(name, "copied") for name in files])
     typer.echo(f"Edit them, then: smolbot preview {own}  and  smolbot run {own}")

@@ -5,13 +5,50 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def console(*, err: bool = False, width: int = 120) -> Console:
+    """Standard output, or standard error where that is kept for JSON; `width` wide where it is no terminal."""
+    from rich.console import Console
+
+    found = Console(stderr=err, highlight=False)
+    return found if found.is_terminal else Console(stderr=err, highlight=False, width=width)
+
+
+@contextmanager
+def spinner(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
+    """Something that says, on a terminal, what is going on; nothing elsewhere, or where it is to be quiet."""
+    shown = console(err=True)
+    if quiet or not shown.is_terminal:
+        yield lambda _: None
+        return
+    with shown.status(text) as status:
+        yield lambda what: status.update(what)
+
+
+@contextmanager
+def bar(name: str, *columns: Any, total: float | None = None, quiet: bool = False) -> Iterator[Callable[..., None]]:
+    """A bar on a terminal, nothing elsewhere; yields what is told ``completed``, ``advance`` or ``description``."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    there = Console(stderr=True)
+    with Progress(
+        *columns or Progress.get_default_columns(),
+        console=there, transient=True, disable=quiet or not there.is_terminal,
+    ) as shown:  # fmt: skip
+        yield partial(shown.update, shown.add_task(name, total=total))
 
 
 def table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> None:
     """A two-column table on standard output, or on standard error where that is kept for JSON."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -20,10 +57,7 @@ def table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> 
     shown.add_column(overflow="fold")
     for name, value in rows:
         shown.add_row(Text(name), Text(value))
-    console = Console(stderr=err, highlight=False)
-    if not console.is_terminal:
-        console = Console(stderr=err, highlight=False, width=120)
-    console.print(shown)
+    console(err=err).print(shown)
 
 
 def as_json(value: Any) -> Any:
@@ -41,12 +75,16 @@ def as_json(value: Any) -> Any:
 
 def echo_json(data: Any) -> None:
     """One JSON object on standard output."""
-    sys.stdout.write(json.dumps(as_json(data), indent=2, default=str) + "\n")
+    sys.stdout.write(json_text(data))
+
+
+def json_text(data: Any) -> str:
+    """One JSON object as text, as commands print and keep it."""
+    return json.dumps(as_json(data), indent=2, default=str) + "\n"
 
 
 def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """A table with a header on standard output; the first column names, the others hold figures."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -55,7 +93,4 @@ def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) ->
         shown.add_column(name, style="cyan" if index == 0 else None, justify="left" if index == 0 else "right")
     for row in rows:
         shown.add_row(*(Text(cell) for cell in row))
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=120)
-    console.print(shown)
+    console().print(shown)

@@ -208,16 +208,10 @@ def _view(
 
 
 def _follow(film: Video, view: View, body: Body, height: float, background: Path | None, json: bool) -> OpticalTrack:
-    from rich.console import Console
-    from rich.progress import Progress
-
     from smolbot.runs.optics.tracking import track_body
     from smolbot.runs.optics.video import read_picture
+    from smolbot.ui.cli.show import bar
 
     empty = None if background is None else read_picture(background, film.size)
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=json or not console.is_terminal) as shown:
-        task = shown.add_task("frames", total=film.frames)
-        return track_body(
-            film, view, body, height, background=empty, progress=lambda done, _: shown.update(task, completed=done)
-        )
+    with bar("frames", total=film.frames, quiet=json) as tell:
+        return track_body(film, view, body, height, background=empty, progress=lambda done, _: tell(completed=done))

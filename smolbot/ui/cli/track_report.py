@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json as encoder
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.errors import InputError
+from smolbot.errors import writing
 from smolbot.runs.optics.alignment import align
 from smolbot.runs.optics.analysis import PathAnalysis, analyse
 from smolbot.runs.optics.opticaltrack import OpticalTrack, write_optical_track
 from smolbot.runs.optics.trackfigures import tracking_error
-from smolbot.ui.cli.show import as_json, echo_json, table
+from smolbot.ui.cli.show import echo_json, json_text, table
 
 if TYPE_CHECKING:
     from smolbot.config.robot import RobotConfig
@@ -125,15 +124,15 @@ class TrackReport:
         from smolbot.runs.optics.picture import draw_track
 
         film = self.film
-        _make(folder)
+        with writing(folder, done="made"):
+            folder.mkdir(parents=True, exist_ok=True)
         write_optical_track(folder / "track.csv", self.track)
         what = film.path.name if run is None else run.resolve().name
         draw_track(self.track, self.view, self.height, film.background, folder / "track.png",
                    title=f"Optical track of {what}", line="   ·   ".join(self._line), analysis=self._analysis,
                    planned=self._planned)  # fmt: skip
         self.figures["track"] = str(folder / "track.csv")
-        text = encoder.dumps(as_json(self.figures), indent=2) + "\n"
-        (folder / "track.json").write_text(text, encoding="utf-8")
+        (folder / "track.json").write_text(json_text(self.figures), encoding="utf-8")
         self.rows.append(("written", f"{folder}: track.csv, track.json, track.png"))
         table(f"{film.path.name}", self.rows, err=json)
         if json:
@@ -165,10 +164,3 @@ def _compared(figures: dict[str, Any], given: bool) -> list[tuple[str, str]]:
 
 def _plain(f: dict[str, float]) -> str:
     return f"{f['mean']:.2f} ± {f.get('std', math.nan):.2f}, p95 {f['p95']:.2f}, worst {f['max']:.2f}"
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error}.") from error

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import json as encoder
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smolbot.errors import InputError
+from smolbot.core.text_table import write_rows
+from smolbot.errors import InputError, writing
 
 if TYPE_CHECKING:
     from smolbot.runs.optics.deflection import Swing
@@ -25,7 +24,7 @@ def measure_swing(
     from smolbot.runs.optics.deflection import follow_swing
     from smolbot.runs.optics.ringing import fit_ringing
     from smolbot.runs.optics.swingpicture import draw_swing
-    from smolbot.ui.cli.show import as_json, echo_json, table
+    from smolbot.ui.cli.show import echo_json, json_text, table
 
     if not told and clip.fps < SLOW:
         raise InputError(
@@ -36,12 +35,10 @@ def measure_swing(
     swing = follow_swing(clip)
     ringing = fit_ringing(swing.times, swing.angles, from_s, to_s)
     figures = _figures(swing, ringing, clip)
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder / "swing.csv", swing)
-        (folder / "swing.json").write_text(encoder.dumps(as_json(figures), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error}.") from error
+        (folder / "swing.json").write_text(json_text(figures), encoding="utf-8")
     f, a, d = (figures[k] for k in ("frequency_hz", "amplitude_deg", "damping_per_s"))
     largest = f"{figures['largest_deg']:.1f}° at most"
     line = f"{f['value']:.2f} Hz   ·   {largest}   ·   damping {d['value']:.2f} 1/s, {ringing.model}"
@@ -96,9 +93,6 @@ def _figures(swing: Swing, ringing: Ringing, clip: Video) -> dict[str, Any]:
 
 
 def _write(path: Path, swing: Swing) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["frame", "time_s", "x_px", "y_px", "arc_rad", "turn_rad"])
-        for i in range(len(swing.frames)):
-            values = (swing.times[i], *swing.centers[i], swing.arc[i], swing.turn[i])
-            writer.writerow([int(swing.frames[i]), *("" if math.isnan(v) else f"{v:.9g}" for v in values)])
+    table = zip(swing.frames, swing.times, *swing.centers.T, swing.arc, swing.turn, strict=True)
+    rows = ([int(number), *("" if math.isnan(v) else f"{v:.9g}" for v in values)] for number, *values in table)
+    write_rows(path, ["frame", "time_s", "x_px", "y_px", "arc_rad", "turn_rad"], rows)
