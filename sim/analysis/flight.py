@@ -17,7 +17,7 @@ from smolbot.config.plugins import load
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
-from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot, Window
+from smolbot.core.shots import Actuate, Shot, Window
 from smolbot.errors import InputError
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.noise.excitation_transients import QUIET_AFTER
@@ -96,18 +96,13 @@ class Model:
         require_loop(mission)
         self.mission = mission
         self.setup: Setup = mission.setup()
-        cycle = self.setup.cycle
-        self.ring_down = cycle.ring_down
+        self.ring_down = self.setup.cycle.ring_down
         listening = mission.sections.localization
-        if listening.estimator == "whitened" and listening.quiet_s > 0.0 and listening.learn_ring_down:
+        if listening.quiet > 0.0 and listening.learn_ring_down:
             constants = [c.time_constant for c in mission.rig.sections.excitation]
             self.ring_down = max(QUIET_AFTER * max(constants), self.setup.limits.min_ring_down)
-        frequency = self.setup.device.frequency
-        self.listening: tuple[Window, ...] = (
-            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
-            RingDown(self.ring_down),
-            Listen(cycle.half_periods, frequency),
-        )
+        cycle = replace(self.setup.cycle, ring_down=self.ring_down)
+        self.listening: tuple[Window, ...] = cycle.windows(self.setup.device.frequency)
         self._arc = np.linspace(0.0, mission.path.length, PLACES)
         self._covariances = covariances_along(mission, mission.path, self._arc)
 

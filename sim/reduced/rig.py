@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.core.rig import Witness
 from smolbot.core.rotations import half_turned
-from smolbot.core.sensing import Device, Recording
+from smolbot.core.sensing import Recording
 from smolbot.core.shots import Listen, Rest, Shot
 from smolbot.errors import InputError, RigError
 from smolbot.localization.localizer import Localizer
@@ -59,7 +58,7 @@ class ReducedRig:
         self._rig, self._rate, self._turnaround = rig, rig.sample_rate, rig.turnaround
         self._no_samples = np.zeros((len(rig.sensors), 0))
         self._believed_excitation = NominalExcitation(rig)
-        self._device = _true_device(robot.device, self._plant)
+        self._device = self._plant.truth.device(robot.device)
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
         self._errors: FitErrors | None = None
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
@@ -171,15 +170,3 @@ def require_flyable(mission: AnyMission) -> None:
             "The reduced plant knows robots of kind 'gradient' with the moment along the cantilever; "
             f"'{robot.name}' {what}. Fly it in the full tank: --plant full."
         )
-
-
-def _true_device(device: Device, plant: ReducedPlant) -> Device:
-    truth = plant.truth
-    return replace(
-        device,
-        moment=device.moment * truth.moment,
-        l0=device.l0 * truth.l0,
-        theta_max=device.theta_max * truth.theta_max,
-        frequency=device.frequency * truth.frequency,
-        damping=device.damping * truth.damping,
-    )

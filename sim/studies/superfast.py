@@ -16,7 +16,7 @@ from sim.studies.benches import (
     open_bench,
     reference_orientation,
 )
-from sim.studies.columns import chosen, columns_of, joined, position_errors
+from sim.studies.columns import chosen, columns_of, joined, position_errors, rms
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
@@ -213,16 +213,12 @@ def in_motion(part: Columns) -> dict[str, Any]:
     return {
         "n": len(x),
         "outliers": int(outside.sum()),
-        "rest_rms_mm": _rms(error[early & ~moves]),
-        "move_rms_mm": _rms(error[early & moves]),
-        "move_z_mm": _rms(part["error_z_mm"][early & moves]),
-        "rms_to_the_end_mm": _rms(error[~outside]),
+        "rest_rms_mm": rms(error[early & ~moves]),
+        "move_rms_mm": rms(error[early & moves]),
+        "move_z_mm": rms(part["error_z_mm"][early & moves]),
+        "rms_to_the_end_mm": rms(error[~outside]),
         "trusted": float(part["trusted"].mean()),
     }
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def _rest_line(case: dict[str, Any]) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from sim.tank.settings import TankSettings
 from smolbot.core.arrays import FloatArray
+from smolbot.core.sensing import Device
 
 CLIP = 3.0  # standard deviations: a tank is not built with a coil 2 mm off
 
@@ -83,6 +84,17 @@ class Truth(DrawnValues):
     compensation_tilt: FloatArray
     start_offset: FloatArray
     start_heading: float
+
+    def device(self, believed: Device) -> Device:
+        """The device as it was drawn, of one as it is believed to be."""
+        return replace(
+            believed,
+            moment=believed.moment * self.moment,
+            l0=believed.l0 * self.l0,
+            theta_max=believed.theta_max * self.theta_max,
+            frequency=believed.frequency * self.frequency,
+            damping=believed.damping * self.damping,
+        )
 
 
 @dataclass(frozen=True)

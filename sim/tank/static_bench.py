@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -97,16 +97,7 @@ class StaticBench:
         self.clock = 0.0
         self.last: Swing | None = None
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 1])))
-        t = self.truth
-        self.true_device = replace(
-            device,
-            moment=device.moment * t.moment,
-            l0=device.l0 * t.l0,
-            theta_max=device.theta_max * t.theta_max,
-            frequency=device.frequency * t.frequency,
-            damping=device.damping * t.damping,
-        )
-        d = self.true_device
+        self.true_device = d = self.truth.device(device)
         self._magnet = pack_device(
             d.moment, d.moment_in_body, d.l0, d.theta_max, d.frequency, d.damping, d.damping_model, 0.0, (0.0, 0.0, 0.0)
         )

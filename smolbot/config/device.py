@@ -86,9 +86,7 @@ def load_device(path: str | Path, robot: str | None = None) -> DeviceConfig:
         If there is no such file.
     """
     document = Document.read(Path(path))
-    sections, faults = document.validate(DeviceFile)
-    if sections is None:
-        raise document.error(faults)
+    sections = document.validated(DeviceFile)
     if robot is not None and sections.robot != robot:
         message = f"this device was calibrated for robot '{sections.robot}'; asked for is '{robot}'."
         raise document.error([Fault(("robot",), f"{message} Calibrate that one, or give the file that is its own.")])

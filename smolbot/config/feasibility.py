@@ -12,7 +12,7 @@ from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
-from smolbot.core.shots import Excite, Listen, RingDown, Shot
+from smolbot.core.shots import Shot
 from smolbot.errors import ConfigError
 from smolbot.localization.bounds import Window, pose_bound
 from smolbot.localization.chain import WINDOW
@@ -88,15 +88,7 @@ def _table_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault
 
 
 def _limit_faults(mission: MissionBase) -> list[Fault]:
-    frequency = mission.robot.device.frequency
-    cycle = mission.cycle
-    shot = Shot(
-        (
-            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
-            RingDown(cycle.ring_down),
-            Listen(cycle.half_periods, frequency),
-        )
-    )
+    shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
     return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
 
 

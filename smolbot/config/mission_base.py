@@ -31,6 +31,11 @@ class LocalizationSection(FileModel):
     quiet_s: NotNegative = 10.0
     learn_ring_down: bool = False
 
+    @property
+    def quiet(self) -> float:
+        """Seconds that are listened to before the first cycle: only the whitened estimator learns from them."""
+        return self.quiet_s if self.estimator == "whitened" else 0.0
+
 
 class StopSection(FileModel):
     """When to give up."""

@@ -190,7 +190,4 @@ class RobotConfig:
 def load_robot(name: str, beside: Path | None = None) -> RobotConfig:
     """Read a shipped robot by name, or a user's by path."""
     document = Document.read(find_file(name, "robots", beside))
-    sections, faults = document.validate(RobotFile)
-    if sections is None:
-        raise document.error(faults)
-    return RobotConfig(document, sections)
+    return RobotConfig(document, document.validated(RobotFile))

@@ -180,10 +180,8 @@ def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSe
         If there is no such file.
     """
     document = Document.read(path)
-    sections, faults = document.validate(SensorsFile)
-    if sections is None:
-        raise document.error(faults)
-    found = sections.sensors
+    sections = document.validated(SensorsFile)
+    found, faults = sections.sensors, []
     if sections.rig != rig:
         faults.append(Fault(("rig",), f"these sensors were calibrated on rig '{sections.rig}'; asked for is '{rig}'."))
     if len(found.positions_mm) != len(believed.positions_mm):

@@ -51,10 +51,8 @@ def make_loop(
     scheduler = Scheduler(cycle, rig.limits, device, rig.excitation_field, rig.now, inertia)
     listening = mission.base.localization
     localizer = Localizer(rig.sensors, device, estimator=listening.estimator, volume=search_volume(mission))
-    whitened = listening.estimator == "whitened"
-    quiet = Quiet(
-        listening.quiet_s if whitened else 0.0, mission.rig.sample_rate, whitened and listening.learn_ring_down
-    )
+    learns = listening.estimator == "whitened" and listening.learn_ring_down
+    quiet = Quiet(listening.quiet, mission.rig.sample_rate, learns)
     stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer

@@ -10,7 +10,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
-from smolbot.core.shots import Actuate, Mechanical, Rotate
+from smolbot.core.shots import Actuate, Excite, Listen, Mechanical, RingDown, Rotate
 from smolbot.errors import InputError, did_you_mean
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
@@ -52,6 +52,11 @@ class Cycle:
     ring_down: float = 0.020
     half_periods: int = 2
     excite_current: float = 10.0
+
+    def windows(self, frequency: float) -> tuple[Excite, RingDown, Listen]:
+        """A drive by the first coil and what follows it, at a resonance in Hz."""
+        drive = Excite((self.excite_current, 0.0), frequency, self.excite_cycles)
+        return drive, RingDown(self.ring_down), Listen(self.half_periods, frequency)
 
     def duration(self, frequency: float) -> float:
         """From the end of the actuation to the end of listening, in s."""

@@ -12,7 +12,7 @@ from smolbot.config.plugins import load
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
-from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot
+from smolbot.core.shots import Actuate, Shot
 from smolbot.motion.controller import Controller, Reach
 from smolbot.motion.gradient import advance
 from smolbot.paths.corners import corner_indices, curvature
@@ -86,8 +86,7 @@ class _Rollout:
         self.position = np.array([*mission.start, mission.rig.surface_z])
         first = mission.path.points[0] - self.position
         self.heading = float(np.arctan2(first[1], first[0]))
-        listening = mission.sections.localization
-        self.quiet = listening.quiet_s if listening.estimator == "whitened" else 0.0
+        self.quiet = mission.sections.localization.quiet
         self.clock = self.quiet + 2.0 * self.rest  # one shot to find the signal, one to confirm it
         self.begun = self.clock
         self.cycles = 2
@@ -150,13 +149,8 @@ class _Rollout:
 
     def typical_shot(self) -> Shot:
         """A cycle with the actuation of median length."""
-        cycle, frequency = self.setup.cycle, self.setup.device.frequency
         windows = sorted(self.windows, key=lambda w: w.duration)
-        listening = (
-            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
-            RingDown(cycle.ring_down),
-            Listen(cycle.half_periods, frequency),
-        )
+        listening = self.setup.cycle.windows(self.setup.device.frequency)
         return Shot((windows[len(windows) // 2], *listening) if windows else listening)
 
 

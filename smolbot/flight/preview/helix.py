@@ -13,7 +13,7 @@ from smolbot.config.plugins import load
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
-from smolbot.core.shots import Excite, Listen, RingDown, Rotate, Shot, magnet_near_after
+from smolbot.core.shots import Rotate, Shot, magnet_near_after
 from smolbot.motion.controller import Controller, HelixSetup
 from smolbot.paths.curve import Curve
 
@@ -89,7 +89,7 @@ def preview_helix(mission: Mission) -> HelixPreview:
             f"this robot turns with {radius * 1e3:.1f} mm at least.",
         )
     turns = [sum(w.turns for w in shot.windows if isinstance(w, Rotate)) for shot in shots]
-    listening = _listening(setup)
+    listening = Shot(setup.cycle.windows(setup.device.frequency))
     return HelixPreview(
         maneuver=shots[len(shots) // 2] if shots else listening,
         listening=listening,
@@ -115,17 +115,6 @@ def tightest_bend(path: Curve) -> float:
     return span / most if most > 0 else math.inf
 
 
-def _listening(setup: HelixSetup) -> Shot:
-    cycle, frequency = setup.cycle, setup.device.frequency
-    return Shot(
-        (
-            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
-            RingDown(cycle.ring_down),
-            Listen(cycle.half_periods, frequency),
-        )
-    )
-
-
 def _fly(
     mission: Mission, setup: HelixSetup, controller: Controller
 ) -> tuple[list[Shot], float, FloatArray, list[str]]:
@@ -136,8 +125,7 @@ def _fly(
         np.array([math.cos(heading), math.sin(heading), 0.0]), np.array([0, 0, 1.0]), "zx"
     )
     rest = setup.cycle.duration(setup.device.frequency) + mission.rig.turnaround
-    listened = mission.sections.localization
-    clock = (listened.quiet_s if listened.estimator == "whitened" else 0.0) + 2.0 * rest
+    clock = mission.sections.localization.quiet + 2.0 * rest
     quiet, limit = clock, mission.sections.stop.max_duration_s
     controller.reset(mission.path, Pose(clock, position, orientation, KNOWN))
     shots: list[Shot] = []

@@ -10,7 +10,7 @@ from smolbot.config.feasibility import expected_covariances
 from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import quaternion_from_axes
-from smolbot.core.shots import Excite, Listen, RingDown, Shot
+from smolbot.core.shots import Shot
 
 SEARCHES = 2.0
 """Shots that a search takes on average before the signal suffices."""
@@ -51,17 +51,9 @@ class ObservationPreview:
 
 def preview_observation(mission: Observation) -> ObservationPreview:
     """Time an observation on paper, and look up what noise would leave of its poses."""
-    cycle, frequency = mission.cycle, mission.robot.device.frequency
-    shot = Shot(
-        (
-            Excite((cycle.excite_current, 0.0), frequency, cycle.excite_cycles),
-            RingDown(cycle.ring_down),
-            Listen(cycle.half_periods, frequency),
-        )
-    )
+    shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
     whole = shot.duration + mission.rig.turnaround
-    section, listening = mission.sections.observe, mission.sections.localization
-    quiet = listening.quiet_s if listening.estimator == "whitened" else 0.0
+    section, quiet = mission.sections.observe, mission.sections.localization.quiet
     if section.measurements is not None:
         cycles = round(section.measurements * (1.0 + SEARCHES))
     else:

@@ -109,11 +109,7 @@ def read_fiducials(path: Path) -> FiducialsFile:
     ConfigError, MissingFileError
         With ``file:line: key`` for each fault.
     """
-    document = Document.read(path)
-    sections, faults = document.validate(FiducialsFile)
-    if sections is None:
-        raise document.error(faults)
-    return sections
+    return Document.read(path).validated(FiducialsFile)
 
 
 def corners_of(section: FiducialsSection, marker: MarkerSection) -> FloatArray:
