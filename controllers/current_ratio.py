@@ -17,7 +17,6 @@ from controllers.pace import Pace
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate
-from smolbot.errors import InputError
 from smolbot.flight.scheduler import stretched_actuation
 from smolbot.motion.controller import Command, Gain, Phase, Reach, Setup, complete_gains
 from smolbot.paths.curve import Curve
@@ -95,10 +94,7 @@ class CurrentRatio:
 
     def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
         self.setup = setup
-        values = complete_gains(self.gains, gains, "current_ratio")
-        if values["i_min_a"] > values["i_max_a"]:
-            given = f"got {values['i_min_a']:g} and {values['i_max_a']:g}."
-            raise InputError(f"i_min_a must not exceed i_max_a of current_ratio; {given}")
+        values = complete_gains(self.gains, gains, "current_ratio", ("i_min_a", "i_max_a"))
         self._i_min, self._i_max = values["i_min_a"], values["i_max_a"]
         self._most = min(self._i_max, setup.limits.max_current)
         self._threshold = values["p_thr_mm"] * 1e-3

@@ -15,6 +15,7 @@ from smolbot.errors import InputError, SmolbotError
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
+    from smolbot.motion.controller import Setup
 
 STEPS, STEPS_OF_BOTH, STEPS_OF_FEW = 12, 24, 48
 """Directions of the field tried per quarter turn, before the best are refined: head first, by either end (whose peaks
@@ -123,6 +124,14 @@ class ForceAllocator:
     >>> print(allocator.currents(here, np.array([0.0, 1.0, 0.0]), force=60e-6).round(1))
     [0.  0.1 3.  0.7]
     """
+
+    @classmethod
+    def of(cls, setup: Setup, *, head_first: bool, least_field: float) -> ForceAllocator:
+        """The allocator of a law, by what the law knows of its world."""
+        most, unipolar = setup.limits.max_current, setup.limits.unipolar
+        return cls(
+            setup.table, most, setup.robot.moment, unipolar=unipolar, head_first=head_first, least_field=least_field
+        )
 
     def __init__(
         self,

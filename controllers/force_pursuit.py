@@ -35,22 +35,14 @@ class ForcePursuit:
 
     def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
         self.setup = setup
-        values = complete_gains(self.gains, gains, "force_pursuit")
-        if values["t_min_ms"] > values["t_max_ms"]:
-            given = f"got {values['t_min_ms']:g} and {values['t_max_ms']:g}."
-            raise InputError(f"t_min_ms must not exceed t_max_ms of force_pursuit; {given}")
+        values = complete_gains(self.gains, gains, "force_pursuit", ("t_min_ms", "t_max_ms"))
         self._lookahead = values["lookahead_mm"] * 1e-3
         self._force = values["force_un"] * 1e-6
         self._t_min, self._t_max = values["t_min_ms"] * 1e-3, values["t_max_ms"] * 1e-3
         self._sharp = float(np.radians(values["sharp_deg"]))
         self._handover = min(values["handover_mm"] * 1e-3, setup.tolerance)
-        self._allocator = ForceAllocator(
-            setup.table,
-            setup.limits.max_current,
-            setup.robot.moment,
-            unipolar=setup.limits.unipolar,
-            head_first=values["tail_first"] < 0.5,
-            least_field=values["least_field_mt"] * 1e-3,
+        self._allocator = ForceAllocator.of(
+            setup, head_first=values["tail_first"] < 0.5, least_field=values["least_field_mt"] * 1e-3
         )
         self._rest = setup.cycle.duration(setup.device.frequency)
         self._course: Course | None = None

@@ -94,10 +94,7 @@ class Predictive:
 
     def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
         self.setup = setup
-        values = complete_gains(self.gains, gains, "predictive")
-        if values["short_ms"] > values["window_ms"]:
-            given = f"got {values['short_ms']:g} and {values['window_ms']:g}."
-            raise InputError(f"short_ms must not exceed window_ms of predictive; {given}")
+        values = complete_gains(self.gains, gains, "predictive", ("short_ms", "window_ms"))
         longest = setup.limits.max_actuation
         self._window, self._short = (min(values[name] * 1e-3, longest) for name in ("window_ms", "short_ms"))
         self._speed = values["speed_mm_s"] * 1e-3
@@ -117,14 +114,7 @@ class Predictive:
         starts = np.concatenate([np.zeros((1, len(self._high))), starts])  # the first row is for the last plan
         self._starts = {n: np.repeat(starts[:, None, :], n, axis=1) for n in (1, 2)}
         self._compass = Compass(setup, self._low, self._high, self._head_first, least, values["turn_s"])
-        self._allocator = ForceAllocator(
-            setup.table,
-            setup.limits.max_current,
-            setup.robot.moment,
-            unipolar=setup.limits.unipolar,
-            head_first=self._head_first,
-            least_field=least,
-        )
+        self._allocator = ForceAllocator.of(setup, head_first=self._head_first, least_field=least)
         self._headings: list[FloatArray] = []
         self._course: Course | None = None
         self._pace: Pace | None = None

@@ -61,10 +61,8 @@ class Screwing:
 
         From that of the pose (6, 6), from what is not yet known of the helix, and from what turns add by chance.
         """
-        end, jacobian = self._jacobian(state, legs)
+        end, frame, jacobian = self._jacobian(state, legs)
         turns = sum(leg.turns for leg in legs)
-        forward = np.array([math.cos(end[kernels.HEADING]), math.sin(end[kernels.HEADING])])
-        frame = np.array([forward, [-forward[1], forward[0]]])
         out = jacobian @ self.covariance @ jacobian.T
         out[:2, :2] += frame @ covariance[:2, :2] @ frame.T
         moved = frame @ (end[:2] - state[:2])
@@ -88,10 +86,8 @@ class Screwing:
         seat : float, in m
             By how much the advance is off because the roll was not known at the start.
         """
-        end, jacobian = self._jacobian(state, legs)
+        end, frame, jacobian = self._jacobian(state, legs)
         turns = sum(leg.turns for leg in legs)
-        forward = np.array([math.cos(end[kernels.HEADING]), math.sin(end[kernels.HEADING])])
-        frame = np.array([forward, [-forward[1], forward[0]]])
         off = np.append(frame @ (found[:2] - end[:2]), kernels.wrapped(found[kernels.HEADING] - end[kernels.HEADING]))
         length = self.helix.advance * turns
         noise = np.diag(
@@ -110,8 +106,11 @@ class Screwing:
         left = np.eye(4) - gain @ jacobian
         self.covariance = left @ prior @ left.T + gain @ noise @ gain.T
 
-    def _jacobian(self, state: FloatArray, legs: list[Leg]) -> tuple[FloatArray, FloatArray]:
-        """Where legs lead, and how that changes (3, 4), along, across and in heading, with each factor."""
+    def _jacobian(self, state: FloatArray, legs: list[Leg]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Where legs lead, the frame (2, 2) along and across there, and how the end changes (3, 4) with each factor.
+
+        Its rows are along, across and in heading.
+        """
         end = self.predict(state, legs)
         forward = np.array([math.cos(end[kernels.HEADING]), math.sin(end[kernels.HEADING])])
         frame = np.array([forward, [-forward[1], forward[0]]])
@@ -122,4 +121,4 @@ class Screwing:
             other = self.predict(state, legs, factors)
             jacobian[:2, i] = frame @ (other[:2] - end[:2]) / step
             jacobian[2, i] = kernels.wrapped(other[kernels.HEADING] - end[kernels.HEADING]) / step
-        return end, jacobian
+        return end, frame, jacobian

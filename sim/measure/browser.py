@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from smolbot.core.closing import Closing
+
 CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
 
 OPTIONS = (
@@ -34,7 +36,7 @@ def missing() -> str:
     return f"{', '.join(gone)} is missing (make system-deps)" if gone else ""
 
 
-class Browser:
+class Browser(Closing):
     """Chromium without a display, and without the rights to go before others, as a user's would be.
 
     Parameters
@@ -142,9 +144,3 @@ class Browser:
         """End the browser."""
         self.driver.quit()
         shutil.rmtree(self._profile, ignore_errors=True)
-
-    def __enter__(self) -> Browser:
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()

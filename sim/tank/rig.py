@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from sim.tank.history import TankWitness
 from sim.tank.magnetics.coils import NominalExcitation
@@ -13,6 +12,7 @@ from sim.tank.tank import Step, Tank
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray, as_floats
+from smolbot.core.closing import Closing
 from smolbot.core.coil_probe import AFTER, BEFORE, HELD, Probe, probe_shot
 from smolbot.core.rig import Witness
 from smolbot.core.sensing import Recording
@@ -20,7 +20,7 @@ from smolbot.core.shots import Excite, Listen, MoveMagnet, Rest, Shot, magnet_ne
 from smolbot.errors import RigError
 
 
-class TankRig:
+class TankRig(Closing):
     """A rig whose world is simulated. What it says about itself is nominal; the truth leaves only by the witness.
 
     Attributes
@@ -141,14 +141,6 @@ class TankRig:
     def provenance(self) -> dict[str, Any]:
         """What this tank was drawn as: seed, whether ideal, and every drawn mismatch."""
         return {"seed": self._seed, "ideal": self._ideal, **self._tank.drawn()}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _recording(self, shot: Shot, begin: float) -> Recording | None:
         heard: Recording | None = None

@@ -7,8 +7,9 @@ import json
 import socket
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import Any
 
+from smolbot.core.closing import Closing
 from smolbot.errors import InputError, RigError
 
 Handler = Callable[[Mapping[str, Any]], Any]
@@ -66,7 +67,7 @@ class ControlServer:
         self._socket.close()
 
 
-class TwinControl:
+class TwinControl(Closing):
     """A client of a twin's control.
 
     Examples
@@ -126,9 +127,3 @@ class TwinControl:
         """Let go of the connection."""
         self._stream.close()
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -9,7 +9,9 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
+
+from smolbot.core.closing import Closing
 
 SupplyFault = Literal["off", "stalled", "wrong id", "garbled"]
 """``off``: no power, connections break. ``stalled``: takes commands, says nothing. ``wrong id``: says it is another
@@ -265,7 +267,7 @@ _COMMANDS: list[tuple[re.Pattern[str], Act]] = [
 ]
 
 
-class SupplyServer:
+class SupplyServer(Closing):
     """A supply behind a socket of this machine, from construction to `close`.
 
     Examples
@@ -327,12 +329,6 @@ class SupplyServer:
         with self._lock:
             for client in self._clients:
                 _hang_up(client)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _serve(self, handler: socketserver.StreamRequestHandler) -> None:
         client: socket.socket = handler.request

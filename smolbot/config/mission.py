@@ -9,7 +9,7 @@ from pydantic import Field
 
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.feasibility import fitness_faults
-from smolbot.config.mission_base import MissionBase, MissionBaseFile, load_parts, open_document, raise_all
+from smolbot.config.mission_base import MissionBase, MissionBaseFile, load_parts, open_document
 from smolbot.config.path_section import PathSection, read_path
 from smolbot.config.plugins import load, names
 from smolbot.config.rig import RigConfig
@@ -171,14 +171,8 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     if "observe" in document.data:
         message = "this mission only looks, and steers nothing; smolbot run and smolbot simulate carry it out."
         raise document.error([Fault(("observe",), message)])
-    sections, faults = document.validate(MissionFile)
-    messages = [document.error(faults)] if faults else []
-    rig_config, robot_config, found = load_parts(document, rig, settings)
-    messages += found + [document.error(faults) for faults in [_law_faults(document)] if faults]
-    raise_all(messages)
-    assert sections is not None
-    assert rig_config is not None
-    assert robot_config is not None
+    laws = _law_faults(document)
+    sections, rig_config, robot_config = load_parts(document, MissionFile, rig, settings, laws)
     if robot_config.kind == "device":
         message = f"'{robot_config.name}' is of kind 'device', which nothing moves; a path needs a robot that swims."
         raise document.error([Fault(("robot",), message)])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.document import Document, Fault, FileModel, Model
 from smolbot.config.library import find_file
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
@@ -80,10 +81,17 @@ def open_document(name: str, settings: dict[str, str]) -> Document:
 
 
 def load_parts(
-    document: Document, rig: str | None, settings: dict[str, str]
-) -> tuple[RigConfig | None, RobotConfig | None, list[ConfigError]]:
-    """Rig and robot that a mission file names, and what is wrong with them; `rig` takes the place of its own."""
-    messages: list[ConfigError] = []
+    document: Document, model: type[Model], rig: str | None, settings: dict[str, str], more: Sequence[Fault] = ()
+) -> tuple[Model, RigConfig, RobotConfig]:
+    """A mission file with the rig and robot that it names; `rig` takes the place of its own.
+
+    Raises
+    ------
+    ConfigError
+        With a line for every fault of the three files, and for `more`.
+    """
+    sections, faults = document.validate(model)
+    messages = [document.error(faults)] if faults else []
     folder = document.path.parent
     rig_name = rig or _text(document, "rig")
     rig_config = robot_config = None
@@ -100,10 +108,14 @@ def load_parts(
             robot_config = load_robot(robot_name, beside=folder)
     except SmolbotError as error:
         messages.append(_as_config(document, ("robot",), error))
-    return rig_config, robot_config, messages
+    _raise_all(messages + ([document.error(list(more))] if more else []))
+    assert sections is not None
+    assert rig_config is not None
+    assert robot_config is not None
+    return sections, rig_config, robot_config
 
 
-def raise_all(messages: list[ConfigError]) -> None:
+def _raise_all(messages: list[ConfigError]) -> None:
     """Raise one error with every line of `messages` once; nothing where there is none."""
     if messages:
         raise ConfigError("\n".join(dict.fromkeys("\n".join(str(m) for m in messages).splitlines())))

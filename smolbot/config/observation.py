@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
-from smolbot.config.mission_base import MissionBase, MissionBaseFile, load_parts, open_document, raise_all
+from smolbot.config.mission_base import MissionBase, MissionBaseFile, load_parts, open_document
 from smolbot.config.plugins import load_world
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -93,13 +93,7 @@ def load_observation(name: str, rig: str | None = None, settings: dict[str, str]
     if both and observes(document):
         message = f"[observe] only looks, and [{both[0]}] steers: a mission has one or the other."
         raise document.error([Fault((both[0],), message)])
-    sections, faults = document.validate(ObservationFile)
-    messages = [document.error(faults)] if faults else []
-    rig_config, robot_config, found = load_parts(document, rig, settings)
-    raise_all(messages + found)
-    assert sections is not None
-    assert rig_config is not None
-    assert robot_config is not None
+    sections, rig_config, robot_config = load_parts(document, ObservationFile, rig, settings)
     unfit = _unfit(rig_config, robot_config)
     if unfit:
         raise document.error(unfit)

@@ -191,19 +191,26 @@ class Controller(Protocol):
         """How its force would act along `path`; what `preview` shows."""
 
 
-def complete_gains(known: Mapping[str, Gain], given: Mapping[str, float], law: str) -> dict[str, float]:
-    """Given gains laid over the defaults.
+def complete_gains(
+    known: Mapping[str, Gain], given: Mapping[str, float], law: str, rising: tuple[str, str] | None = None
+) -> dict[str, float]:
+    """Given gains laid over the defaults; of the two `rising` ones the first must not exceed the second.
 
     Raises
     ------
     InputError
-        For every unknown gain, and every one outside its range.
+        For every unknown gain, and every one outside its range; for two that do not rise.
     """
     faults = [gain_fault(known, name, value, law) for name, value in given.items()]
     found = [fault for fault in faults if fault]
     if found:
         raise InputError(" ".join(found))
-    return {name: float(given.get(name, gain.default)) for name, gain in known.items()}
+    values = {name: float(given.get(name, gain.default)) for name, gain in known.items()}
+    if rising is not None and values[rising[0]] > values[rising[1]]:
+        low, high = rising
+        got = f"got {values[low]:g} and {values[high]:g}."
+        raise InputError(f"{low} must not exceed {high} of {law}; {got}")
+    return values
 
 
 def gain_fault(known: Mapping[str, Gain], name: str, value: Any, law: str) -> str | None:

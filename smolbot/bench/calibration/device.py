@@ -226,7 +226,7 @@ class _Calibrator:
         for current in (0.3 * self.max_current, self.max_current):
             for direction in DIRECTIONS:
                 heard = self.play(current * np.array(direction), self.device.frequency)
-                fit = self.ringing(heard, self.device, search=2.0 * self.plan.sweep_span)
+                fit = self.ringing(heard, search=2.0 * self.plan.sweep_span)
                 if best is None or fit.signal_to_noise > best[0]:
                     best = (fit.signal_to_noise, heard, fit)
             if best is not None and best[0] > HEARD:
@@ -252,7 +252,7 @@ class _Calibrator:
             driven = self.believed.frequency + float(offset)
             self.tell(f"driving at {driven:.2f} Hz")
             heard = self.play(self.mix() * self.gentle(), driven)
-            fit = self.ringing(heard, self.device, search=2.0)
+            fit = self.ringing(heard, search=2.0)
             if fit.signal_to_noise > HEARD:
                 points.append(SweepPoint(driven, fit.frequency, fit.frequency_std, fit.strength))
         if len(points) < 2:
@@ -270,7 +270,7 @@ class _Calibrator:
             self.take(self.fit(heard[-1]))
         fits: dict[DampingModel, list[DeviceFit]] = {}
         for model in MODELS:
-            start = replace(self.device, damping=self.start_damping(heard[0], model), damping_model=model)
+            start = replace(self.device, damping=self.ringing(heard[0], 1.0, model).damping, damping_model=model)
             fits[model] = [self.fit(recording, start) for recording in heard]
         bic = {m: sum(f.n_data * float(np.log(f.sse / f.n_data)) for f in fits[m]) for m in MODELS}
         chosen = min(MODELS, key=bic.__getitem__)
@@ -327,15 +327,10 @@ class _Calibrator:
             raise SignalLostError("The rig returned no recording for a shot that listens.")
         return heard
 
-    def ringing(self, heard: Recording, device: Device, search: float) -> RingDownFit:
+    def ringing(self, heard: Recording, search: float, model: DampingModel | None = None) -> RingDownFit:
         from smolbot.localization.device.ringdown import measure
 
-        return measure(heard, self.rig.sensors, device, hum=self.hum, search=search)
-
-    def start_damping(self, heard: Recording, model: DampingModel) -> float:
-        from smolbot.localization.device.ringdown import measure
-
-        return measure(heard, self.rig.sensors, self.device, hum=self.hum, search=1.0, damping_model=model).damping
+        return measure(heard, self.rig.sensors, self.device, hum=self.hum, search=search, damping_model=model)
 
     def fit(self, heard: Recording, device: Device | None = None, *, known_time: bool = False) -> DeviceFit:
         from smolbot.localization.device.fit import fit_device

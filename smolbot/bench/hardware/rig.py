@@ -7,8 +7,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterator
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray, as_floats
+from smolbot.core.closing import Closing
 from smolbot.core.coil_probe import BEFORE, Probe, probe_shot
 from smolbot.core.rig import CheckItem, Witness
 from smolbot.core.sensing import Recording
@@ -37,7 +37,7 @@ LOST_IN_A_ROW = 2
 """Windows lost one after the other that are no accident any more: a card that fails twice fails for good."""
 
 
-class BenchRig:
+class BenchRig(Closing):
     """A rig whose world is real, or a twin that speaks the same protocols.
 
     Attributes
@@ -232,14 +232,6 @@ class BenchRig:
             found["supply"] = str(self._supply.identity)
         drawn = getattr(self.witness, "provenance", None)
         return found if drawn is None else found | {"twin": drawn()}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _electrical(self, shot: Shot) -> Recording | None:
         assert self._card is not None
