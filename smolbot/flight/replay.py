@@ -22,7 +22,7 @@ from smolbot.runs.folder import packages
 from smolbot.runs.recording.reader import RecordedRun, read_run
 from smolbot.runs.run import CycleRecord
 from smolbot.runs.summary import against_truth
-from smolbot.runs.trace import Moment
+from smolbot.runs.trace import Moment, located
 
 
 @dataclass(frozen=True)
@@ -156,8 +156,7 @@ def figures(replayed: Replay) -> dict[str, dict[str, Any]]:
 
 
 def _figures(mission: MissionBase, moments: Sequence[Moment]) -> dict[str, Any]:
-    poses = [m.cycle.pose for m in moments if m.cycle.pose is not None]
-    trusted = [p for p in poses if p.trusted]
+    trusted = located(moments)
     sigma = [1e3 * float(np.sqrt(p.covariance[:3, :3].trace() / 3.0)) for p in trusted]
     out: dict[str, Any] = {
         "windows": sum(m.cycle.shot.listen is not None for m in moments),
@@ -174,9 +173,9 @@ def apart(replayed: Replay) -> dict[str, Any]:
     from smolbot.runs.summary import statistics
 
     pairs = [
-        (m.cycle.pose, c.pose)
+        (first, second)
         for m, c in zip(replayed.record.moments, replayed.cycles, strict=False)
-        if m.cycle.pose is not None and c.pose is not None and m.cycle.pose.trusted and c.pose.trusted
+        if (first := m.cycle.trusted) is not None and (second := c.trusted) is not None
     ]
     if not pairs:
         return {}

@@ -9,7 +9,7 @@ import numpy as np
 from smolbot.config.observation import Observation
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import mean_rotation, rotation_error
-from smolbot.runs.run import Run
+from smolbot.runs.run import Run, trusted_poses
 from smolbot.runs.summary import against_truth, common_figures
 from smolbot.runs.trace import Moment, Trace
 
@@ -36,8 +36,7 @@ def summarise_observation(mission: Observation, run: Run, trace: Trace) -> dict[
 
 def measurements(trace: Trace) -> list[Moment]:
     """The cycles that measured: those after a search, with a pose that can be trusted."""
-    heard = [m for m in trace.moments if m.cycle.shot.mode == "hold" and m.cycle.pose is not None]
-    return [m for m in heard if m.cycle.pose is not None and m.cycle.pose.trusted]
+    return [m for m in trace.moments if m.cycle.shot.mode == "hold" and m.cycle.trusted is not None]
 
 
 def watching(run: Run) -> dict[str, Any]:
@@ -45,12 +44,12 @@ def watching(run: Run) -> dict[str, Any]:
 
     A gap is a run of shots, after the first trusted pose, of which none gave a pose that can be trusted.
     """
-    seen = [c.pose is not None and c.pose.trusted for c in run.cycles]
+    seen = [c.trusted is not None for c in run.cycles]
     if not any(seen):
         return {"pose_rate_hz": 0.0, "gaps": {"count": 0, "shots": 0, "longest_s": 0.0}}
     first = seen.index(True)
     cycles = run.cycles[first:]
-    times = [c.pose.time for c in cycles if c.pose is not None and c.pose.trusted]
+    times = [pose.time for pose in trusted_poses(cycles)]
     lost = [i for i in range(first, len(seen)) if not seen[i]]
     begun = [i for i in lost if seen[i - 1]]
     watched = cycles[-1].shot.end - cycles[0].shot.start

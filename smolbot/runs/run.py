@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -30,6 +31,11 @@ class CycleRecord:
     ended: float = float("inf")
     rig: str = ""
 
+    @property
+    def trusted(self) -> Pose | None:
+        """The pose as located, if it may be trusted."""
+        return self.pose if self.pose is not None and self.pose.trusted else None
+
 
 @dataclass(frozen=True)
 class Event:
@@ -38,6 +44,11 @@ class Event:
     time: float
     what: str
     detail: dict[str, object] = field(default_factory=dict)
+
+
+def trusted_poses(cycles: Iterable[CycleRecord]) -> list[Pose]:
+    """Those of some cycles, in order."""
+    return [pose for cycle in cycles if (pose := cycle.trusted) is not None]
 
 
 @dataclass

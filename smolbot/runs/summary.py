@@ -13,8 +13,8 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import nearer_twin, rotation_error
 from smolbot.core.shots import Actuate, Rotate
-from smolbot.runs.run import Run
-from smolbot.runs.trace import Moment, Trace
+from smolbot.runs.run import Run, trusted_poses
+from smolbot.runs.trace import Moment, Trace, compared
 
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
     played = sum(c.shot.duration for c in cycles)
     duration = run.duration
     cycling = duration - run.begun
-    poses = [c.pose for c in cycles if c.pose is not None and c.pose.trusted]
+    poses = trusted_poses(cycles)
     return {
         "mission": mission.name,
         "rig": mission.rig.name,
@@ -58,7 +58,7 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
         "turnaround_ms": mission.rig.turnaround * 1e3,
         "compute_ms": _compute(run),
         "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
-        "poses_untrusted": sum(c.pose is None or not c.pose.trusted for c in cycles if c.shot.listen is not None),
+        "poses_untrusted": sum(c.trusted is None for c in cycles if c.shot.listen is not None),
         **run.safety,
         "recovered": run.recovered,
         "events": [{"time_s": e.time, "what": e.what, **e.detail} for e in run.events],
@@ -114,8 +114,7 @@ def path_time(trace: Trace) -> float | None:
 def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:
     """Errors of the trusted poses among `moments`; empty where no witness knew the truth."""
     along = mission.robot.device.along_cantilever
-    heard = [(m.cycle.pose, m.truth) for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted]
-    known = [(pose, truth) for pose, truth in heard if truth is not None]
+    known = compared(moments)
     tracked = [(m.cycle.tracked, m.truth) for m in moments if m.cycle.shot.listen is not None]
     out: dict[str, Any] = {}
     if known:
@@ -161,10 +160,9 @@ def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
     ``axis_to_path_deg`` is the angle, seen from above, between the true axis and the path where the magnet is fetched:
     a screw that bends, drifts and is late goes not quite where it points.
     """
-    heard = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
     ends = [m for m in trace.moments if m.cycle.command.mechanical and m.cycle.tracked and m.truth]
     out = {}
-    located = [axis_angle(m.cycle.pose, m.truth) for m in heard if m.cycle.pose and m.truth]
+    located = [axis_angle(pose, truth) for pose, truth in compared(trace.moments)]
     if located:
         out["axis_error_deg"] = statistics(np.degrees(located), "mean", "rms", "p95", "max")
     if ends:

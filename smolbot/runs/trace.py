@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +12,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rig import Witness
 from smolbot.core.shots import Actuate
-from smolbot.runs.run import CycleRecord
+from smolbot.runs.run import CycleRecord, trusted_poses
 
 WAY_STEP = 0.2
 """Seconds between two places on a robot's way while nothing listens."""
@@ -37,6 +38,16 @@ class Moment:
         """Where the robot truly was (n, 3), in m: on its way, when it was heard, and at the end of the shot."""
         known = [p.position for p in (self.truth, self.truth_at_end) if p is not None]
         return np.vstack([self.way, np.array(known).reshape(-1, 3)])
+
+
+def located(moments: Iterable[Moment]) -> list[Pose]:
+    """Trusted poses of some cycles, in order."""
+    return trusted_poses(m.cycle for m in moments)
+
+
+def compared(moments: Iterable[Moment]) -> list[tuple[Pose, Pose]]:
+    """The same, each with where the device truly was at its time; none where no witness knew."""
+    return [(pose, m.truth) for m in moments if (pose := m.cycle.trusted) is not None and m.truth is not None]
 
 
 class Trace:

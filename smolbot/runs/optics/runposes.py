@@ -11,6 +11,7 @@ from smolbot.config.load import AnyMission
 from smolbot.core.arrays import BoolArray, FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.recording.reader import read_run
+from smolbot.runs.run import trusted_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +55,10 @@ def read_run_poses(folder: str | Path) -> RunPoses:
         If there is no record of a run, or it holds no trusted pose.
     """
     record = read_run(folder)
-    heard = [m.cycle for m in record.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    heard = [m.cycle for m in record.moments if m.cycle.trusted is not None]
     if not heard:
         raise InputError(f"{record.path}: holds no trusted pose to compare with.")
-    poses = [cycle.pose for cycle in heard if cycle.pose is not None]
+    poses = trusted_poses(heard)
     begun = {m.cycle.shot.start for m in record.trace().following}
     nowhere = np.full(3, np.nan)
     mission = record.mission()

@@ -23,7 +23,7 @@ from smolbot.runs.pictures.style import (
 )
 from smolbot.runs.run import Run
 from smolbot.runs.summary import label_of, tracking_distance
-from smolbot.runs.trace import Trace
+from smolbot.runs.trace import Trace, compared, located
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,10 +73,10 @@ def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
     """Planned path, true way and trusted poses, from above."""
     planned = mission.path.points * 1e3
     axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
-    heard = [m.cycle.pose for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    heard = located(trace.moments)
     if heard:
-        located = np.array([p.position for p in heard]) * 1e3
-        dots(axes, located[:, 0], located[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
+        places = np.array([p.position for p in heard]) * 1e3
+        dots(axes, places[:, 0], places[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
     true_way(axes, trace.true_positions() * 1e3, (6, -13))
     axes.margins(0.08)
     from_above(axes)
@@ -98,15 +98,13 @@ def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 def draw_localization(axes: Axes, trace: Trace) -> None:
     """Distance of each trusted pose, and of the tracked ones, to the truth over time."""
-    known = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
+    known = compared(trace.moments)
     if known:
-        times = [m.truth.time for m in known if m.truth]
-        raw = [
-            np.linalg.norm(m.cycle.pose.position - m.truth.position) * 1e3 for m in known if m.cycle.pose and m.truth
-        ]
+        times = [truth.time for _, truth in known]
+        raw = [np.linalg.norm(pose.position - truth.position) * 1e3 for pose, truth in known]
         dots(axes, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
         both = [(m.truth.time, np.linalg.norm(m.cycle.tracked.position - m.truth.position) * 1e3)
-                for m in known if m.cycle.tracked and m.truth]  # fmt: skip
+                for m in trace.moments if m.cycle.trusted and m.cycle.tracked and m.truth]  # fmt: skip
         axes.plot(*np.array(both).T, color=TRUE, lw=1.3, label="tracked")
         axes.set_ylim(0.0, 1.15 * float(np.percentile(raw, 99.5)))
         axes.legend(loc="upper right", ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)

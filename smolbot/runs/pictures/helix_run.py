@@ -11,7 +11,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Rotate
 from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, from_above, nothing, true_way
 from smolbot.runs.summary import axis_angle
-from smolbot.runs.trace import Moment, Trace
+from smolbot.runs.trace import Moment, Trace, compared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,10 +67,10 @@ def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
     """Angle between estimated and true propulsion axis."""
-    known = [m for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None]
+    known = compared(trace.moments)
     if known:
-        arc, _ = mission.path.project(np.array([m.truth.position for m in known if m.truth]))
-        angles = np.degrees([axis_angle(m.cycle.pose, m.truth) for m in known if m.cycle.pose and m.truth])
+        arc, _ = mission.path.project(np.array([truth.position for _, truth in known]))
+        angles = np.degrees([axis_angle(pose, truth) for pose, truth in known])
         axes.plot(arc * 1e3, angles, ".", color=LOCATED, ms=5, alpha=0.7)
     else:
         nothing(axes, "no truth on this rig")

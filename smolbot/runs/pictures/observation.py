@@ -10,12 +10,11 @@ import numpy as np
 from smolbot.config.observation import Observation
 from smolbot.config.rig import ContainerSection
 from smolbot.core.arrays import FloatArray
-from smolbot.core.pose import Pose
 from smolbot.runs.observation_summary import measurements
 from smolbot.runs.pictures.style import LOCATED, TRUE, dots, ellipse, limit_line, nothing, outline, sheet, two_views
 from smolbot.runs.run import Run
 from smolbot.runs.summary import label_of, orientation_error
-from smolbot.runs.trace import Moment, Trace
+from smolbot.runs.trace import Trace, compared, located
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +75,7 @@ def draw_view(axes: Axes, trace: Trace, box: ContainerSection, across: int) -> N
     truth = 1e3 * trace.true_positions()
     if len(truth):
         axes.plot(truth[:, 0], truth[:, across], color=TRUE, lw=0.9, label="true", zorder=4)
-    seen = [m.cycle.pose for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted]
+    seen = located(trace.moments)
     if seen:
         places = 1e3 * np.array([p.position for p in seen])
         dots(axes, places[:, 0], places[:, across], 3.7, LOCATED, alpha=0.4, label="localized", zorder=3)
@@ -91,7 +90,7 @@ def draw_view(axes: Axes, trace: Trace, box: ContainerSection, across: int) -> N
 
 def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None:
     """Errors of place and orientation of each trusted pose over time."""
-    known = [(p, t) for p, t in _known(trace.moments)]
+    known = compared(trace.moments)
     if known:
         times = [p.time for p, _ in known]
         away = [1e3 * float(np.linalg.norm(p.position - t.position)) for p, t in known]
@@ -112,13 +111,13 @@ def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None
 
 def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
     """Trusted poses in every second, and shots that gave none."""
-    times = np.array([m.cycle.pose.time for m in trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted])
+    times = np.array([pose.time for pose in located(trace.moments)])
     if len(times) > 1:
         edges = np.arange(times[0], times[-1] + 1e-9, 1.0)
         if len(edges) > 1:
             counts = np.histogram(times, edges)[0]
             axes.step(edges, np.append(counts, counts[-1]), where="post", color=TRUE, lw=1.3)
-    lost = [m.cycle.shot.end for m in trace.moments if m.cycle.pose is None or not m.cycle.pose.trusted]
+    lost = [m.cycle.shot.end for m in trace.moments if m.cycle.trusted is None]
     if lost:
         axes.plot(lost, np.zeros(len(lost)), "|", color=LOCATED, ms=9, clip_on=False, label="shot without a pose")
         axes.legend(loc="lower right", frameon=False, fontsize=9)
@@ -170,11 +169,3 @@ def draw_scatter(axes: Axes, places: FloatArray, names: tuple[str, str]) -> None
     axes.set_ylabel(f"{names[1]}, from the mean, in µm")
     axes.grid(color="#eeeeee")
     axes.legend(loc="upper right", frameon=False, fontsize=9)
-
-
-def _known(moments: list[Moment]) -> list[tuple[Pose, Pose]]:
-    return [
-        (m.cycle.pose, m.truth)
-        for m in moments
-        if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None
-    ]

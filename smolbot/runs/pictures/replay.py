@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray
 from smolbot.paths.curve import Curve
-from smolbot.runs.trace import Moment
+from smolbot.runs.trace import Moment, compared, located
 
 RECORDED, REPLAYED, TRUE = "tab:blue", "tab:orange", "0.3"
 
@@ -55,7 +54,7 @@ def _map(axes: Any, curve: Curve | None, recorded: Sequence[Moment], replayed: S
     if len(true):
         axes.plot(*(1e3 * true[:, :2].T), color=TRUE, lw=1, label="true")
     for moments, color, label in ((recorded, RECORDED, "recorded"), (replayed, REPLAYED, "replayed")):
-        places = _places(moments)
+        places = np.array([p.position for p in located(moments)]).reshape(-1, 3)
         axes.plot(*(1e3 * places[:, :2].T), ".", ms=3, color=color, label=label)
     axes.set_aspect("equal", "datalim")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Located poses that were trusted")
@@ -66,20 +65,16 @@ def _errors(axes: Any, recorded: Sequence[Moment], replayed: Sequence[Moment]) -
     known = any(m.truth is not None for m in recorded)
     if known:
         for moments, color, label in ((recorded, RECORDED, "recorded"), (replayed, REPLAYED, "replayed")):
-            found = [
-                (m.cycle.pose.time, 1e3 * np.linalg.norm(m.cycle.pose.position - m.truth.position))
-                for m in moments
-                if m.cycle.pose is not None and m.truth is not None and m.cycle.pose.trusted
-            ]
+            found = [(p.time, 1e3 * np.linalg.norm(p.position - truth.position)) for p, truth in compared(moments)]
             if found:
                 times, errors = np.array(found).T
                 axes.plot(times, errors, ".", ms=3, color=color, label=f"{label}, mean {errors.mean():.2f} mm")
         axes.set(ylabel="pose to truth (mm)", title="Localization error")
     else:
         both = [
-            (a.cycle.pose.time, 1e3 * np.linalg.norm(a.cycle.pose.position - b.cycle.pose.position))
+            (first.time, 1e3 * np.linalg.norm(first.position - second.position))
             for a, b in zip(recorded, replayed, strict=True)
-            if a.cycle.pose is not None and b.cycle.pose is not None and a.cycle.pose.trusted and b.cycle.pose.trusted
+            if (first := a.cycle.trusted) is not None and (second := b.cycle.trusted) is not None
         ]
         if both:
             times, apart = np.array(both).T
@@ -98,8 +93,3 @@ def _fits(axes: Any, recorded: Sequence[Moment], replayed: Sequence[Moment]) -> 
             times, left = np.array(found).T
             axes.semilogy(times, np.maximum(left, 1e-7), ".", ms=3, color=color)
     axes.set(xlabel="time (s)", ylabel="1 - R²", title="What the fits leave unexplained")
-
-
-def _places(moments: Sequence[Moment]) -> FloatArray:
-    poses = [m.cycle.pose for m in moments]
-    return np.array([p.position for p in poses if p is not None and p.trusted]).reshape(-1, 3)

@@ -17,6 +17,7 @@ from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.interpolated_track import Track, ways
 from smolbot.runs.report.svg import FAINT, GRID, INK, page_style
+from smolbot.runs.trace import located
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,8 +120,7 @@ class Scene:
         moments = flight.trace.moments
         truths = [p for m in moments for p in (m.truth, m.truth_at_end) if p is not None]
         self._true = Track.of(list({p.time: p for p in truths}.values()), ahead).through(*ways(moments))
-        heard = [m.cycle.pose for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted]
-        self._heard = Track.of(heard, ahead)
+        self._heard = Track.of(located(moments), ahead)
         self._trail = self._true if len(self._true.times) else self._heard
         self._axes, self._bars = self._lay_out()
         self._names, self._limit, self._windows = _bars_of(flight)

@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
-from smolbot.runs.observation_summary import measurements
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.intervals import METHOD, Estimate, Statistic, difference, estimated, mean, median, p95
 from smolbot.runs.report.setting_differences import changed
+from smolbot.runs.run import trusted_poses
 from smolbot.runs.summary import orientation_error, tracking_distance
-from smolbot.runs.trace import Moment
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ def _of_numbers(key: str, name: str, values: list[Any]) -> Compared:
 def series_of(flight: Flight) -> dict[str, FloatArray]:
     """Values over time of what figures are made of, in the units of the summary; missing where not known."""
     cycles = flight.run.cycles
-    poses = [c.pose for c in cycles if c.pose is not None and c.pose.trusted]
+    poses = trusted_poses(cycles)
     out = {
         "unexplained": np.array([1.0 - pose.r_squared for pose in poses]),
         "compute": 1e3 * np.array([cycle.compute for cycle in cycles]),
@@ -174,18 +172,8 @@ def series_of(flight: Flight) -> dict[str, FloatArray]:
     if flight.steered is not None:
         out["tracking"] = 1e3 * tracking_distance(flight.steered, flight.trace.following)
     along = flight.mission.robot.device.along_cantilever
-    pairs = [
-        (m.cycle.pose, m.truth)
-        for m in _moments(flight)
-        if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None
-    ]
+    pairs = flight.compared
     if pairs:
         out["localization"] = 1e3 * np.array([np.linalg.norm(p.position - t.position) for p, t in pairs])
         out["orientation"] = np.degrees([orientation_error(p, t, along) for p, t in pairs])
     return out
-
-
-def _moments(flight: Flight) -> list[Moment]:
-    if isinstance(flight.mission, Observation) and flight.mission.sections.observe.measurements is not None:
-        return measurements(flight.trace)
-    return flight.trace.moments

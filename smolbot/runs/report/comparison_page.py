@@ -17,6 +17,7 @@ from smolbot.runs.report.html import Section, badge, page, table, text
 from smolbot.runs.report.intervals import METHOD, Estimate
 from smolbot.runs.report.svg import page_style, svg_of
 from smolbot.runs.summary import tracking_distance
+from smolbot.runs.trace import compared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -132,8 +133,8 @@ def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
     n = len(found.labels)
     figure = Figure(figsize=(11.2, 0.7 + 0.42 * n), layout="constrained")
     panels: Any = figure.subplots(1, len(shown), squeeze=False, sharey=True)
-    for axes, compared in zip(panels[0], shown, strict=True):
-        for row, estimate in enumerate(compared.of_run):
+    for axes, one in zip(panels[0], shown, strict=True):
+        for row, estimate in enumerate(one.of_run):
             if estimate is None:
                 continue
             color = COLORS[row % len(COLORS)]
@@ -142,7 +143,7 @@ def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
         axes.set_yticks(range(n), found.labels)
         axes.set_ylim(n - 0.5, -0.5)
         axes.set_xlim(left=0.0)
-        axes.set_title(compared.name[0].upper() + compared.name[1:])
+        axes.set_title(one.name[0].upper() + one.name[1:])
         axes.grid(axis="x")
     return figure
 
@@ -216,11 +217,11 @@ def _course(flight: Flight, kind: str) -> tuple[FloatArray, FloatArray]:
         return 1e3 * mission.path.project(places)[0], 1e3 * tracking_distance(mission, flight.trace.following)
     if mission is not None:
         moments = flight.trace.following
-    pairs = [(m.cycle.pose, m.truth) for m in moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth]
-    value = 1e3 * np.array([np.linalg.norm(p.position - t.position) for p, t in pairs if t is not None])
+    pairs = compared(moments)
+    value = 1e3 * np.array([np.linalg.norm(p.position - t.position) for p, t in pairs])
     if mission is None or not pairs:
         return np.array([p.time for p, _ in pairs]), value
-    return 1e3 * mission.path.project(np.array([t.position for _, t in pairs if t is not None]))[0], value
+    return 1e3 * mission.path.project(np.array([t.position for _, t in pairs]))[0], value
 
 
 def _draw_course(axes: Axes, place: FloatArray, value: FloatArray, color: str, label: str, *, averaged: bool) -> None:

@@ -6,15 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
-from smolbot.runs.observation_summary import measurements
 from smolbot.runs.pictures.style import LOCATED, dots
 from smolbot.runs.report.error_budget import PARTS, Budget, split, steps_of
 from smolbot.runs.report.flight import NO_TRUTH, Flight
 from smolbot.runs.report.html import Section, table, text
 from smolbot.runs.report.svg import FAINT, INK, svg_of
-from smolbot.runs.trace import Moment
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,7 +143,7 @@ def _draw_course(axes: Axes, budget: Budget) -> None:
 
 def _of_poses(section: Section, flight: Flight) -> Section:
     """Localization error of a device that is not steered: what is always the same, what is foretold, and the rest."""
-    found = pose_budget(_heard(flight))
+    found = pose_budget(flight.compared)
     if found is None:
         return section.missing("No pose could be trusted, so there is no error to take apart.")
     section.add(table(_pose_rows(found), ("part", "rms, mm", "share of mean square", "what it is"), wide=True))
@@ -183,14 +180,3 @@ def _pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]]:
         rms = np.sign(square) * np.sqrt(abs(square))
         rows.append((name, f"{1e3 * rms:.3f}", f"{100 * square / found['total']:.0f} %", said[name]))
     return rows
-
-
-def _heard(flight: Flight) -> list[tuple[Any, Any]]:
-    moments: list[Moment] = flight.trace.moments
-    if isinstance(flight.mission, Observation) and flight.mission.sections.observe.measurements is not None:
-        moments = measurements(flight.trace)
-    return [
-        (m.cycle.pose, m.truth)
-        for m in moments
-        if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth is not None
-    ]

@@ -9,10 +9,13 @@ from typing import Any
 
 from smolbot.config.load import AnyMission
 from smolbot.config.mission import Mission
+from smolbot.config.observation import Observation
+from smolbot.core.pose import Pose
+from smolbot.runs.observation_summary import measurements
 from smolbot.runs.outcome import sum_up
 from smolbot.runs.recording.reader import RecordedRun, read_run
 from smolbot.runs.run import Run
-from smolbot.runs.trace import Trace
+from smolbot.runs.trace import Trace, compared
 
 NO_TRUTH = "This needs the truth, and no witness knew it on this rig."
 NO_SIGNALS = "This needs what the sensors heard, and this record holds no samples."
@@ -72,6 +75,13 @@ class Flight:
     @property
     def knows_truth(self) -> bool:
         return self.record.knows_truth
+
+    @property
+    def compared(self) -> list[tuple[Pose, Pose]]:
+        """Poses that are held against the truth, and the truth: all trusted ones, or those that measured."""
+        mission = self.mission
+        only = isinstance(mission, Observation) and mission.sections.observe.measurements is not None
+        return compared(measurements(self.trace) if only else self.trace.moments)
 
     @property
     def seed(self) -> int:

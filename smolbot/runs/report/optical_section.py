@@ -14,6 +14,7 @@ from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.html import Section, table
 from smolbot.runs.report.svg import svg_of
+from smolbot.runs.run import trusted_poses
 from smolbot.runs.summary import statistics
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def seen_of(flight: Flight) -> Seen | None:
     if not path.is_file():
         return None
     track = read_optical_track(path)
-    poses = [c.pose for c in flight.run.cycles if c.pose is not None and c.pose.trusted]
+    poses = trusted_poses(flight.run.cycles)
     times = np.array([pose.time for pose in poses])
     places, headings, known = track.at(times)
     ahead = np.array([pose.body_axis("z") for pose in poses]).reshape(-1, 3)

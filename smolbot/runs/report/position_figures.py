@@ -16,7 +16,7 @@ from smolbot.runs.pictures import observation as observation_picture
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.summary import tracking_distance
-from smolbot.runs.trace import Moment
+from smolbot.runs.trace import Moment, located
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,7 +118,7 @@ def errors_figure(flight: Flight) -> Figure:
 def draw_localization(over_time: Axes, along: Axes, flight: Flight) -> None:
     """Distance of each trusted pose to the truth, and of tracked ones."""
     mission = flight.steered
-    known = [m for m in flight.trace.moments if m.cycle.pose is not None and m.cycle.pose.trusted and m.truth]
+    known = [m for m in flight.trace.moments if m.cycle.trusted and m.truth]
     if mission is None or not known:
         for axes in (over_time, along):
             nothing(axes, "no truth on this rig")
@@ -196,7 +196,7 @@ def _draw_close(axes: Axes, flight: Flight, center: FloatArray, half: float, mis
     if len(truth):
         near = np.all(abs(truth[:, :2] - center) < 2.0 * half, axis=1)
         axes.plot(*np.where(near[:, None], truth[:, :2], np.nan).T, color=TRUE, lw=1.6, label="true", zorder=3)
-    heard = [m.cycle.pose for m in inside if m.cycle.pose is not None and m.cycle.pose.trusted]
+    heard = located(inside)
     if heard:
         places = 1e3 * np.array([p.position for p in heard])
         dots(axes, places[:, 0], places[:, 1], 4.5, LOCATED, alpha=0.6, label="each pose", zorder=4)

@@ -64,15 +64,14 @@ def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
     events = sorted(record.events, key=lambda event: event.time)
     played = {shot.number: shot for shot in record.played}
     chosen = [
-        (moment.cycle.pose, played[number])
+        (pose, played[number])
         for moment, number in zip(record.moments, record.shot_of_cycle, strict=True)
-        if moment.cycle.pose is not None and moment.cycle.pose.trusted and played[number].samples is not None
+        if (pose := moment.cycle.trusted) is not None and played[number].samples is not None
     ]
     step = max(len(chosen) / most, 1.0)
     degree = Localizer(beliefs.sensors, beliefs.device, estimator=mission.base.localization.estimator)
     for index in np.unique((np.arange(min(most, len(chosen))) * step).astype(int)):
         pose, shot = chosen[index]
-        assert pose is not None
         while events and events[0].time < pose.time:
             beliefs = beliefs.after(events.pop(0))
         recording = shot.recording(record.converter)
