@@ -53,6 +53,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|npt|collections|pathlib|os|typing|concurrent|dict\[str)(\..*)?"),
     (r"py:class", r"smolbot\.runs\.recording\.run_pb2\..*"),  # described by run.proto
+    (r"py:class", r"smolbot\.config\.document\.Model"),  # a type variable
 ]
 
 smartquotes = False
