@@ -115,3 +115,87 @@ def test_the_magnet_is_away_while_sensors_listen_and_turns_as_the_stage_can(wind
         STAGE.check(Shot(windows), magnet_near=near)
     for word in words:
         assert word in str(error.value)
+
+
+ONE = Limits(("a",), 8.0, False, 0.1, 10.0, 0.2, 0.08, 3.0)
+
+
+@pytest.mark.parametrize("share", [0.999, 1.0, 1.0 + 1e-11, 1.001])
+@pytest.mark.parametrize(
+    ("shot", "words"),
+    [
+        (lambda x: (Actuate((8.0 * x,), 0.03),), "Coil 'a' current must lie within -8 to 8 A; got 8.01 A."),
+        (lambda x: (Actuate((-8.0 * x,), 0.03),), "Coil 'a' current must lie within -8 to 8 A; got -8.01 A."),
+        (lambda x: (Actuate((1.0,), 0.1 * x),), "Actuate must last at most 100 ms; got 100.1 ms."),
+        (lambda x: (Excite((10.0 * x, 0.0), F, 5),), "Excitation coil 'x' current must lie within ±10 A; got 10.01 A."),
+        (
+            lambda x: (Excite((0.0, -10.0 * x), F, 5),),
+            "Excitation coil 'y' current must lie within ±10 A; got -10.01 A.",
+        ),
+        (lambda x: (Excite((1.0, 0.0), 20.0 / (0.2 * x), 20),), "Excite must last at most 200 ms; got 200.2 ms."),
+        (
+            lambda x: (Rest(1.0), Excite((1.0, 0.0), 100.0, 5), RingDown(0.08 / x), Listen(2, F)),
+            "Listening at 1129.9 ms follows a drive after 79.9 ms; the coils need 80.0 ms of ring-down.",
+        ),
+        (lambda x: (Listen(600, 100.0 / x),), "Listen window must last at most 3 s; got 3.003 s."),
+    ],
+)
+def test_a_limit_may_be_reached_up_to_rounding_and_not_passed(shot, words, share):
+    assert ONE.faults(Shot(shot(share))) == ([words] if share == 1.001 else [])
+
+
+def test_one_way_currents_may_be_zero_up_to_rounding_and_not_less():
+    for current, fine in ((0.0, True), (-1e-10, True), (-0.001, False)):
+        assert (LIMITS.faults(Shot((Actuate((current, 0.0, 0.0, 0.0), 0.03),))) == []) == fine
+
+
+def test_waits_between_a_drive_and_listening_add_up_and_only_the_last_drive_counts():
+    drive, listen = Actuate((1.0,), 0.03), Listen(2, F)
+    assert ONE.faults(Shot((drive, RingDown(0.03), Rest(0.05), listen))) == []
+    assert ONE.faults(Shot((drive, RingDown(1.0), drive, RingDown(0.07), listen))) != []
+    assert ONE.faults(Shot((Rest(0.001), listen))) == []  # nothing was driven
+
+
+@pytest.mark.parametrize("share", [0.99, 1.0, 1.01])
+def test_a_stage_steers_as_far_as_its_rate_and_a_windows_length_let_it(share):
+    """The next axis is reached while the magnet turns about it: 0.175 rad/s for two turns at 0.25 Hz, 8 s."""
+    angle = share * 0.175 * 8.0
+    for sign in (1.0, -1.0):
+        turned = Rotate((3.0 * cos(angle), 3.0 * sign * sin(angle), 0.0), 0.25, 2.0)
+        found = STAGE.faults(Shot((NEAR, about(0), turned, about(0, turns=9.0), AWAY)))
+        told = f"The stage steers at most 80.2° within 8 s; got {share * 80.214:.1f}°."
+        assert found == ([told] if share > 1.0 else [])
+
+
+def test_an_axis_that_is_set_while_the_magnet_is_away_is_there_from_the_start():
+    far = about(90, turns=0.1)
+    assert STAGE.faults(Shot((NEAR, about(0), AWAY, NEAR, far))) == []
+    assert len(STAGE.faults(Shot((NEAR, about(0), far)))) == 1
+    assert STAGE.faults(Shot((far,)), magnet_near=True) == []
+    assert STAGE.faults(Shot((NEAR, about(0), Rest(1.0), about(20)))) == []
+
+
+@pytest.mark.parametrize("tilt", [0.9e-6, 2e-6])
+@pytest.mark.parametrize("length", [1.0, 50.0])
+def test_an_axis_is_level_up_to_rounding(tilt, length):
+    level = Rotate((0.6 * length, 0.8 * length, -tilt * length), 0.25, 1.0)
+    assert (STAGE.faults(Shot((NEAR, level))) == []) == (tilt < 1e-6)
+
+
+@pytest.mark.parametrize(("frequency", "fine"), [(0.2501, False), (0.25, True), (0.01, True), (-0.1, False)])
+def test_a_magnet_turns_forward_and_no_faster_than_it_may(frequency, fine):
+    turned = Rotate((1.0, 0.0, 0.0), frequency, 10.0 * frequency)
+    assert (STAGE.faults(Shot((NEAR, turned))) == []) == fine
+
+
+def test_a_rig_whose_file_says_nothing_of_a_stage_has_none_and_one_without_a_rate_cannot_steer():
+    plain = Limits((), 8.0)
+    assert "no rotating magnet" in plain.faults(Shot((about(0),)), magnet_near=True)[0]
+    fixed = Limits((), 8.0, max_rotation_frequency=0.25)
+    assert "at most 0.0° within 4 s; got 10.0°" in fixed.faults(Shot((NEAR, about(0), about(10))))[0]
+
+
+def test_unless_told_otherwise_the_magnet_is_away():
+    STAGE.check(Shot((Listen(2, F),)))
+    with pytest.raises(InterlockError, match="Rotate needs the actuation magnet near"):
+        STAGE.check(Shot((about(0),)))
