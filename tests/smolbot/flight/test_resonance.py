@@ -1,10 +1,12 @@
 """Resonance and damping are followed from what single recordings say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from smolbot.core.sensing import Device
-from smolbot.flight.tracking.resonance_filter import Resonance
+from smolbot.flight.tracking.resonance_filter import FLOOR, START, WANDER, Resonance
 
 DEVICE = Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, 0.31, 103.5, 31.7, "exponential")
 COVARIANCE = np.diag([0.12**2, 0.5**2])
@@ -64,3 +66,95 @@ def test_what_it_claims_to_know_is_what_it_knows_of_a_device_that_wanders(claime
         left = truth - [resonance.device.frequency, resonance.device.damping] - resonance.off
         squares.append((left / resonance.sigma) ** 2)
     assert np.mean(squares[100:], axis=0) == pytest.approx([1.0, 1.0], rel=0.25)
+
+
+def textbook(seen, claims, times):
+    """What is believed of a device that nobody replaces: information adds up, and is lost as time goes by."""
+    off, covariance = np.zeros(2), np.diag(START**2)
+    for i, (value, claim) in enumerate(zip(seen, claims)):
+        wait = max(times[i] - times[i - 1], 0.0) if i else 0.0
+        covariance = covariance + np.diag(WANDER**2 * wait)
+        heard = np.linalg.inv(claim + np.diag(FLOOR**2))
+        after = np.linalg.inv(np.linalg.inv(covariance) + heard)
+        off, covariance = off + after @ heard @ (value - off), after
+    return off, np.sqrt(np.diag(covariance))
+
+
+def test_what_is_believed_is_what_a_textbooks_filter_believes():
+    rng, resonance = np.random.default_rng(2), Resonance(DEVICE)
+    assert resonance.sigma == pytest.approx(START)
+    times = np.cumsum(rng.choice([0.0, 0.11, 2.0], 25))
+    times[12] = times[11] - 1.0  # a recording that comes out of turn is none the surer for it
+    mixing = np.array([[1.0, 0.4], [-0.3, 1.0]])
+    claims = [np.diag([0.3, 2.0]) @ mixing @ mixing.T @ np.diag([0.3, 2.0]) * s for s in rng.uniform(0.5, 2.0, 25)]
+    seen = [rng.multivariate_normal([0, 0], claim) for claim in claims]
+    for i in range(25):
+        assert resonance.update(times[i], seen[i], claims[i]) is None
+        off, sigma = textbook(seen[: i + 1], claims[: i + 1], times)
+        assert resonance.off == pytest.approx(off)
+        assert resonance.sigma == pytest.approx(sigma)
+
+
+SURELY = np.diag([1e-3, 1e-2]) ** 2
+
+
+@pytest.mark.parametrize(
+    ("damping", "frequency_off", "damping_off", "replaced"),
+    [
+        (31.7, 0.075, 0.0, False),  # a swing that is still in step after ten periods
+        (31.7, 0.085, 0.0, True),
+        (31.7, -0.085, 0.0, True),
+        (31.7, 0.0, 1.8, False),  # six hundredths
+        (31.7, 0.0, -2.0, True),
+        (31.7, 0.085, -2.0, True),
+        (0.3, 0.0, 0.055, False),  # of what hardly damps, six hundredths of a reciprocal second
+        (0.3, 0.0, 0.065, True),
+    ],
+)
+def test_a_device_is_made_anew_where_that_is_worth_its_while(damping, frequency_off, damping_off, replaced):
+    resonance = Resonance(replace(DEVICE, damping=damping))
+    seen, rounds = np.array([frequency_off, damping_off]), range(2000)
+    found = next((new for _ in rounds if (new := resonance.update(0.0, seen, SURELY)) is not None), None)
+    assert (found is not None) == replaced
+    assert resonance.device.frequency == (found or DEVICE).frequency
+    if found is not None:
+        gained = np.array([found.frequency - DEVICE.frequency, found.damping - damping])
+        assert gained == pytest.approx(seen, rel=0.05)
+        assert (found.moment, found.l0, found.theta_max) == (DEVICE.moment, DEVICE.l0, DEVICE.theta_max)
+
+
+def test_a_new_device_begins_with_no_difference_and_a_damping_is_not_negative():
+    resonance = Resonance(replace(DEVICE, damping=0.5))
+    while (device := resonance.update(0.0, np.array([0.0, -2.0]), np.diag([0.1, 0.3]) ** 2)) is None:
+        assert resonance.off[1] < 0.0
+    assert device.damping == 0.0
+    assert resonance.off.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("entry", [0, 1])
+@pytest.mark.parametrize(("deviations", "taken"), [(4.95, True), (5.05, False)])
+def test_an_estimate_is_an_outlier_beyond_five_standard_deviations(entry, deviations, taken):
+    resonance, claim = Resonance(DEVICE), np.diag([0.4, 4.0]) ** 2
+    sigma = np.sqrt(np.diag(claim) + START**2 + FLOOR**2)
+    resonance.update(0.0, deviations * sigma * np.eye(2)[entry], claim)
+    assert (resonance.off[entry] > 0.0) == taken
+
+
+@pytest.mark.parametrize("off", [np.array([-3.5, 0.0]), np.array([0.0, 18.0])])
+def test_a_line_of_the_mains_or_another_liquid_is_not_taken_for_the_device(off):
+    resonance = Resonance(DEVICE)
+    assert resonance.update(0.0, off, np.diag([0.05, 0.5]) ** 2) is None
+    assert resonance.off.tolist() == [0.0, 0.0]
+    assert Resonance(DEVICE).update(0.0, 0.4 * off, np.diag([0.05, 0.5]) ** 2) is not None
+
+
+@pytest.mark.parametrize("entry", [0, 1])
+@pytest.mark.parametrize(("deviations", "replaced"), [(3.9, False), (4.1, True)])
+def test_a_change_has_to_stand_out_by_four_standard_deviations(entry, deviations, replaced):
+    """The estimate is chosen so that what is believed after it is so many claimed standard deviations from nothing."""
+    resonance, claim = Resonance(DEVICE), np.diag([0.1, 1.0]) ** 2
+    heard = np.diag(claim) + FLOOR**2
+    gain = START**2 / (START**2 + heard)
+    sigma = np.sqrt((1.0 - gain) * START**2)
+    device = resonance.update(0.0, (deviations * sigma / gain) * np.eye(2)[entry], claim)
+    assert (device is not None) == replaced
