@@ -249,7 +249,15 @@ def test_without_rules_only_a_rigs_limits_end_a_run():
     assert "9.00 A" in refusal(safety, pulling(40.0, current=9.0), 40.0)
 
 
-@pytest.mark.parametrize("frozen", [Rules(), LIMITS], ids=["rules", "limits"])
-def test_what_keeps_a_run_safe_cannot_be_changed_while_it_runs(frozen):
+def test_without_other_rules_a_third_lost_window_or_a_fifth_unsure_pose_in_a_row_ends_a_run():
+    safety = a_safety()
+    assert [safety.after(pulling(i), None, i + 0.5) for i in range(2)] == [None, None]
+    with pytest.raises(SafetyError, match="3 listening windows in a row"):
+        safety.after(pulling(2.0), None, 2.5)
+    unsure, vague = a_safety(Rules(max_sigma=1e-3)), a_pose(sigma=(2e-3, 1e-4, 1e-4))
+    assert [refusal(unsure, pulling(i), i, vague)[:14] for i in range(5)] == ["", "", "", "", "Uncertain pose"]
+
+
+def test_what_ends_a_run_cannot_be_changed_while_it_runs():
     with pytest.raises(FrozenInstanceError):
-        setattr(frozen, next(iter(vars(frozen))), 1.0)
+        Rules().max_duty = 1.0

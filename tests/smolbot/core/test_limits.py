@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import FrozenInstanceError
 from math import cos, sin
 
 import pytest
@@ -199,3 +200,8 @@ def test_unless_told_otherwise_the_magnet_is_away():
     STAGE.check(Shot((Listen(2, F),)))
     with pytest.raises(InterlockError, match="Rotate needs the actuation magnet near"):
         STAGE.check(Shot((about(0),)))
+
+
+def test_a_limit_cannot_be_raised_by_a_program_that_met_it():
+    with pytest.raises(FrozenInstanceError):
+        LIMITS.max_current = 9.0
