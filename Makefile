@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Where bytecode is not kept, every worker of the tests and every process that one starts compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup mission test lint types imports docs tutorials figures slow benchmark proto system-deps clean
+.PHONY: help setup mission test lint types imports docs tutorials figures slow benchmark mutants proto system-deps clean
 
 help:
 	@echo "make mission    set up, then fly the R-path mission in the simulated tank"
@@ -16,6 +16,7 @@ help:
 	@echo "make lint types imports    style, types, import rules"
 	@echo "make docs       the documentation, in build/docs    make tutorials [PAGE=my_own_path]    every command of it"
 	@echo "make slow       the long checks       make benchmark    speeds, as ratios"
+	@echo "make mutants    how many small faults the tests of safety and tracking see    [SEED=1 SAMPLE=200]"
 
 setup: $(STAMP)
 
@@ -66,6 +67,9 @@ slow: setup
 
 benchmark: setup
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -s
+
+mutants: setup
+	$(BIN)/python tools/mutants.py --seed $(or $(SEED),1) --sample $(or $(SAMPLE),200)
 
 # The messages of a record, from their description.
 proto: setup
