@@ -6,6 +6,7 @@ from typing import Any, get_args
 
 import typer
 from docutils import nodes
+from filekeys import table
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
@@ -47,7 +48,7 @@ def _sections(command: Any, name: str, parent: Any) -> list[nodes.Node]:
     section += nodes.literal_block(usage, usage, language="text")
     rows = [_told(parameter) for parameter in command.params]
     if rows := [row for row in rows if row[0] != "--help"]:
-        section += _table(rows)
+        section += table(("option", "default", "meaning"), (32, 12, 60), rows, literal=(0, 1))
     return [section]
 
 
@@ -80,23 +81,6 @@ def _default(parameter: Any) -> str:
     if value is None or callable(value) or value in ([], ()) or type(value).__name__ == "Sentinel":
         return "needed" if parameter.required else ""
     return str(value)
-
-
-def _table(rows: list[tuple[str, str, str]]) -> nodes.Node:
-    group = nodes.tgroup(cols=3)
-    for width in (32, 12, 60):
-        group += nodes.colspec(colwidth=width)
-    group += nodes.thead("", _row(("option", "default", "meaning")))
-    group += nodes.tbody("", *(_row(row, literal=True) for row in rows))
-    return nodes.table("", group, classes=["filekeys"])
-
-
-def _row(cells: tuple[str, ...], *, literal: bool = False) -> nodes.row:
-    made = nodes.row()
-    for index, cell in enumerate(cells):
-        plain = not (literal and index < 2 and cell and cell != "needed")
-        made += nodes.entry("", nodes.paragraph("", "", nodes.Text(cell) if plain else nodes.literal(text=cell)))
-    return made
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

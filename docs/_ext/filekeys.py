@@ -10,6 +10,7 @@ stand beside the keys.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -189,7 +190,7 @@ class FileKeys(SphinxDirective):
                 (key, unit_of(key), schema.value(property_), shown, ". ".join(s.rstrip(".") for s in said if s))
             )
         if rows:
-            found.append(_table(rows))
+            found.append(table(COLUMNS, WIDTHS, rows, literal=(0, 3)))
         for key, section_part, several in inner:
             below = f"{title}.{key}" if title else key
             found += self._tables(schema, section_part, below, several, example, source)
@@ -218,16 +219,19 @@ def _toml(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value}"
 
 
-def _table(rows: list[tuple[str, ...]]) -> nodes.Node:
-    group = nodes.tgroup(cols=len(COLUMNS))
-    for width in WIDTHS:
+def table(
+    columns: Sequence[str], widths: Sequence[int], rows: Sequence[tuple[str, ...]], literal: tuple[int, ...]
+) -> nodes.Node:
+    """A table with a header; what stands in columns `literal` is what one writes."""
+    group = nodes.tgroup(cols=len(columns))
+    for width in widths:
         group += nodes.colspec(colwidth=width)
-    group += nodes.thead("", _row(COLUMNS, literal=()))
-    group += nodes.tbody("", *(_row(row, literal=(0, 3)) for row in rows))
+    group += nodes.thead("", _row(columns, literal=()))
+    group += nodes.tbody("", *(_row(row, literal) for row in rows))
     return nodes.table("", group, classes=["filekeys"])
 
 
-def _row(cells: tuple[str, ...], literal: tuple[int, ...]) -> nodes.row:
+def _row(cells: Sequence[str], literal: tuple[int, ...]) -> nodes.row:
     made = nodes.row()
     for index, cell in enumerate(cells):
         plain = index not in literal or not cell or cell == "needed"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smolbot.errors import InputError, did_you_mean
-from smolbot.ui.cli.options import SetOption
+from smolbot.ui.cli.options import JsonOption, SetOption
 
 if TYPE_CHECKING:
     from sim.studies.study import Options, Outcome, Study
@@ -59,7 +59,7 @@ def study(
     set_: SetOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the study that --out holds.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """A study of localization, or of a mission's loop: a table, a figure and results.csv in a folder of its own."""
     from smolbot.ui.cli.show import echo_json, table

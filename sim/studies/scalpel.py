@@ -22,6 +22,7 @@ from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.core.sensing import Device, SensorArray
+from smolbot.localization.array.fit import across
 from smolbot.localization.forward import dipole_field
 from smolbot.localization.statistics import differential_mean_absolute_error
 
@@ -132,10 +133,7 @@ def fit_static(
     """
     from scipy.optimize import least_squares
 
-    seed = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    side = np.cross(direction, seed)
-    side /= np.linalg.norm(side)
-    up = np.cross(direction, side)
+    side, up = across(direction)
 
     def pointed(p: FloatArray) -> FloatArray:
         vector: FloatArray = direction + p[3] * side + p[4] * up

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smolbot.errors import InputError
-from smolbot.ui.cli.options import JsonOption, SetOption, settings_from
+from smolbot.ui.cli.options import DEFAULT_ROBOT, JsonOption, SetOption, settings_from
 
 if TYPE_CHECKING:
     from smolbot.bench.calibration.device import Calibration
     from smolbot.config.rig import RigConfig
     from smolbot.config.robot import RobotConfig
     from smolbot.localization.device.thinning import Hum
-
-DEFAULT_ROBOT = "gradient"
 
 
 def calibrate(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smolbot.errors import InputError
-from smolbot.ui.cli.options import JsonOption, SetOption, settings_from
+from smolbot.ui.cli.options import DeviceOption, JsonOption, RobotOption, SetOption, settings_from
 
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
@@ -30,10 +30,8 @@ def calibrate_array(
     samples: Annotated[
         Path | None, typer.Option(help="Samples of all rows, a shot each, where the track has no column 'file'.")
     ] = None,
-    robot: Annotated[
-        str | None, typer.Option("--robot", help="Robot, by name or path; default: the device file's, or gradient.")
-    ] = None,
-    device: Annotated[Path | None, typer.Option("--device", help="Device file, from smolbot calibrate.")] = None,
+    robot: RobotOption = None,
+    device: DeviceOption = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Sensors file to write; default: <rig>_sensors.toml.")
     ] = None,

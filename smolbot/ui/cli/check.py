@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smolbot.ui.cli.options import JsonOption
 from smolbot.ui.cli.show import console, echo_json, spinner
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def check(
     ] = None,
     quiet_s: Annotated[float, typer.Option("--quiet-s", help="How long to listen to nothing, in s.")] = 12.0,
     seed: Annotated[int, typer.Option(min=0, help="Which tank, where it is a simulated one.")] = 1,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Read back every device, listen, drive each coil faintly: noise, offsets, wiring, relays; and what to look at."""
     from smolbot.bench.check.checkup import check_rig

@@ -11,7 +11,7 @@ import typer
 
 from smolbot.core.text_table import write_rows
 from smolbot.errors import InputError, writing
-from smolbot.ui.cli.options import JsonOption
+from smolbot.ui.cli.options import DEFAULT_ROBOT, DeviceOption, JsonOption, RobotOption
 
 if TYPE_CHECKING:
     from smolbot.bench.calibration.quiet_samples import Quiet
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from smolbot.core.pose import Pose
     from smolbot.core.sensing import Device, Recording
     from smolbot.localization.localizer import Localizer
-
-DEFAULT_ROBOT = "gradient"
 
 COLUMNS = (
     "shot", "segment", "time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz",
@@ -37,11 +35,8 @@ Row = dict[str, Any]
 def localize(
     samples: Annotated[Path, typer.Argument(help="Samples in V: .npz, .mat, .h5 or .csv.", metavar="SAMPLES")],
     rig: Annotated[str, typer.Option("--rig", help="Rig whose sensors heard them, by name or path.")],
-    robot: Annotated[
-        str | None,
-        typer.Option("--robot", help=f"Robot, by name or path; default: the device file's, or {DEFAULT_ROBOT}."),
-    ] = None,
-    device: Annotated[Path | None, typer.Option("--device", help="Device file, from smolbot calibrate.")] = None,
+    robot: RobotOption = None,
+    device: DeviceOption = None,
     half_periods: Annotated[
         int | None,
         typer.Option("--half-periods", min=1, metavar="N", help="Use the first N half-periods of each shot."),

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from smolbot.errors import InputError
-
-if TYPE_CHECKING:
-    pass
-
 
 MissionArgument = Annotated[
     str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")
@@ -26,6 +22,12 @@ SetOption = Annotated[
         help="key=value laid over the mission file; rig.key=value over the rig file; @FILE: all of a TOML file.",
     ),
 ]
+DEFAULT_ROBOT = "gradient"
+RobotOption = Annotated[
+    str | None,
+    typer.Option("--robot", help=f"Robot, by name or path; default: the device file's, or {DEFAULT_ROBOT}."),
+]
+DeviceOption = Annotated[Path | None, typer.Option("--device", help="Device file, from smolbot calibrate.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 
