@@ -15,7 +15,7 @@ from smolbot.runs.report.figures_of_merit import number
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.html import Section, badge, page, table, text
 from smolbot.runs.report.intervals import METHOD, Estimate
-from smolbot.runs.report.svg import page_style, svg_of
+from smolbot.runs.report.svg import page_style, svg_of, wide_figure
 from smolbot.runs.summary import tracking_distance
 from smolbot.runs.trace import compared
 
@@ -128,10 +128,8 @@ def said(estimate: Estimate | None, *, signed: bool = False) -> str:
 
 
 def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
-    from matplotlib.figure import Figure
-
     n = len(found.labels)
-    figure = Figure(figsize=(11.2, 0.7 + 0.42 * n), layout="constrained")
+    figure = wide_figure(0.7 + 0.42 * n)
     panels: Any = figure.subplots(1, len(shown), squeeze=False, sharey=True)
     for axes, one in zip(panels[0], shown, strict=True):
         for row, estimate in enumerate(one.of_run):
@@ -149,9 +147,7 @@ def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
 
 
 def _path_figure(found: Comparison) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.2, 6.4), layout="constrained")
+    figure = wide_figure(6.4)
     axes = figure.subplots()
     for index, (flight, label) in enumerate(zip(found.flights, found.labels, strict=True)):
         if flight.steered is not None:
@@ -174,11 +170,9 @@ def _path_figure(found: Comparison) -> Figure:
 
 
 def _error_figure(found: Comparison) -> Figure:
-    from matplotlib.figure import Figure
-
     steered = found.flights[0].steered is not None
     kinds = (["tracking"] if steered else []) + ["localization"]
-    figure = Figure(figsize=(11.2, 3.0 * len(kinds)), layout="constrained")
+    figure = wide_figure(3.0 * len(kinds))
     rows: Any = figure.subplots(len(kinds), 2, width_ratios=[2.2, 1.0], squeeze=False)
     names = {"tracking": "Tracking error, in mm", "localization": "Localization error of each trusted pose, in mm"}
     for (course, share), kind in zip(rows, kinds, strict=True):

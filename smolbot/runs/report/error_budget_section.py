@@ -11,7 +11,7 @@ from smolbot.runs.pictures.style import LOCATED, dots
 from smolbot.runs.report.error_budget import PARTS, Budget, split, steps_of
 from smolbot.runs.report.flight import NO_TRUTH, Flight
 from smolbot.runs.report.html import Section, table, text
-from smolbot.runs.report.svg import FAINT, INK, svg_of
+from smolbot.runs.report.svg import FAINT, INK, svg_of, wide_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,9 +101,7 @@ def closing(budget: Budget, summary: dict[str, Any], *, helical: bool = False) -
 
 def budget_figure(budget: Budget) -> Figure:
     """Bars of each part, and their course along the path."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.2, 3.5), layout="constrained")
+    figure = wide_figure(3.5)
     bars, course = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
     names = ["total", *budget.parts]
     values = [1e3 * budget.total_rms, *(1e3 * value for value in budget.rms.values())]

@@ -12,7 +12,7 @@ from smolbot.runs.pictures.gradient_run import draw_currents
 from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, dots, nothing
 from smolbot.runs.report.coil_load import Strain
 from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.svg import FAINT, INK
+from smolbot.runs.report.svg import FAINT, INK, wide_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,10 +36,8 @@ _LETTER = 0.0042
 
 def coils_figure(flight: Flight, strain: Strain) -> Figure:
     """Currents, duty and heat over time, each with its limit."""
-    from matplotlib.figure import Figure
-
     mission = flight.mission
-    figure = Figure(figsize=(11.2, 6.2), layout="constrained")
+    figure = wide_figure(6.2)
     currents, duty, heat = figure.subplots(3, 1, sharex=True)
     if mission.rig.coil_names and flight.steered is not None and not flight.helical:
         draw_currents(currents, flight.steered, flight.trace)
@@ -74,10 +72,8 @@ def coils_figure(flight: Flight, strain: Strain) -> Figure:
 
 def cycle_figure(flight: Flight) -> Figure:
     """Typical shots to scale, each followed by the computing of its cycle."""
-    from matplotlib.figure import Figure
-
     shown = typical_shots(flight)
-    figure = Figure(figsize=(11.2, 0.5 + 1.25 * max(len(shown), 1)), layout="constrained")
+    figure = wide_figure(0.5 + 1.25 * max(len(shown), 1))
     rows: Any = figure.subplots(max(len(shown), 1), 1, squeeze=False)
     compute = np.array([cycle.compute for cycle in flight.run.cycles])
     for axes, (shot, times) in zip(rows[:, 0], shown, strict=False):

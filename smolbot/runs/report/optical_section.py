@@ -13,7 +13,7 @@ from smolbot.runs.optics.opticaltrack import OpticalTrack, read_optical_track
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.html import Section, table
-from smolbot.runs.report.svg import svg_of
+from smolbot.runs.report.svg import svg_of, wide_figure
 from smolbot.runs.run import trusted_poses
 from smolbot.runs.summary import statistics
 
@@ -108,9 +108,7 @@ def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:
 
 def optical_figure(flight: Flight, seen: Seen) -> Figure:
     """Track and poses from above; distance and difference of heading over time."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.2, 4.6), layout="constrained")
+    figure = wide_figure(4.6)
     panels: Any = figure.subplot_mosaic([["above", "apart"], ["above", "turned"]], width_ratios=[1.0, 1.2])
     above, apart, turned = panels["above"], panels["apart"], panels["turned"]
     if flight.steered is not None:

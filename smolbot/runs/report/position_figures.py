@@ -15,6 +15,7 @@ from smolbot.runs.pictures import helix_run as helixpicture
 from smolbot.runs.pictures import observation as observation_picture
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
 from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.svg import wide_figure
 from smolbot.runs.summary import tracking_distance
 from smolbot.runs.trace import Moment, located
 
@@ -34,11 +35,9 @@ _CLOSE = 1.1  # mm to each side of what is looked at closely
 
 def path_figure(flight: Flight) -> Figure:
     """The whole way from above, and the place where the robot was farthest from its path, closely."""
-    from matplotlib.figure import Figure
-
     mission = flight.steered
     assert mission is not None
-    figure = Figure(figsize=(11.2, 6.0), layout="constrained")
+    figure = wide_figure(6.0)
     whole, close = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
     if flight.helical:
         helixpicture.draw_axes_on_path(whole, mission, flight.trace)
@@ -57,9 +56,7 @@ def path_figure(flight: Flight) -> Figure:
 
 def track_figure(flight: Flight, mission: Observation) -> Figure:
     """A device that was only watched: from above and from the front, and one place closely."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.2, 6.0), layout="constrained")
+    figure = wide_figure(6.0)
     if mission.sections.observe.measurements is not None:
         _draw_measurements(figure, flight)
         return figure
@@ -82,11 +79,9 @@ def track_figure(flight: Flight, mission: Observation) -> Figure:
 
 def errors_figure(flight: Flight) -> Figure:
     """Tracking and localization error, over time and along the path."""
-    from matplotlib.figure import Figure
-
     mission = flight.steered
     assert mission is not None
-    figure = Figure(figsize=(11.2, 5.0), layout="constrained")
+    figure = wide_figure(5.0)
     rows: Any = figure.subplots(2, 2, sharey="row", sharex="col")
     moments = [m for m in flight.trace.following if m.truth_at_end is not None]
     if moments:
@@ -138,9 +133,7 @@ def draw_localization(over_time: Axes, along: Axes, flight: Flight) -> None:
 
 def watched_figure(flight: Flight, mission: Observation) -> Figure:
     """Errors of a device that was only watched, and how steadily it was seen."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.2, 5.4), layout="constrained")
+    figure = wide_figure(5.4)
     errors, turns, rate = figure.subplots(3, 1, sharex=True)
     observation_picture.draw_errors(errors, turns, flight.trace, along=mission.robot.device.along_cantilever)
     observation_picture.draw_rate(rate, mission, flight.trace)
@@ -152,10 +145,8 @@ def watched_figure(flight: Flight, mission: Observation) -> Figure:
 
 def helix_figure(flight: Flight) -> Figure:
     """What a helix adds: distance, error of its axis and turns along the path."""
-    from matplotlib.figure import Figure
-
     assert flight.steered is not None
-    figure = Figure(figsize=(11.2, 5.4), layout="constrained")
+    figure = wide_figure(5.4)
     distance, axis, turns = figure.subplots(3, 1, sharex=True)
     helixpicture.draw_distance(distance, flight.steered, flight.trace)
     helixpicture.draw_axis_error(axis, flight.steered, flight.trace)

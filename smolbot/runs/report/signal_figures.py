@@ -12,7 +12,7 @@ from smolbot.runs.pictures.style import COILS, LOCATED, TRUE, dots, nothing
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.quiet_noise import QuietNoise, quiet_recordings
 from smolbot.runs.report.residuals import BLOCK, Window, cut_quiet, density
-from smolbot.runs.report.svg import FAINT, INK
+from smolbot.runs.report.svg import FAINT, INK, wide_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,9 +29,7 @@ HIGHEST = 2000.0
 
 def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figure:
     """R² over the run, one window with its model, and the spectrum of what fits leave, against quiet ones."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.2, 6.4), layout="constrained")
+    figure = wide_figure(6.4)
     panels: Any = figure.subplot_mosaic([["r", "window"], ["spectrum", "spectrum"]], height_ratios=[1.0, 1.1])
     _draw_r_squared(panels["r"], flight)
     _draw_window(panels["window"], windows)
@@ -41,9 +39,7 @@ def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figu
 
 def noise_figure(noise: QuietNoise) -> Figure:
     """Spectral density of every channel, with the lines that were learned."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.2, 3.6), layout="constrained")
+    figure = wide_figure(3.6)
     axes = figure.subplots()
     shown = noise.frequencies <= HIGHEST
     thinned = _thinned(noise.frequencies[shown])

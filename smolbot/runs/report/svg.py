@@ -64,6 +64,13 @@ def page_style() -> Iterator[None]:
         yield
 
 
+def wide_figure(height: float) -> Figure:
+    """An empty figure as wide as a page, `height` inches high, which lays itself out."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(11.2, height), layout="constrained")
+
+
 def svg_of(figure: Figure, name: str, alternative: str) -> str:
     """A figure as an ``svg`` element; `name` keeps its parts apart from those of other figures of the page."""
     import matplotlib
