@@ -69,7 +69,7 @@ benchmark: setup
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -s
 
 mutants: setup
-	$(BIN)/python tools/mutants.py --seed $(or $(SEED),1) --sample $(or $(SAMPLE),200)
+	$(BIN)/python tests/mutation/mutants.py --seed $(or $(SEED),1) --sample $(or $(SAMPLE),200)
 
 # The messages of a record, from their description.
 proto: setup

@@ -37,7 +37,7 @@ from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 TESTS = {
     "smolbot.flight.safety.supervisor": ("test_safety_bounds", "test_safety"),
     "smolbot.core.limits": ("test_limits",),
@@ -203,7 +203,7 @@ def main() -> None:
     parser.add_argument("--sample", type=int, default=200)
     options = parser.parse_args()
     drawn = draw(options.seed, max(options.sample, 1))
-    same = tomllib.loads((ROOT / "tools/equivalent_mutants.toml").read_text())["mutant"]
+    same = tomllib.loads((Path(__file__).with_name("equivalent_mutants.toml")).read_text())["mutant"]
     told: Counter[str] = Counter()
     for module in dict.fromkeys(module for module, _ in drawn):
         sources = [source for one, source in drawn if one == module]
