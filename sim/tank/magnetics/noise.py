@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from smolbot.config.rig import NoiseSection
+from smolbot.config.rig_sections import NoiseSection
 from smolbot.core.arrays import FloatArray
 
 DRIFT_PERIODS = (7.0, 17.0, 41.0)  # s: incommensurate, slower than any listening window

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from smolbot.bench.hardware.wiring import OperatorSection, StageSection
-from smolbot.config.rig import MagnetSection
+from smolbot.config.rig_sections import MagnetSection
 from smolbot.core.rig import CheckItem
 from smolbot.core.shots import MoveMagnet, Rest, Rotate, Shot
 from smolbot.errors import RigError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smolbot.config.observation import Observation
-from smolbot.config.rig import ContainerSection
+from smolbot.config.rig_sections import ContainerSection
 from smolbot.core.arrays import FloatArray
 from smolbot.runs.observation_summary import measurements
 from smolbot.runs.pictures.style import LOCATED, TRUE, dots, ellipse, limit_line, nothing, outline, sheet, two_views

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
 
-    from smolbot.config.rig import ContainerSection
+    from smolbot.config.rig_sections import ContainerSection
 
 PLANNED, TRUE, LOCATED, STIFF = "#b9bec7", "#1b4965", "#e4572e", "#f3e3c3"
 COILS = ("#1b4965", "#5fa8d3", "#e4572e", "#f2a541", "#7b2d8b", "#4c956c")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from smolbot.config.library import shipped
-from smolbot.config.rig import ContainerSection, load_rig
+from smolbot.config.rig import load_rig
+from smolbot.config.rig_sections import ContainerSection
 from smolbot.config.units import SI, SIVector
 
 

@@ -506,7 +506,8 @@ def test_every_shipped_rig_says_what_its_coils_bear(name):
 def test_a_rig_file_without_the_section_is_watched_all_the_same(brief):
     mission = load_mission("line", settings=SHORT)
     del mission.rig.document.data["safety"]
-    from smolbot.config.rig import RigConfig, RigFile
+    from smolbot.config.rig import RigConfig
+    from smolbot.config.rig_sections import RigFile
 
     sections, faults = mission.rig.document.validate(RigFile)
     assert faults == []
