@@ -6,12 +6,21 @@ Compiled, since a cycle of the loop makes dozens of them: each once, for arrays 
 # mypy: disable-error-code="untyped-decorator"
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit, types
 
 from smolbot.core.arrays import FloatArray
 
 _VECTOR, _MATRIX = (types.Array(types.float64, n, "A", readonly=True) for n in (1, 2))
+
+
+@njit((types.float64,) * 4, cache=True, error_model="numpy")
+def _quaternion(w: float, x: float, y: float, z: float) -> FloatArray:
+    out = np.empty(4)  # compiles in a fifth of the time of an array made from a list
+    out[0], out[1], out[2], out[3] = w, x, y, z
+    return out
 
 
 @njit((_VECTOR,), cache=True, error_model="numpy")
@@ -29,13 +38,11 @@ def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
         Takes body vectors to world vectors.
     """
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    out = np.empty((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    return out
 
 
 @njit((_MATRIX,), cache=True, error_model="numpy")
@@ -45,15 +52,15 @@ def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
     xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
     # the largest component is computed by a root, the others by division with it
     if xx + yy + zz >= max(xx, yy, zz):
-        q = np.array([1.0 + xx + yy + zz, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+        w, x, y, z = 1.0 + xx + yy + zz, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     elif xx >= max(yy, zz):
-        q = np.array([m[2, 1] - m[1, 2], 1.0 + xx - yy - zz, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
+        w, x, y, z = m[2, 1] - m[1, 2], 1.0 + xx - yy - zz, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]
     elif yy >= zz:
-        q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1.0 - xx + yy - zz, m[1, 2] + m[2, 1]])
+        w, x, y, z = m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1.0 - xx + yy - zz, m[1, 2] + m[2, 1]
     else:
-        q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1.0 - xx - yy + zz])
-    q /= np.sqrt(np.sum(q * q))
-    return -q if q[0] < 0 else q
+        w, x, y, z = m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1.0 - xx - yy + zz
+    size = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), 1.0 if w >= 0.0 else -1.0)
+    return _quaternion(w / size, x / size, y / size, z / size)
 
 
 @njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
@@ -61,13 +68,11 @@ def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
     """Hamilton product: the rotation `b` followed by the rotation `a`; both shape (4,)."""
     aw, ax, ay, az = a[0], a[1], a[2], a[3]
     bw, bx, by, bz = b[0], b[1], b[2], b[3]
-    return np.array(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
+    return _quaternion(
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
     )
 
 
@@ -77,23 +82,24 @@ def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
     angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     half = 0.5 * angle
     scale = 0.5 if angle < 1e-12 else np.sin(half) / angle
-    return np.array([np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2]])
+    return _quaternion(np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2])
 
 
 @njit((_VECTOR,), cache=True, error_model="numpy")
 def rotation_vector(quaternion: FloatArray) -> FloatArray:
     """Rotation vector (3,), in rad, of at most pi, of a unit quaternion (4,)."""
-    q = -quaternion if quaternion[0] < 0 else 1.0 * quaternion
-    sine = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    scale = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, q[0]) / sine
-    return scale * q[1:]
+    sine = np.sqrt(quaternion[1] ** 2 + quaternion[2] ** 2 + quaternion[3] ** 2)
+    scale = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, abs(quaternion[0])) / sine
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = -scale * quaternion[1 + i] if quaternion[0] < 0.0 else scale * quaternion[1 + i]
+    return out
 
 
 @njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
 def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     """World-frame error e (3,), in rad, with R_estimate = exp(e) R_true; both quaternions (4,)."""
-    inverse = np.array([truth[0], -truth[1], -truth[2], -truth[3]])
-    return rotation_vector(quaternion_product(estimate, inverse))
+    return rotation_vector(quaternion_product(estimate, _quaternion(truth[0], -truth[1], -truth[2], -truth[3])))
 
 
 def half_turned(quaternion: FloatArray) -> FloatArray:

@@ -1,7 +1,8 @@
 """Compiled kernels of the fit. They call each other, so they share this file (numba's cache).
 
 Parameters of the fit, in this order: position (3) in m, world rotation e (3) in rad, phase in rad,
-amplitude as a fraction of the reference angle.
+amplitude as a fraction of the reference angle. Each kernel names its error model: one that does not takes its first
+caller's, and with fast mathematics that moves the last bits.
 """
 
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
@@ -14,14 +15,14 @@ N_PARAMETERS = 8
 _MU0_OVER_4PI = 1e-7
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, error_model="python", fastmath=True)
 def series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes):
     """Power series in the deflection of each channel, and its derivatives for position and rotation.
 
     `values` (n_channels, K) and `slopes` (n_channels, K, 6) are filled.
     """
     n_sensors, n_nodes = positions.shape[0], angles.shape[0]
-    raw = np.zeros((n_sensors, n_nodes, 7))
+    raw = np.empty((n_sensors, n_nodes, 7))
     m = np.empty(3)
     r2 = np.empty(3)
     for node in range(n_nodes):
@@ -66,7 +67,7 @@ def series(positions, axes, moment, l0, angles, powers, position, rotation, valu
                     slopes[j, k, p - 1] = total
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, error_model="python", fastmath=True)
 def model(
     matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
 ):
@@ -78,13 +79,14 @@ def model(
     """
     n_functions, n_channels, n_out = matrix.shape
     n_powers = angles.shape[0]
-    values = np.zeros((n_channels, n_powers))
-    slopes = np.zeros((n_channels, n_powers, 6))
+    values = np.empty((n_channels, n_powers))
+    slopes = np.empty((n_channels, n_powers, 6))
     series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes)
-    size = np.ones(n_powers)
+    size = np.empty(n_powers)
+    size[0] = 1.0
     for k in range(1, n_powers):
         size[k] = size[k - 1] * amplitude
-    turn = np.zeros((n_functions, 2))
+    turn = np.empty((n_functions, 2))
     for f in range(n_functions):
         h = labels[f, 1]
         if labels[f, 2] == 0:
@@ -126,36 +128,43 @@ def model(
         first = last
 
 
-@njit(cache=True)
-def solve_posdef(matrix, right):
-    """Solve in place for a symmetric positive definite `matrix` by Cholesky; False where it is not."""
-    n = matrix.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if total <= 0.0:
-                    return False
-                matrix[i, i] = np.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for column in range(right.shape[1]):
+def _solver(n):
+    """Solver of n equations: a number that is known while it is compiled makes a fit some per cent faster."""
+
+    @njit(cache=True, error_model="numpy")
+    def solve_posdef(matrix, right):
+        """Solve in place for a symmetric positive definite `matrix` by Cholesky; False where it is not."""
         for i in range(n):
-            total = right[i, column]
-            for k in range(i):
-                total -= matrix[i, k] * right[k, column]
-            right[i, column] = total / matrix[i, i]
-        for i in range(n - 1, -1, -1):
-            total = right[i, column]
-            for k in range(i + 1, n):
-                total -= matrix[k, i] * right[k, column]
-            right[i, column] = total / matrix[i, i]
-    return True
+            for j in range(i + 1):
+                total = matrix[i, j]
+                for k in range(j):
+                    total -= matrix[i, k] * matrix[j, k]
+                if i == j:
+                    if total <= 0.0:
+                        return False
+                    matrix[i, i] = np.sqrt(total)
+                else:
+                    matrix[i, j] = total / matrix[j, j]
+        for column in range(right.shape[1]):
+            for i in range(n):
+                total = right[i, column]
+                for k in range(i):
+                    total -= matrix[i, k] * right[k, column]
+                right[i, column] = total / matrix[i, i]
+            for i in range(n - 1, -1, -1):
+                total = right[i, column]
+                for k in range(i + 1, n):
+                    total -= matrix[k, i] * right[k, column]
+                right[i, column] = total / matrix[i, i]
+        return True
+
+    return solve_posdef
 
 
-@njit(cache=True)
+_solve_six, _solve_eight = _solver(6), _solver(8)
+
+
+@njit(cache=True, error_model="numpy")
 def rotate(rotation, e):
     """exp(e) R for a world rotation vector `e`."""
     angle = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
@@ -164,14 +173,10 @@ def rotate(rotation, e):
     x, y, z = e[0] / angle, e[1] / angle, e[2] / angle
     s, c = np.sin(angle), np.cos(angle)
     v = 1.0 - c
-    turn = np.array(
-        [
-            [c + x * x * v, x * y * v - z * s, x * z * v + y * s],
-            [y * x * v + z * s, c + y * y * v, y * z * v - x * s],
-            [z * x * v - y * s, z * y * v + x * s, c + z * z * v],
-        ]
-    )
-    out = np.zeros((3, 3))
+    turn, out = np.empty((3, 3)), np.zeros((3, 3))
+    turn[0, 0], turn[0, 1], turn[0, 2] = c + x * x * v, x * y * v - z * s, x * z * v + y * s
+    turn[1, 0], turn[1, 1], turn[1, 2] = y * x * v + z * s, c + y * y * v, y * z * v - x * s
+    turn[2, 0], turn[2, 1], turn[2, 2] = z * x * v - y * s, z * y * v + x * s, c + z * z * v
     for i in range(3):
         for j in range(3):
             for k in range(3):
@@ -179,7 +184,7 @@ def rotate(rotation, e):
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, error_model="python", fastmath=True)
 def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
     """Fill J^T J and J^T r, the belief in the amplitude included; return the cost and the sum squared error (S20).
 
@@ -208,7 +213,7 @@ def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
     return sse + belief[1] * off * off, sse
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fit(
     data, matrix, labels, positions, axes, moment, l0, angles, powers,
     position, rotation, phase, amplitude, amplitude_max, belief, iterations, tolerance,
@@ -229,15 +234,15 @@ def fit(
     cost, sse = normal_equations(data, out, jacobian, amplitude, belief, normal, gradient)
     damping = 1e-3
     converged = False
-    trial_normal = np.zeros((8, 8))
-    trial_gradient = np.zeros(8)
+    trial_normal, trial_gradient = np.zeros((8, 8)), np.zeros(8)
+    right, step = np.zeros((8, 1)), np.zeros(8)
     for _ in range(iterations):
         held = amplitude >= amplitude_max and gradient[7] > 0.0
         accepted = False
         for _attempt in range(8):
             system = normal.copy()
-            right = gradient.copy().reshape(8, 1)
             for a in range(8):
+                right[a, 0] = gradient[a]
                 system[a, a] *= 1.0 + damping
             if held:
                 for a in range(8):
@@ -245,15 +250,17 @@ def fit(
                     system[7, a] = 0.0
                 system[7, 7] = 1.0
                 right[7, 0] = 0.0
-            if not solve_posdef(system, right):
+            if not _solve_eight(system, right):
                 damping = max(damping, 1e-6) * 10.0
                 continue
-            step = right[:, 0].copy()
-            length = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-            turned = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+            length = np.sqrt(right[0, 0] ** 2 + right[1, 0] ** 2 + right[2, 0] ** 2)
+            turned = np.sqrt(right[3, 0] ** 2 + right[4, 0] ** 2 + right[5, 0] ** 2)
             shrink = min(1.0, 0.02 / (length + 1e-30), 0.7 / (turned + 1e-30))
-            step *= shrink
-            new_position = position + step[:3]
+            new_position = position.copy()
+            for a in range(8):
+                step[a] = right[a, 0] * shrink
+                if a < 3:
+                    new_position[a] += step[a]
             new_rotation = rotate(rotation, step[3:6])
             new_phase = phase + step[6]
             new_amplitude = min(max(amplitude + step[7], 0.02 * amplitude_max), amplitude_max)
@@ -285,21 +292,21 @@ def fit(
     return position, rotation, phase, amplitude, sse, normal, converged
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, guess):
     """Phase and amplitude that fit `data` best at a fixed pose; exact for small amplitudes."""
     n_out = data.shape[0]
     first = np.zeros(n_out)
     jacobian = np.zeros((8, n_out))
     model(matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
-    second = -jacobian[6]  # of the first harmonic, a quarter of a turn away
     aa, ab, bb, ay, by = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n_out):
+        second = -jacobian[6, i]  # of the first harmonic, a quarter of a turn away
         aa += first[i] * first[i]
-        ab += first[i] * second[i]
-        bb += second[i] * second[i]
+        ab += first[i] * second
+        bb += second * second
         ay += first[i] * data[i]
-        by += second[i] * data[i]
+        by += second * data[i]
     determinant = aa * bb - ab * ab
     if determinant <= 1e-12 * aa * bb:
         return 0.0, guess
@@ -307,7 +314,7 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
     return np.arctan2(-v, u), guess * np.sqrt(u * u + v * v)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def covariance(normal, variance):
     """Covariance (8, 8) of position, rotation, phase and amplitude; infinite where undetermined."""
     out = np.full((8, 8), np.inf)
@@ -321,7 +328,7 @@ def covariance(normal, variance):
     for a in range(8):
         for b in range(8):
             system[a, b] = normal[a, b] * scale[a] * scale[b]
-    if not solve_posdef(system, inverse):
+    if not _solve_eight(system, inverse):
         return out
     worst = 0.0
     for a in range(8):
@@ -334,7 +341,7 @@ def covariance(normal, variance):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def moving(field):
     """Rows (n_sensors, n) that are finite and not constant, as bool (n_sensors,)."""
     out = np.zeros(field.shape[0], dtype=np.bool_)
@@ -349,14 +356,14 @@ def moving(field):
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, error_model="python", fastmath=True)
 def tapped(field, first, weights):
     """Weighted sums (n_sensors, n_out) of raw samples (n_sensors, n), each row less its own first sample.
 
     The first sample is taken off so that a large constant costs no precision.
     """
     n_sensors, n_out, width = field.shape[0], weights.shape[0], weights.shape[1]
-    out = np.zeros((n_sensors, n_out))
+    out = np.empty((n_sensors, n_out))
     for j in range(n_sensors):
         base = field[j, 0]
         for i in range(n_out):
@@ -368,7 +375,7 @@ def tapped(field, first, weights):
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, error_model="python", fastmath=True)
 def mixed(mixing, samples):
     """`mixing` (n_rows, n) times `samples` (n, m), row by row in one vector; no threads of a linear algebra library."""
     n_rows, n, m = mixing.shape[0], samples.shape[0], samples.shape[1]
@@ -388,7 +395,7 @@ def mixed(mixing, samples):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def grid_moments(gram, right, positions, axes, grid, moments):
     """Fit of an oscillating moment at each grid position; returns how much of the data each explains.
 
@@ -434,7 +441,7 @@ def grid_moments(gram, right, positions, axes, grid, moments):
         for i in range(6):
             normal[i, i] += 1e-9 * trace
         saved = solution.copy()
-        if solve_posdef(normal, solution):
+        if _solve_six(normal, solution):
             for i in range(6):
                 gains[g] += saved[i, 0] * solution[i, 0]
                 moments[g, i] = solution[i, 0]

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from scipy.linalg import lapack
 
 from smolbot.core.arrays import FloatArray
 from smolbot.localization import kernels as compiled
@@ -32,6 +33,7 @@ PER_SENSOR = 6
 OF_DEVICE = 2
 """Deviations of the device, which come after those of all sensors: ln moment, l0 (m)."""
 
+_KEPT = np.array([0, 1, 2, 3, 4, 5, 7])  # of the eight that are fitted: all but the phase
 _STEP = 1e-6  # m: of the difference quotient for l0
 
 TURNING = 2e-3
@@ -126,7 +128,7 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
     return ArrayTerms(step, doubt * covariance, lean, information / doubt, right / doubt, fit.amplitude)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, error_model="python", fastmath=True)
 def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
     """Change of the data vector per deviation of each sensor, shape (PER_SENSOR * n_channels, n_out).
 
@@ -135,7 +137,7 @@ def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
     """
     n_functions, n, n_out = matrix.shape
     out = np.zeros((PER_SENSOR * n, n_out))
-    wave = np.empty(n_out)
+    wave, tilt = np.empty(n_out), np.empty(2)
     for j in range(n):
         first = 0
         size = 1.0
@@ -153,7 +155,7 @@ def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
                 for i in range(n_out):
                     wave[i] += c * size * matrix[last, j, i]
                 last += 1
-            tilt = np.zeros(2)
+            tilt[0] = tilt[1] = 0.0
             for q in range(2):
                 for axis in range(3):
                     tilt[q] += frames[j, q, axis] * values[1 + axis, j, k]
@@ -171,7 +173,7 @@ def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, error_model="python", fastmath=True)
 def products(a, b):
     """Inner products (n, m) of the rows of `a` (n, k) with those of `b` (m, k)."""
     out = np.empty((a.shape[0], b.shape[0]))
@@ -184,49 +186,36 @@ def products(a, b):
     return out
 
 
-@njit(cache=True)
-def separated(rows, strays, residual):
+def _inverse(matrix: FloatArray) -> FloatArray:
+    factors, pivots, _ = lapack.dgetrf(matrix)
+    return np.asarray(lapack.dgetri(factors, pivots)[0])
+
+
+def separated(
+    rows: FloatArray, strays: FloatArray, residual: FloatArray
+) -> tuple[bool, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """Pose and sensors told apart in one recording's data.
 
     `rows` (8 + m, n_out): the data's change per pose, phase and amplitude, then per deviation. `strays` (k, n_out) are
     heard as noise, each of unit size. Returns whether it could be done, the step of the pose (7,) and its covariance,
     the lean (7, m), information and right of the deviations, and the squared residual that is left of the data.
     """
-    m = rows.shape[0] - 8
     data = residual.reshape(1, -1)
-    inner = np.linalg.inv(np.eye(strays.shape[0]) + products(strays, strays))
+    inner = _inverse(np.eye(len(strays)) + products(strays, strays))
     across = products(rows, strays) @ inner
     rest = rows - across @ strays  # C^-1 times the rows, C = 1 + strays^T strays
     normal = products(rows, rest)
-    right = products(rest, data)[:, 0].copy()
-    heard = products(strays, data)[:, 0].copy()
+    right, heard = products(rest, data)[:, 0], products(strays, data)[:, 0]
     square = products(data, data)[0, 0] - heard @ inner @ heard
-    pose = np.zeros(7)
-    scale = np.zeros(8)
-    for a in range(8):
-        scale[a] = 1.0 / np.sqrt(max(normal[a, a], 1e-300))
-    scaled = np.empty((8, 8))
-    for a in range(8):
-        for b in range(8):
-            scaled[a, b] = normal[a, b] * scale[a] * scale[b]
-    values = np.linalg.eigvalsh(scaled)
-    lean = np.zeros((7, m))
-    covariance = np.zeros((7, 7))
-    if values[0] < 1e-10:
-        return False, pose, covariance, lean, normal[8:, 8:].copy(), right[8:].copy(), square
-    whole = np.linalg.inv(scaled)
-    for a in range(8):
-        for b in range(8):
-            whole[a, b] *= scale[a] * scale[b]
-    step = whole @ right[:8]
-    mixed = np.ascontiguousarray(normal[:8, 8:])
+    information = normal[8:, 8:]
+    scale = 1.0 / np.sqrt(np.maximum(normal.diagonal()[:8], 1e-300))
+    scaled = normal[:8, :8] * scale[:, None] * scale
+    if not lapack.dsyevd(scaled, compute_v=0)[0][0] >= 1e-10:
+        return False, np.zeros(7), np.zeros((7, 7)), np.zeros((7, len(information))), information, right[8:], square
+    whole = _inverse(scaled)
+    whole *= scale[:, None] * scale
+    step, mixed = whole @ right[:8], normal[:8, 8:]
     shift = whole @ mixed  # (8, m)
-    kept = np.array([0, 1, 2, 3, 4, 5, 7])
-    for a in range(7):
-        pose[a] = step[kept[a]]
-        for b in range(7):
-            covariance[a, b] = whole[kept[a], kept[b]]
-        for i in range(m):
-            lean[a, i] = -shift[kept[a], i]
-    information = normal[8:, 8:] - mixed.T @ shift
+    pose, lean, covariance = step[_KEPT], -shift[_KEPT], whole[_KEPT[:, None], _KEPT]
+    information = information - mixed.T @ shift
     return True, pose, covariance, lean, information, right[8:] - mixed.T @ step, square - right[:8] @ step
