@@ -76,33 +76,6 @@ def basis(u: float, cells: int, weights: FloatArray) -> int:
 
 
 @compiled
-def spline_field_gradient(
-    coefficients: FloatArray, origin: FloatArray, spacing: FloatArray, point: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Field and gradient of every coil at one point; for compiled callers, so the range is not checked.
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (nx + 4, ny + 4, nz + 4, n_coils), in T m / A
-        Coefficients of the potential, as `FieldTable.spline` has them; an axis of ``n`` samples has ``n + 4``.
-    origin, spacing : ndarray, shape (3,), in m
-        First sample and mesh width on each axis, world frame.
-    point : ndarray, shape (3,), in m
-        In the world frame, inside the table.
-
-    Returns
-    -------
-    field : ndarray, shape (n_coils, 3), in T/A
-    gradient : ndarray, shape (n_coils, 3, 3), in T/(A m)
-        ``[c, i, j] = dB_i / dx_j``; symmetric.
-    """
-    n_coils = coefficients.shape[3]
-    field, gradient = np.empty((n_coils, 3)), np.empty((n_coils, 3, 3))
-    _evaluate(coefficients, origin, spacing, point, field, gradient)
-    return field, gradient
-
-
-@compiled
 def _evaluate(
     coefficients: FloatArray,
     origin: FloatArray,

@@ -20,7 +20,7 @@ MAX_RESIDUAL = 0.05  # beyond it, samples are no field free of curl, but swapped
 
 
 class Spline(NamedTuple):
-    """What `lookup_tables.splines.spline_field_gradient` takes, for compiled callers."""
+    """Of the potential: coefficients (nx + 4, ny + 4, nz + 4, n_coils), T m / A; first node, mesh width (3,), m."""
 
     coefficients: FloatArray
     origin: FloatArray

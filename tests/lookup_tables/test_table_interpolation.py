@@ -10,7 +10,6 @@ import pytest
 from scipy.interpolate import NdBSpline
 
 from lookup_tables import FieldTable, OutsideTableError, TableError, build, mesh_axis
-from lookup_tables.splines import spline_field_gradient
 
 
 def true_gradient(coil, points, step=2e-4):
@@ -102,12 +101,6 @@ def test_the_kernel_is_the_spline_that_scipy_evaluates(table, points):
         for j in range(3):
             slope = -spline(points, nu=nu + np.eye(3, dtype=int)[j]).T
             np.testing.assert_allclose(table.gradient(points)[..., i, j], slope, rtol=1e-6, atol=1e-10)
-
-
-def test_compiled_callers_get_the_same_as_python(table, points):
-    field, gradient = spline_field_gradient(*table.spline, points[0])
-    np.testing.assert_array_equal(field, table.field(points[:1])[:, 0])
-    np.testing.assert_array_equal(gradient, table.gradient(points[:1])[:, 0])
 
 
 def test_corners_belong_to_the_table_and_points_beyond_do_not(table):
