@@ -56,7 +56,7 @@ docs: setup
 
 # All pages, or PAGE=name; the one that needs an idle machine only by its name.
 tutorials: setup
-	$(BIN)/python docs/run_tutorials.py $(if $(PAGE),$(PAGE),--quick)
+	$(BIN)/python docs/run_tutorials.py $(if $(PAGE),$(PAGE),--quick --jobs 2)
 
 figures: setup
 	$(BIN)/python docs/figures.py $(NAME)

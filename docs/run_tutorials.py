@@ -30,6 +30,7 @@ import tempfile
 import time
 import venv
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -306,6 +307,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Run the tutorials as their reader would.")
     parser.add_argument("pages", nargs="*", help="names of pages, such as my_own_path; all without")
     parser.add_argument("--quick", action="store_true", help="leave out pages that take long")
+    parser.add_argument("--jobs", type=int, default=1, help="how many pages to play beside one another")
     parser.add_argument("--keep", type=Path, help="folder to run in, which stays")
     parser.add_argument("--show", action="store_true", help="print what commands print")
     chosen = parser.parse_args(arguments)
@@ -313,21 +315,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     unknown = [name for name in chosen.pages if name not in known]
     if unknown:
         parser.error(f"no tutorial is named {unknown[0]}; there are {', '.join(known)}.")
-    wrong = 0
-    for name in chosen.pages or known:
-        page = known[name]
-        if chosen.quick and is_slow(page):
-            continue
-        began = time.monotonic()
-        with tempfile.TemporaryDirectory() as scratch:
-            try:
-                play(page, (chosen.keep or Path(scratch)) / name, show=chosen.show)
-            except TutorialError as error:
-                print(f"{page}:{error.line}: {error}", file=sys.stderr)
-                wrong += 1
-                continue
-        print(f"{name}: {time.monotonic() - began:.1f} s", flush=True)
+    pages = [known[name] for name in chosen.pages or known if not (chosen.quick and is_slow(known[name]))]
+    with ThreadPoolExecutor(chosen.jobs) as executor:
+        wrong = sum(executor.map(lambda page: _fails(page, chosen.keep, chosen.show), pages))
     return 1 if wrong else 0
+
+
+def _fails(page: Path, keep: Path | None, show: bool) -> bool:
+    """Play a page and say how long it took, or what does not hold."""
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            play(page, (keep or Path(scratch)) / page.stem, show=show)
+        except TutorialError as error:
+            print(f"{page}:{error.line}: {error}", file=sys.stderr, flush=True)
+            return True
+    print(f"{page.stem}: {time.monotonic() - began:.1f} s", flush=True)
+    return False
 
 
 if __name__ == "__main__":
