@@ -67,6 +67,7 @@ def table_key(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray
     recipe = {
         "format": FORMAT_VERSION,
         "magpylib": version("magpylib"),
+        "threads": 1,  # of the fit; tables of earlier versions depend on how many there were
         "coils": [coil.parameters() for coil in coils],
         "mesh": [np.asarray(axis, dtype=np.float64).tolist() for axis in (x, y, z)],
     }

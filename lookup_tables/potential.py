@@ -45,7 +45,16 @@ def fit_potential(spacing: FloatArray, samples: FloatArray) -> FloatArray:
     ndarray, shape (nx + 4, ny + 4, nz + 4, n_coils), in T m / A
         For `lookup_tables.splines`. For one plane of samples, the potential off the plane is that of a field
         without curl and divergence to second order, so that the whole gradient is known on the plane.
+        The same to the last bit however many threads linear algebra is lent: it uses one.
     """
+    import scipy.linalg  # noqa: F401  (what is not loaded yet cannot be limited)
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fit(spacing, samples)
+
+
+def _fit(spacing: FloatArray, samples: FloatArray) -> FloatArray:
     counts = samples.shape[1:4]
     if 1 in counts:
         return _fit_plane(spacing, samples, counts.index(1))

@@ -8,8 +8,10 @@ import sys
 import numpy as np
 import pytest
 from scipy.interpolate import NdBSpline
+from threadpoolctl import threadpool_limits
 
 from lookup_tables import FieldTable, OutsideTableError, TableError, build, mesh_axis
+from lookup_tables.potential import fit_potential
 
 
 def true_gradient(coil, points, step=2e-4):
@@ -168,3 +170,14 @@ def test_importing_the_package_loads_nothing_heavy():
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split("\n")[:2] == ["[]", "True"]
+
+
+def test_a_fit_does_not_depend_on_how_many_threads_are_lent():
+    rng = np.random.default_rng(3)
+    samples = rng.normal(size=(4, 61, 61, 9, 3))
+    spacing = np.full(3, 5e-4)
+    found = set()
+    for threads in (1, 2):
+        with threadpool_limits(limits=threads, user_api="blas"):
+            found.add(fit_potential(spacing, samples).tobytes())
+    assert len(found) == 1
