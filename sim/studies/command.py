@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -12,34 +11,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smolbot.config.plugins import load, names
 from smolbot.errors import InputError, did_you_mean
 from smolbot.ui.cli.options import JsonOption, SetOption
 
 if TYPE_CHECKING:
     from sim.studies.study import Options, Outcome, Study
 
-STUDIES = {
-    "bound": "error over the Cramer-Rao bound, and how honest the covariance is",
-    "accuracy": "differential errors over translations and rotations (Figs. 2A to 2D, S4, S5)",
-    "precision": "precision and rate against the number of half-periods (Fig. 2F)",
-    "damping": "precision against damping (Fig. 2G)",
-    "depth": "how deep a pose can be found, against magnet size (Fig. 2E)",
-    "cold": "poses from nothing, anywhere and in any orientation",
-    "speed": "time of a pose, against the same fit in numpy and scipy",
-    "superfast": "one excitation cut into segments while the device steps (Figs. 2H, S6)",
-    "scalpel": "a magnetic tool passing by, against static magnets",
-    "allocation": "coil currents for a wanted force: direction, size and heat against brute force, and time",
-    "layout": "sensor places: bound, correlation of z with amplitude, an optimised layout",
-    "margins": "a mission's loop along its path: gain, phase and delay margins, a start for its gains",
-}
-"""Every study, a module of this package, and what it finds out."""
-
 app = typer.Typer(add_completion=False)
 
 
 @app.command("study")
 def study(
-    name: Annotated[str, typer.Argument(help="One of: " + ", ".join(STUDIES) + ".", metavar="NAME")],
+    name: Annotated[str, typer.Argument(help="One of: " + ", ".join(names("studies")) + ".", metavar="NAME")],
     mission: Annotated[
         str | None,
         typer.Argument(help="For margins: a shipped mission by name, or your own by path.", metavar="[MISSION]"),
@@ -84,17 +68,19 @@ def study(
 
 
 def load_study(name: str) -> Study:
-    """The study of that name; its module is imported only now.
+    """The study of that name, ours or a lab's; its module is imported only now.
 
     Raises
     ------
     InputError
         If there is none.
+    PluginError
+        If it is none that can be run.
     """
-    if name not in STUDIES:
-        hint = did_you_mean(name, STUDIES)
-        raise InputError(f"No study is named '{name}'; there are: {', '.join(STUDIES)}.{hint}")
-    found: Study = importlib.import_module(f"sim.studies.{name}").STUDY
+    known = names("studies")
+    if name not in known:
+        raise InputError(f"No study is named '{name}'; there are: {', '.join(known)}.{did_you_mean(name, known)}")
+    found: Study = load("studies", name)
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from smolbot.config.document import Document, Fault, validate
+from smolbot.config.document import Document, Fault
 
 if TYPE_CHECKING:
     from sim.tank.positioning_stage import TankStage
@@ -23,10 +23,7 @@ class TankWorld:
         from sim.tank.carriers.route_checks import holding_faults
         from sim.tank.settings import TankSettings
 
-        section = document.data.get("tank", {})
-        if not isinstance(section, dict):
-            return [Fault(("tank",), f"must be a section, [tank]; got {section!r}.")]
-        settings, faults = validate(TankSettings, section, ("tank",))
+        settings, faults = document.section("tank", TankSettings)
         return faults if settings is None else holding_faults(settings, document.data.get("container"))
 
     @staticmethod

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from smolbot.config.document import Document, Fault, FileModel, quoted, write_lines
+from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.robot import DeviceSection
+from smolbot.config.toml_layers import write_file
 from smolbot.config.units import NotNegative
 from smolbot.core.sensing import Device
 from smolbot.errors import InputError
@@ -110,34 +111,30 @@ def write_device(path: str | Path, config: DeviceConfig) -> None:
     InputError
         If the file cannot be written.
     """
-    d = config.device
-    along = ", ".join(f"{c:.9g}" for c in d.moment_in_body)
-    lines = ["# SMOL device as calibrated; smolbot calibrate writes such files."]
-    lines += [f"robot = {quoted(config.robot)}", f"rig = {quoted(config.rig)}", f"date = {config.date.isoformat()}"]
-    if config.description:
-        lines.append(f"description = {quoted(config.description)}")
-    if config.height is not None:
-        lines.append(f"{_entry('z_mm', config.height * 1e3)}  # known height of the rotation centre during calibration")
-    lines += ["", "[device]"]
-    lines.append(
-        f"{_entry('moment_ma_m2', d.moment * 1e3)}  # as believed: theta_max is measured as moment times angle"
+    d, std = config.device, config.std
+    measured = (
+        ("theta_max_deg", np.degrees(d.theta_max), None if std is None else np.degrees(std.theta_max)),
+        ("frequency_hz", d.frequency, None if std is None else std.frequency),
+        ("damping_per_s", d.damping, None if std is None else std.damping),
     )
-    lines += [f"moment_in_body = [{along}]", _entry("l0_mm", d.l0 * 1e3)]
-    theta_std, frequency_std, damping_std = (
-        (None, None, None)
-        if config.std is None
-        else (float(np.degrees(config.std.theta_max)), config.std.frequency, config.std.damping)
-    )
-    lines += _measured("theta_max_deg", float(np.degrees(d.theta_max)), theta_std)
-    lines += _measured("frequency_hz", d.frequency, frequency_std)
-    lines += _measured("damping_per_s", d.damping, damping_std)
-    lines += [f"damping_model = {quoted(d.damping_model)}"]
-    write_lines(path, lines)
+    height = None if config.height is None else config.height * 1e3
+    begin = [
+        ("robot", config.robot, ""),
+        ("rig", config.rig, ""),
+        ("date", config.date, ""),
+        ("description", config.description or None, ""),
+        ("z_mm", _rounded(height), "known height of the rotation centre during calibration"),
+    ]
+    device = [
+        ("moment_ma_m2", _rounded(d.moment * 1e3), "as believed: theta_max is measured as moment times angle"),
+        ("moment_in_body", [_rounded(c) for c in d.moment_in_body], ""),
+        ("l0_mm", _rounded(d.l0 * 1e3), ""),
+        *((name, _rounded(v), "") for key, value, of in measured for name, v in ((key, value), (f"{key}_std", of))),
+        ("damping_model", d.damping_model, ""),
+    ]
+    write_file(path, ["SMOL device as calibrated; smolbot calibrate writes such files."], {"": begin, "device": device})
 
 
-def _measured(key: str, value: float, std: float | None) -> list[str]:
-    return [_entry(key, value)] + ([] if std is None else [_entry(f"{key}_std", std)])
-
-
-def _entry(key: str, value: float) -> str:
-    return f"{key} = {float(value):.10g}"
+def _rounded(value: float | None) -> float | None:
+    """To ten digits."""
+    return None if value is None else float(f"{value:.10g}")

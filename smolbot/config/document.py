@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import json
 import re
 import tomllib
@@ -14,10 +16,14 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from smolbot.config.toml_layers import lay_over, set_values
 from smolbot.config.units import SI
 from smolbot.errors import ConfigError, MissingFileError, did_you_mean, writing
 
 KeyPath = tuple[str | int, ...]
+
+EXTENDS = "extends"
+"""The key by which a file names the one that it extends."""
 
 
 class FileModel(BaseModel):
@@ -38,58 +44,91 @@ class Fault:
 
 
 class Document:
-    """A TOML file: its text, its data, and the line on which each key stands."""
+    """A TOML file: its text, its data, and where each key stands.
 
-    def __init__(self, path: Path, text: str) -> None:
+    Parameters
+    ----------
+    path : Path
+    text : str
+    parent : Document, optional
+        The file that this one extends: what this one does not say is taken from there.
+
+    Attributes
+    ----------
+    data : dict
+        What file, parents and settings say together.
+    """
+
+    def __init__(self, path: Path, text: str, parent: Document | None = None) -> None:
         self.path = path
-        self.text = text
-        self.settings: dict[KeyPath, str] = {}
+        self.settings: dict[str, str] = {}
         self.prefix = ""
-        try:
-            self.data: dict[str, Any] = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            line = re.search(r"line (\d+)", str(error))
-            where = f":{line[1]}" if line else ""
-            raise ConfigError(f"{path}{where}: not valid TOML: {error}") from error
-        self._lines = _key_lines(text)
+        self._dropped: tuple[str, ...] = ()
+        own = _parsed(path, text)
+        places: dict[KeyPath, tuple[Path | None, int]] = {key: (None, n) for key, n in _key_lines(text).items()}
+        if parent is not None:
+            own.pop(EXTENDS, None)
+            replaced = _values(own)
+            kept = {key: parent.place(key) for key in parent._places if not _under(key, replaced)}
+            text, places = lay_over(parent.text, text, [(EXTENDS,)]), {**kept, **places}
+        self._text = text
+        self._places: dict[KeyPath, tuple[Path | None, int]] = places
+        self.data: dict[str, Any] = own if parent is None else tomllib.loads(text)
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """Read `path`; a missing or unreadable file is one clear error."""
-        try:
-            return cls(path, path.read_text(encoding="utf-8"))
-        except FileNotFoundError as error:
-            raise MissingFileError(f"{path}: no such file.") from error
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path}: cannot be read as text: {error}") from error
+        """Read `path` by itself; a missing or unreadable file is one clear error."""
+        return cls(path, read_text(path))
+
+    @property
+    def text(self) -> str:
+        """One TOML text that stands alone: parents, file and settings together, with their comments."""
+        if not self.settings:
+            return self._text
+        given = {tuple(name.split(".")): _setting(value) for name, value in self.settings.items()}
+        return set_values(self._text, given, [tuple(name.split(".")) for name in self._dropped])
+
+    def place(self, key: KeyPath) -> tuple[Path, int]:
+        """File and line of `key`, or of the nearest key that encloses it."""
+        while key and key not in self._places:
+            key = key[:-1]
+        path, line = self._places.get(key, (None, 1))
+        return path or self.path, line
 
     def line(self, key: KeyPath) -> int:
         """Line of `key`, or of the nearest key that encloses it."""
-        while key and key not in self._lines:
-            key = key[:-1]
-        return self._lines.get(key, 1)
+        return self.place(key)[1]
+
+    def folder(self, key: KeyPath) -> Path:
+        """Folder of the file in which `key` stands, from which a file that it names is meant."""
+        return (self.path if ".".join(map(str, key)) in self.settings else self.place(key)[0]).parent
 
     def spell(self, fault: Fault) -> str:
         """``file:line: key: message``, or the setting that was laid over the file."""
         name = ".".join(str(part) for part in fault.key)
         for key, value in self.settings.items():
-            if fault.key[: len(key)] == key:
-                return f"--set {self.prefix}{'.'.join(str(part) for part in key)}={value}: {fault.message}"
-        return f"{self.path}:{self.line(fault.key)}: {name + ': ' if name else ''}{fault.message}"
+            if name == key or name.startswith(f"{key}."):
+                return f"--set {self.prefix}{key}={value}: {fault.message}"
+        path, line = self.place(fault.key)
+        return f"{path}:{line}: {name + ': ' if name else ''}{fault.message}"
 
     def error(self, faults: list[Fault]) -> ConfigError:
-        """One error with a line for each fault, in the order of the file."""
-        ordered = sorted(faults, key=lambda f: self.line(f.key))
+        """One error with a line for each fault, in the order of the file, then of its parents."""
+        places = {fault: self.place(fault.key) for fault in faults}
+        ordered = sorted(faults, key=lambda fault: (places[fault][0] != self.path, places[fault][1]))
         return ConfigError("\n".join(dict.fromkeys(self.spell(f) for f in ordered)))
 
-    def override(self, settings: dict[str, str], prefix: str = "") -> Document:
+    def override(self, settings: dict[str, str], prefix: str = "", without: Iterable[str] = ()) -> Document:
         """The same document with ``key.path = value`` settings laid over it, values in TOML spelling.
 
-        `prefix` is what the user put before the keys, for messages.
+        `prefix` is what the user put before the keys, for messages. Keys `without` are taken out.
         """
-        changed = Document(self.path, self.text)
-        changed.prefix = prefix
-        changed.settings = {tuple(name.split(".")): value for name, value in settings.items()}
+        changed = copy.copy(self)
+        changed.prefix, changed.settings, changed._dropped = prefix, dict(settings), tuple(without)
+        changed.data = copy.deepcopy(self.data)
+        for name in changed._dropped:
+            *sections, last = name.split(".")
+            functools.reduce(lambda table, part: table.get(part, {}), sections, changed.data).pop(last, None)
         for name, value in settings.items():
             parts = name.split(".")
             target = changed.data
@@ -103,6 +142,16 @@ class Document:
     def validate(self, model: type[Model]) -> tuple[Model | None, list[Fault]]:
         """The document as `model`, or None and every fault found."""
         return validate(model, self.data)
+
+    def section(self, name: str, model: type[Model]) -> tuple[Model | None, list[Fault]]:
+        """The section ``[name]`` as `model`, or None and every fault of it; empty where the file has none.
+
+        A world checks its own section so, which nobody else does (`smolbot.config.world.World.check`).
+        """
+        data = self.data.get(name, {})
+        if not isinstance(data, dict):
+            return None, [Fault((name,), f"must be a section, [{name}]; got {data!r}.")]
+        return validate(model, data, (name,))
 
     def validated(self, model: type[Model]) -> Model:
         """The document as `model`. Raises ConfigError with every fault."""
@@ -126,9 +175,33 @@ def write_lines(path: str | Path, lines: Iterable[str]) -> None:
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def quoted(value: str) -> str:
-    """A TOML basic string."""
-    return json.dumps(value, ensure_ascii=False)
+def read_text(path: Path) -> str:
+    """Text of a file; a missing or unreadable one is one clear error."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: no such file.") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as text: {error}") from error
+
+
+def _parsed(path: Path, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"line (\d+)", str(error))
+        where = f":{line[1]}" if line else ""
+        raise ConfigError(f"{path}{where}: not valid TOML: {error}") from error
+
+
+def _values(data: dict[str, Any], at: KeyPath = ()) -> set[KeyPath]:
+    """Paths of all that is no table."""
+    inner = [_values(value, (*at, key)) if isinstance(value, dict) else {(*at, key)} for key, value in data.items()]
+    return set().union(*inner)
+
+
+def _under(key: KeyPath, replaced: set[KeyPath]) -> bool:
+    return any(key[:count] in replaced for count in range(1, len(key) + 1))
 
 
 def _setting(text: str) -> Any:

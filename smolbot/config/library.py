@@ -5,7 +5,8 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-from smolbot.errors import MissingFileError, did_you_mean
+from smolbot.config.document import EXTENDS, Document, Fault, read_text
+from smolbot.errors import ConfigError, MissingFileError, did_you_mean
 
 KINDS = ("missions", "rigs", "robots")
 
@@ -37,3 +38,49 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
         f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{did_you_mean(name, ours)} "
         f"Your own is given by its path, such as ./{name}.toml."
     )
+
+
+def open_file(name: str, kind: str, beside: Path | None = None) -> Document:
+    """Read a file of one kind by name or path, with all that it extends.
+
+    Parameters
+    ----------
+    name, kind, beside
+        See `find_file`.
+
+    Raises
+    ------
+    MissingFileError
+        If there is no such file.
+    ConfigError
+        If one of them cannot be read, or extends itself or what is not there, with the files concerned.
+    """
+    return _opened(find_file(name, kind, beside), kind, ())
+
+
+def _opened(path: Path, kind: str, below: tuple[Path, ...]) -> Document:
+    """The file at `path`, which the files `below` extend, the first of them being the one that was asked for."""
+    text = read_text(path)
+    alone = Document(path, text)
+    name = alone.data.get(EXTENDS)
+    if name is None:
+        return alone
+    if not isinstance(name, str):
+        raise alone.error([Fault((EXTENDS,), f"must name one of the {kind}, or a file; got {name!r}.")])
+    try:
+        parent = find_file(name, kind, path.parent)
+    except MissingFileError as error:
+        raise alone.error([Fault((EXTENDS,), str(error))]) from error
+    chain = (*below, path)
+    if parent.resolve() in [one.resolve() for one in chain]:
+        circle = " extends ".join(str(one) for one in (*chain, parent))
+        raise alone.error([Fault((EXTENDS,), f"goes round in a circle: {circle}.")])
+    return Document(path, text, _opened(parent, kind, chain))
+
+
+def holds_rig(path: Path) -> bool:
+    """Whether a file that may be a rig's or a mission's is a rig's; false of one that cannot be read as either."""
+    try:
+        return "sensors" in open_file(str(path), "rigs").data
+    except (ConfigError, MissingFileError):  # as a mission it is told what is wrong with it
+        return False

@@ -43,7 +43,13 @@ class VerdictSection(FileModel):
 
 
 class MissionFile(MissionBaseFile):
-    """Everything the file of a mission says that steers a robot."""
+    """Everything the file of a mission says that steers a robot.
+
+    Attributes
+    ----------
+    extends : str
+        A shipped mission by name, or a file by path: all that does not stand here is as there.
+    """
 
     path: PathSection
     start: StartSection = StartSection()

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from smolbot.config.document import Document, Fault, FileModel, Model
-from smolbot.config.library import find_file
+from smolbot.config.library import open_file
+from smolbot.config.path_section import void_keys
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.config.units import NotNegative, Positive
@@ -46,8 +47,15 @@ class StopSection(FileModel):
 
 
 class MissionBaseFile(FileModel):
-    """The sections that every mission file has."""
+    """The sections that every mission file has.
 
+    Attributes
+    ----------
+    extends : str
+        A shipped mission by name, or a file by path: all that does not stand here is as there.
+    """
+
+    extends: str | None = None
     name: str
     description: str = ""
     rig: str
@@ -76,8 +84,9 @@ class MissionBase:
 
 def open_document(name: str, settings: dict[str, str]) -> Document:
     """A shipped mission by name, or a user's by path, with settings laid over it; those of the rig are left out."""
-    document = Document.read(find_file(name, "missions"))
-    return document.override({k: v for k, v in settings.items() if not k.startswith("rig.")})
+    document = open_file(name, "missions")
+    own = {k: v for k, v in settings.items() if not k.startswith("rig.")}
+    return document.override(own, without=void_keys(document, own))
 
 
 def load_parts(
@@ -92,20 +101,19 @@ def load_parts(
     """
     sections, faults = document.validate(model)
     messages = [document.error(faults)] if faults else []
-    folder = document.path.parent
     rig_name = rig or _text(document, "rig")
     rig_config = robot_config = None
     try:
         if rig_name:
             rig_settings = {k.removeprefix("rig."): v for k, v in settings.items() if k.startswith("rig.")}
-            beside = str(folder / rig_name) if (rig is None and (folder / rig_name).is_file()) else rig_name
-            rig_config = load_rig(beside, rig_settings)
+            own = document.folder(("rig",)) / rig_name
+            rig_config = load_rig(str(own) if rig is None and own.is_file() else rig_name, rig_settings)
     except SmolbotError as error:
         messages.append(_as_config(document, ("rig",), error))
     try:
         robot_name = _text(document, "robot")
         if robot_name:
-            robot_config = load_robot(robot_name, beside=folder)
+            robot_config = load_robot(robot_name, beside=document.folder(("robot",)))
     except SmolbotError as error:
         messages.append(_as_config(document, ("robot",), error))
     _raise_all(messages + ([document.error(list(more))] if more else []))

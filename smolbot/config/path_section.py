@@ -2,20 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import PurePath
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import field_validator, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.plugins import load, names
 from smolbot.config.units import NotNegative, Point, Positive
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.paths.corners import rounded
-from smolbot.paths.curve import Curve, read_csv
+from smolbot.paths.curve import Curve
 from smolbot.paths.glyphs import drawn_glyph, glyph_fault
 from smolbot.paths.outline import Outline
 from smolbot.paths.speed_profile import speed_profile
+
+if TYPE_CHECKING:
+    from smolbot.config.plugin_protocols import PathReader
+
+KINDS = ("glyph", "points_mm", "file")
+"""Keys of ``[path]`` of which a mission gives one."""
+
+SHAPE = (*KINDS, "width_mm", "height_mm", "element")
+"""Keys of ``[path]`` that a path of another kind makes void."""
+
+
+def void_keys(document: Document, settings: Mapping[str, str]) -> list[str]:
+    """Keys of the file that settings with a path of another kind take the place of."""
+    section = document.data.get("path", {})
+    given = [kind for kind in KINDS if f"path.{kind}" in settings]
+    if not given or any(kind in section for kind in given):
+        return []
+    return [f"path.{key}" for key in SHAPE if key in section and f"path.{key}" not in settings]
 
 
 class PathSection(FileModel):
@@ -64,18 +86,27 @@ class PathSection(FileModel):
             raise ValueError("points_mm needs at least two points.")
         return points
 
+    @field_validator("file")
+    @classmethod
+    def _readable(cls, file: str | None) -> str | None:
+        known = names("path_readers")
+        if file is not None and _suffix(file) not in known:
+            raise ValueError(f"no reader of '.{_suffix(file)}' is installed; files may be: {', '.join(known)}.")
+        return file
+
     @model_validator(mode="after")
     def _one_kind(self) -> PathSection:
-        given = [name for name in ("glyph", "points_mm", "file") if getattr(self, name) is not None]
+        given = [name for name in KINDS if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"give one of glyph, points_mm or file; got {', '.join(given) or 'none'}.")
         if self.glyph is not None and (self.width_mm is None or self.height_mm is None):
             raise ValueError("a glyph needs width_mm and height_mm.")
-        if self.glyph is None and not self.is_svg and (self.width_mm is not None or self.height_mm is not None):
+        has_shapes = self.reader is not None and self.reader.has_shapes
+        if self.glyph is None and not has_shapes and (self.width_mm is not None or self.height_mm is not None):
             raise ValueError(
                 "width_mm and height_mm belong to a glyph or an SVG; points and a CSV have their size in mm."
             )
-        if self.element is not None and not self.is_svg:
+        if self.element is not None and not has_shapes:
             raise ValueError("element names a shape of an SVG file; there is none.")
         if self.lateral_mm_s2 is not None and self.speed_mm_s is None:
             raise ValueError("lateral_mm_s2 slows a path's speed in bends; give speed_mm_s too.")
@@ -84,8 +115,13 @@ class PathSection(FileModel):
         return self
 
     @property
-    def is_svg(self) -> bool:
-        return self.file is not None and self.file.lower().endswith(".svg")
+    def reader(self) -> PathReader | None:
+        """What reads the file; None where the path is in none."""
+        return None if self.file is None else load("path_readers", _suffix(self.file))
+
+
+def _suffix(file: str) -> str:
+    return PurePath(file).suffix.lower().removeprefix(".")
 
 
 def read_path(document: Document, section: PathSection, height: float) -> tuple[Curve, tuple[str, ...]]:
@@ -96,7 +132,7 @@ def read_path(document: Document, section: PathSection, height: float) -> tuple[
     ConfigError
         With the key at fault, and the place in the file that it names.
     """
-    key = next(name for name in ("glyph", "file", "points_mm") if getattr(section, name) is not None)
+    key = next(name for name in KINDS if getattr(section, name) is not None)
     try:
         outline = _outline(document, section)
         curve = Curve(_in_world(outline, section.center_mm, height))  # points that coincide are told as they were given
@@ -117,14 +153,14 @@ def _outline(document: Document, section: PathSection) -> Outline:
         assert section.width_mm is not None
         assert section.height_mm is not None
         return drawn_glyph(section.glyph, section.width_mm, section.height_mm)
-    if section.file is None:
+    reader = section.reader
+    if section.file is None or reader is None:
         return Outline(np.array(section.points_mm))
-    path = document.path.parent / section.file
-    if not section.is_svg:
-        return Outline(read_csv(path))
-    from smolbot.paths.drawing.svg import read_svg
-
-    return Outline(read_svg(path, section.element, section.width_mm, section.height_mm))
+    path = document.folder(("path", "file")) / section.file
+    points = np.asarray(reader.read(path, section.element, section.width_mm, section.height_mm), dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+        raise InputError(f"{path}: points must have shape (n, 2) with n at least 2; its reader gave {points.shape}.")
+    return Outline(points)
 
 
 def _in_world(outline: Outline, center_mm: Point, height: float) -> FloatArray:

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from smolbot.config.document import Document, Fault, Model, validate
-from smolbot.config.library import find_file
-from smolbot.config.plugins import load_world
+from smolbot.config.library import open_file
+from smolbot.config.plugins import load, load_world, names
 from smolbot.config.rig_sections import MagnetSection, Range, RigFile
-from smolbot.config.sensors import CalibratedSensors, load_sensors
+from smolbot.config.sensors import SINGLE_AXIS, CalibratedSensors, load_sensors
 from smolbot.core.arrays import FloatArray, frozen
 from smolbot.core.coil_heat import Coil
 from smolbot.core.limits import Limits
 from smolbot.core.sensing import SensorArray
-from smolbot.errors import ConfigError
+from smolbot.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable, FlatCoil, RoundCoil
+    from smolbot.config.plugin_protocols import SensorKind
 
 
 class RigConfig:
@@ -52,7 +53,7 @@ class RigConfig:
         name = self.sections.sensors.calibrated
         if name is None:
             return None
-        beside = self.document.path.parent / name
+        beside = self.document.folder(("sensors", "calibrated")) / name
         return beside if beside.is_file() else Path(name)
 
     @property
@@ -108,6 +109,11 @@ class RigConfig:
             raise self.document.error([Fault(("magnet",), "this rig has no [magnet]; a helical robot needs one.")])
         return self.sections.magnet
 
+    def raw_section(self, world: str) -> dict[str, Any]:
+        """The section that a world keeps to itself, ``[tank]`` or ``[bench]``, as it stands in the file, if it does."""
+        section = self.document.data.get(world)
+        return section if isinstance(section, dict) else {}
+
     def section_of(self, world: str, model: type[Model]) -> Model:
         """The section that a world keeps to itself, ``[tank]`` or ``[bench]``, as `model`.
 
@@ -116,7 +122,7 @@ class RigConfig:
         ConfigError
             With every fault of it.
         """
-        section, faults = validate(model, getattr(self.sections, world), (world,))
+        section, faults = self.document.section(world, model)
         if section is None:
             raise self.document.error(faults)
         return section
@@ -191,7 +197,7 @@ class RigConfig:
         if section is None:
             raise self.document.error([Fault(("table",), "this rig has no [table]; a gradient mission needs one.")])
         if section.file is not None:
-            path = self.document.path.parent / section.file
+            path = self.document.folder(("table", "file")) / section.file
             turn = np.radians(section.rotation_deg)
             rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
             try:
@@ -228,17 +234,56 @@ def mesh_axis(span_mm: Range, mesh_mm: float) -> FloatArray:
 
 def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
     """Read a shipped rig by name, or a user's by path. Every fault of the file is reported at once."""
-    document = Document.read(find_file(name, "rigs"))
+    document = open_file(name, "rigs")
     if settings:
         document = document.override(settings, "rig.")
-    sections, faults = document.validate(RigFile)
-    faults += _world_faults(document)
+    faults = _expand_sensors(document)
+    sections, of_file = validate(RigFile, _without_own_section(document))
+    told = {fault.key for fault in faults}
+    faults += [_of_world(document, fault) for fault in of_file if fault.key not in told] + _world_faults(document)
     if sections is None or faults:
         raise document.error(faults)
     config = RigConfig(document, sections)
     if sections.sensors.calibrated is not None:
         _ = config.calibrated  # its faults are told before anything opens
     return config
+
+
+def _expand_sensors(document: Document) -> list[Fault]:
+    """Put the single-axis sensors that a lab's own kind amounts to in the place of its section; faults of that."""
+    section = document.data.get("sensors")
+    kind = section.get("kind", SINGLE_AXIS) if isinstance(section, dict) else SINGLE_AXIS
+    if kind == SINGLE_AXIS or not isinstance(section, dict):
+        return []
+    known = names("sensors")
+    if kind not in known:
+        message = f"no kind of sensor is named '{kind}'; installed: {', '.join(known)}."
+        return [Fault(("sensors", "kind"), message + did_you_mean(str(kind), known))]
+    plugin: SensorKind = load("sensors", kind)
+    given, faults = validate(plugin.section, {k: v for k, v in section.items() if k != "kind"}, ("sensors",))
+    if given is None:
+        return faults
+    try:
+        document.data["sensors"] = dict(plugin.expand(given))
+    except ValueError as error:
+        return [Fault(("sensors",), str(error))]
+    return []
+
+
+def _without_own_section(document: Document) -> dict[str, Any]:
+    """What the file says but for the section that is its world's own."""
+    world = document.data.get("world")
+    return {key: value for key, value in document.data.items() if key != world or key in RigFile.model_fields}
+
+
+def _of_world(document: Document, fault: Fault) -> Fault:
+    """An unknown section that bears the name of another world says so."""
+    name, world = str(fault.key[0]) if fault.key else "", document.data.get("world")
+    if len(fault.key) != 1 or name in RigFile.model_fields or name not in names("rigs"):
+        return fault
+    return Fault(
+        fault.key, f"[{name}] is of world '{name}', and this rig is of world '{world}': leave one of them out."
+    )
 
 
 def _world_faults(document: Document) -> list[Fault]:

@@ -206,8 +206,20 @@ class LimitsSection(FileModel):
 
 
 class RigFile(FileModel):
-    """Everything a rig file says. World-specific sections (such as ``[tank]``) are checked by that world."""
+    """Everything a rig file says.
 
+    The section that bears the name of the file's world, such as ``[bench]``, is that world's own, which alone
+    checks it. ``[tank]`` may stand in any rig file: it is what a simulation of the rig is made of.
+
+    Attributes
+    ----------
+    extends : str
+        A shipped rig by name, or a file by path: all that does not stand here is as there.
+    world : str
+        Entry point of ``smolbot.rigs`` that opens this rig.
+    """
+
+    extends: str | None = None
     name: str
     world: str
     description: str = ""
@@ -223,4 +235,3 @@ class RigFile(FileModel):
     limits: LimitsSection
     safety: SafetySection = SafetySection()
     tank: dict[str, Any] = Field(default_factory=dict)
-    bench: dict[str, Any] = Field(default_factory=dict)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from smolbot.config.document import Document, Fault, FileModel
-from smolbot.config.library import find_file
+from smolbot.config.library import open_file
 from smolbot.config.units import SI, NotNegative, Positive, Vector
 from smolbot.core.sensing import Device
 
@@ -81,8 +81,15 @@ class DeviceSection(FileModel):
 
 
 class RobotFile(FileModel):
-    """Everything a robot file says."""
+    """Everything a robot file says.
 
+    Attributes
+    ----------
+    extends : str
+        A shipped robot by name, or a file by path: all that does not stand here is as there.
+    """
+
+    extends: str | None = None
     name: str
     kind: Literal["gradient", "helical", "device"]
     description: str = ""
@@ -189,5 +196,5 @@ class RobotConfig:
 
 def load_robot(name: str, beside: Path | None = None) -> RobotConfig:
     """Read a shipped robot by name, or a user's by path."""
-    document = Document.read(find_file(name, "robots", beside))
+    document = open_file(name, "robots", beside)
     return RobotConfig(document, document.validated(RobotFile))

@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from smolbot.config.document import Document, Fault, FileModel, quoted, write_lines
+from smolbot.config.document import Document, Fault, FileModel
+from smolbot.config.toml_layers import write_file
 from smolbot.config.units import SI, NotNegative, Positive, Vector
 from smolbot.core.arrays import FloatArray, frozen
 from smolbot.core.sensing import SensorArray
+
+SINGLE_AXIS = "single_axis"
+"""The kind of sensors of which every other kind is made: `SensorsSection` is its section."""
+
+DIGITS = 7
+"""Of numbers in a sensors file: a nanometre of a place, a microradian of an axis."""
+
+CORRELATION_DECIMALS = 5
+
+WRITTEN_BY = (
+    "Sensors as found on a known track (smolbot calibrate-array) or in flight (smolbot run, in its run folder).",
+    'Believe them: name this file in the [sensors] section of a rig file, calibrated = "this_file.toml",',
+    "or paste the section over a real bench's own. A tank is built around what stands there: only name the file.",
+)
+"""Comment lines with which a sensors file begins."""
 
 SAME = ("bandwidth_hz", "sensitivity_v_per_ut")
 """What a calibration takes for granted, so that it holds for no other array."""
@@ -35,8 +50,14 @@ class SensorsSection(FileModel):
     `gains` are those of the single sensors relative to the sensitivity; `calibrated` names a sensors file
     whose places, axes and gains are believed instead of those that stand here. The tolerances say how far
     sensors may be from what stands here, one standard deviation; where they are given, flights learn what they are off.
+
+    Attributes
+    ----------
+    kind : str
+        Entry point of ``smolbot.sensors``. A kind of a lab's own has keys of its own in place of these.
     """
 
+    kind: str = SINGLE_AXIS
     positions_mm: Annotated[list[Vector], Field(min_length=1)]
     axes: list[Literal["x", "y", "z"] | Direction]
     gains: list[Positive] | None = None
@@ -82,6 +103,17 @@ class SensorsSection(FileModel):
         tilt = np.radians(self.axis_tolerance_deg)
         one = np.array([1e-2 * self.gain_tolerance_percent, tilt, tilt, *[1e-3 * self.place_tolerance_mm] * 3])
         return np.diag(np.tile(one, len(self.positions_mm)) ** 2) if one.any() else None
+
+
+class SingleAxis:
+    """The kind of sensors of a rig file that names none; keeps `smolbot.config.plugin_protocols.SensorKind`."""
+
+    section = SensorsSection
+
+    @staticmethod
+    def expand(section: SensorsSection) -> dict[str, Any]:
+        """What stands in the section: these are single-axis sensors."""
+        return section.model_dump(mode="json", exclude_none=True)
 
 
 class UncertaintySection(FileModel):
@@ -211,59 +243,32 @@ def write_sensors(path: str | Path, config: SensorsFile) -> None:
         If the file cannot be written.
     """
     s, u = config.sensors, config.uncertainty
-    lines = [
-        "# Sensors as found on a known track (smolbot calibrate-array) or in flight (smolbot run, in its run folder).",
-        '# Believe them: name this file in the [sensors] section of a rig file, calibrated = "this_file.toml",',
-        "# or paste the section over a real bench's own. A tank is built around what stands there: only name the file.",
-        f"rig = {quoted(config.rig)}",
-        f"date = {config.date.isoformat()}",
-        *([f"description = {quoted(config.description)}"] if config.description else []),
-        "",
-        "[sensors]",
-        *_rows("positions_mm", s.positions_mm),
-        *_rows("axes", s.axes),
-        *([] if s.gains is None else _rows("gains", s.gains)),
-        f"sample_rate_hz = {_number(s.sample_rate_hz)}",
-        f"bandwidth_hz = {_number(s.bandwidth_hz)}",
-        f"range_ut = {_number(s.range_ut)}",
-        f"sensitivity_v_per_ut = {_number(s.sensitivity_v_per_ut)}",
-        f"adc_bits = {s.adc_bits}",
-        f"adc_range_v = {_number(s.adc_range_v)}",
-    ]
+    own = ("positions_mm", "axes", "gains", "sample_rate_hz", "bandwidth_hz", "range_ut", "sensitivity_v_per_ut",
+           "adc_bits", "adc_range_v")  # fmt: skip
+    tables = {
+        "": [("rig", config.rig, ""), ("date", config.date, ""), ("description", config.description or None, "")],
+        "sensors": [(key, _rounded(getattr(s, key), DIGITS), "") for key in own],
+    }
     if u is not None:
-        lines += [
-            "",
-            "[uncertainty]                     # one standard deviation; axes about two directions across each",
-            *_rows("positions_mm", u.positions_mm),
-            *_rows("axes_deg", u.axes_deg),
-            *_rows("gains", u.gains),
+        rows = u.correlations
+        correlations = None if rows is None else [[round(value, CORRELATION_DECIMALS) for value in row] for row in rows]
+        of_each = "one standard deviation; axes about two directions across each"
+        held_out = "recordings that took no part; errors (rms per axis) before and after:"
+        tables["uncertainty"] = [
+            ("positions_mm", _rounded(u.positions_mm, DIGITS), of_each),
+            ("axes_deg", _rounded(u.axes_deg, DIGITS), ""),
+            ("gains", _rounded(u.gains, DIGITS), ""),
+            ("held_out", u.held_out, held_out),
+            ("position_mm", _rounded(u.position_mm, DIGITS), ""),
+            ("orientation_deg", _rounded(u.orientation_deg, DIGITS), ""),
+            ("recordings", u.recordings, "of one flight, from which this was learned"),
+            ("correlations", correlations, "gain, two tilts, place of each sensor"),
         ]
-        if u.held_out is not None and u.position_mm is not None and u.orientation_deg is not None:
-            lines += [
-                f"held_out = {u.held_out}  # recordings that took no part; errors (rms per axis) before and after:",
-                f"position_mm = {_cell(u.position_mm)}",
-                f"orientation_deg = {_cell(u.orientation_deg)}",
-            ]
-        if u.recordings is not None:
-            lines.append(f"recordings = {u.recordings}  # of one flight, from which this was learned")
-        if u.correlations is not None:
-            rows = [f"    [{', '.join(f'{value:.5f}' for value in row)}]," for row in u.correlations]
-            lines += ["correlations = [               # gain, two tilts, place of each sensor", *rows, "]"]
-    write_lines(path, lines)
+    write_file(path, WRITTEN_BY, tables)
 
 
-def _rows(key: str, values: Sequence[str | float | tuple[float, ...]]) -> list[str]:
-    """A list with an entry per line, so that each sensor has its own."""
-    return [f"{key} = [", *(f"    {_cell(value)}," for value in values), "]"]
-
-
-def _cell(value: str | float | tuple[float, ...]) -> str:
-    if isinstance(value, str):
-        return quoted(value)
-    return f"[{', '.join(map(_number, value))}]" if isinstance(value, tuple) else _number(value)
-
-
-def _number(value: float) -> str:
-    """A TOML float of seven digits: a nanometre of a place, a microradian of an axis."""
-    text = f"{value:.7g}"
-    return text if any(c in text for c in ".e") else f"{text}.0"
+def _rounded(value: Any, digits: int) -> Any:
+    """Numbers, in whatever lists, to so many digits."""
+    if isinstance(value, list | tuple):
+        return [_rounded(each, digits) for each in value]
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value

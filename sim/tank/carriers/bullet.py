@@ -144,7 +144,7 @@ def box_inertia(robot: RobotConfig) -> FloatArray:
 def urdf_path(robot: RobotConfig) -> Path:
     """The robot's URDF: beside the robot file, or shipped with the tank."""
     name = robot.body.urdf or ""
-    beside, ours = robot.document.path.parent / name, Path(__file__).parent / "urdf" / name
+    beside, ours = robot.document.folder(("body", "urdf")) / name, Path(__file__).parent / "urdf" / name
     for path in (beside, ours):
         if path.is_file():
             return path

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 def by_hand(rig: RigConfig) -> list[str]:
     """A sentence for each thing to verify on this rig, in the order in which one would."""
     sections = rig.sections
-    wires = sections.bench
+    wires = rig.raw_section("bench")
     if wires and not wires.get("operator", {}).get("stop_line"):
         found = ["No emergency button is wired (bench.operator.stop_line): who stands at the mains switch?"]
     else:

@@ -205,7 +205,7 @@ def _hum_faults(hum: Hum, expected: Expected) -> list[list[str]]:
 
 
 def _sensor_names(config: RigConfig, count: int) -> list[str]:
-    inputs = config.sections.bench.get("inputs", {}).get("channels", []) if config.sections.bench else []
+    inputs = config.raw_section("bench").get("inputs", {}).get("channels", [])
     if len(inputs) != count:
         return [str(k) for k in range(count)]
     return [f"{k} ({channel})" for k, channel in enumerate(inputs)]

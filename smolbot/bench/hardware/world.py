@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from smolbot.bench.hardware.wiring import BenchSection, wiring_faults
-from smolbot.config.document import Document, Fault, validate
+from smolbot.config.document import Document, Fault
 
 if TYPE_CHECKING:
     from smolbot.bench.hardware.rig import BenchRig
@@ -20,10 +20,9 @@ class BenchWorld:
     @staticmethod
     def check(document: Document) -> list[Fault]:
         """Faults of the ``[bench]`` section: unknown channels, lines and ranges, two loads on one output."""
-        data = document.data.get("bench")
-        if not isinstance(data, dict):
+        if not isinstance(document.data.get("bench"), dict):
             return [Fault(("bench",), 'world = "bench" needs a section, [bench], that says how it is wired.')]
-        section, faults = validate(BenchSection, data, ("bench",))
+        section, faults = document.section("bench", BenchSection)
         if section is None:
             return faults
         return [Fault(("bench", *key), message) for key, message in wiring_faults(section, document.data)]

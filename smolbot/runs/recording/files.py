@@ -8,7 +8,6 @@ from pathlib import Path
 
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.errors import InputError
-from smolbot.runs.settings_toml import as_used
 
 MISSION, RIG, ROBOT = "mission.toml", "rig.toml", "robot.toml"
 
@@ -32,7 +31,7 @@ class RunFiles:
     def of(cls, mission: AnyMission) -> RunFiles:
         """Those of a mission that was loaded."""
         documents = {MISSION: mission.document, RIG: mission.rig.document, ROBOT: mission.robot.document}
-        contents = {name: as_used(document).encode() for name, document in documents.items()}
+        contents = {name: document.text.encode() for name, document in documents.items()}
         names = {}
         for key, stem, path in _named(mission):
             name = stem + path.suffix
@@ -63,7 +62,7 @@ def _named(mission: AnyMission) -> Iterator[tuple[str, str, Path]]:
         yield "rig.sensors.calibrated", "sensors", sensors
     table = mission.rig.sections.table
     if table is not None and table.file is not None:
-        yield "rig.table.file", "table", mission.rig.document.path.parent / table.file
+        yield "rig.table.file", "table", mission.rig.document.folder(("table", "file")) / table.file
     drawing = mission.document.data.get("path", {}).get("file")
     if drawing is not None:
-        yield "path.file", "path", mission.document.path.parent / drawing
+        yield "path.file", "path", mission.document.folder(("path", "file")) / drawing

@@ -87,8 +87,7 @@ def find_target(
     InputError
         If a name is neither a rig nor a mission; lists what there is.
     """
-    from smolbot.config.document import Document
-    from smolbot.config.library import shipped
+    from smolbot.config.library import holds_rig, shipped
     from smolbot.config.mission import load_mission
     from smolbot.config.rig import load_rig
     from smolbot.config.robot import load_robot
@@ -101,7 +100,7 @@ def find_target(
             f"No rig or mission is named '{target}'. Rigs: {', '.join(rigs)}. Missions: {', '.join(missions)}. "
             f"Your own is given by its path, such as ./{target}.toml."
         )
-    is_rig = "sensors" in Document.read(Path(target)).data if is_path else target in rigs
+    is_rig = holds_rig(Path(target)) if is_path else target in rigs
     if is_rig:
         config = load_rig(target, {key.removeprefix("rig."): value for key, value in settings.items()} or None)
         x, y = config.container.center.tolist()

@@ -55,10 +55,9 @@ def check(
 
 def _robot_of(config: RigConfig) -> str:
     """The robot of the first shipped mission on this rig, or on one of the same make."""
-    from smolbot.config.document import Document
-    from smolbot.config.library import shipped
+    from smolbot.config.library import open_file, shipped
 
-    missions = [Document.read(path).data for path in shipped("missions").values()]
+    missions = [open_file(name, "missions").data for name in shipped("missions")]
     for mission in missions:
         if mission.get("rig") == config.name:
             return str(mission.get("robot"))

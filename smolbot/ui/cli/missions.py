@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +17,19 @@ if TYPE_CHECKING:
     from smolbot.flight.preview.helix import HelixPreview
 
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+
+BEGUN = "# A mission of your own. name and description are what reports call it.\n"
+"""Comment line with which a mission of `init` begins, in place of what it says of the shipped path."""
+
+GROUPS = {
+    "controllers": "controllers",
+    "estimators": "estimators",
+    "worlds": "rigs",
+    "path readers": "path_readers",
+    "sensor kinds": "sensors",
+    "studies": "studies",
+}
+"""What `list` shows of all that is installed, ours and a lab's, and the group of its entry points."""
 
 
 def register(app: typer.Typer) -> None:
@@ -141,23 +152,23 @@ def _pace(seen: Preview) -> str:
 
 
 def list_(json: JsonOption = False) -> None:
-    """List shipped missions, rigs and robots, and the installed controllers."""
-    from smolbot.config.document import Document
-    from smolbot.config.library import KINDS, shipped
+    """List shipped missions, rigs and robots, and what is installed: controllers, worlds, readers, studies."""
+    from smolbot.config.library import KINDS, open_file, shipped
     from smolbot.config.plugins import names
     from smolbot.paths.drawing.font import KNOWN
 
     found = {
-        kind: {name: str(Document.read(path).data.get("description", "")) for name, path in shipped(kind).items()}
-        for kind in KINDS
+        kind: {name: str(open_file(name, kind).data.get("description", "")) for name in shipped(kind)} for kind in KINDS
     }
     for kind, entries in found.items():
         table(kind, list(entries.items()), err=json)
-    laws = names("controllers")
-    table("controllers", [(name, "") for name in laws], err=json)
+    installed = {title: names(group) for title, group in GROUPS.items()}
+    table("controllers", [(name, "") for name in installed["controllers"]], err=json)
+    others = [(title, ", ".join(of_it)) for title, of_it in installed.items() if title != "controllers"]
+    table("other parts", others, err=json)
     table("glyphs", [('glyph = "S"', KNOWN)], err=json)
     if json:
-        echo_json({**found, "controllers": laws, "glyphs": KNOWN})
+        echo_json({**found, **{title.replace(" ", "_"): of_it for title, of_it in installed.items()}, "glyphs": KNOWN})
 
 
 def init(
@@ -165,31 +176,34 @@ def init(
     mission: Annotated[str, typer.Option(help="Shipped mission to start from.")] = "r_small",
 ) -> None:
     """Copy a mission with its rig, robot and path file into a folder, to edit and fly as your own."""
-    from smolbot.config.document import Document, Fault
-    from smolbot.config.library import find_file
+    from smolbot.config.document import Fault
+    from smolbot.config.library import open_file
+    from smolbot.config.toml_layers import set_values
 
-    source = find_file(mission, "missions")
-    document = Document.read(source)
-    data, beside = document.data, source.parent
-    copies = {key: find_file(str(data.get(key)), f"{key}s", beside) for key in ("rig", "robot")}
-    section = data.get("path", {})
-    if "file" in section:
-        copies["file"] = beside / str(section["file"])
-        if not copies["file"].is_file():
-            raise document.error([Fault(("path", "file"), f"{copies['file']}: no such file.")])
-    files = {source.name: source, **{path.name: path for path in copies.values()}}
+    document = open_file(mission, "missions")
+    own = folder / document.path.name
+    files: dict[str, bytes] = {}
+    values: dict[tuple[str, ...], str] = {
+        ("name",): folder.absolute().name,
+        ("description",): f"{folder.absolute().name}, begun as {document.data.get('name', own.stem)}",
+    }
+    for key in ("rig", "robot"):
+        part = open_file(str(document.data.get(key)), f"{key}s", document.folder((key,)))
+        files[part.path.name] = part.text.encode()
+        values[key,] = part.path.name
+    if "file" in document.data.get("path", {}):
+        drawing = document.folder(("path", "file")) / str(document.data["path"]["file"])
+        if not drawing.is_file():
+            raise document.error([Fault(("path", "file"), f"{drawing}: no such file.")])
+        files[drawing.name] = drawing.read_bytes()
+        values["path", "file"] = drawing.name
+    files = {own.name: set_values(document.text, values, begin=BEGUN).encode(), **files}
     existing = [name for name in files if (folder / name).exists()]
     if existing:
         raise InputError(f"{folder}: {', '.join(existing)} stand there already; nothing was written.")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        for name, path in files.items():
-            shutil.copyfile(path, folder / name)
-        own = folder / source.name
-        text = own.read_text(encoding="utf-8")
-        for key, path in copies.items():
-            given = re.escape(str(section["file"] if key == "file" else data[key]))
-            text = re.sub(rf"""(?m)(\b{key}\s*=\s*)["']{given}["']""", rf'\g<1>"{path.name}"', text, count=1)
-        own.write_text(text, encoding="utf-8")
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
     table(f"{folder}", [(name, "copied") for name in files])
     typer.echo(f"Edit them, then: smolbot preview {own}  and  smolbot run {own}")

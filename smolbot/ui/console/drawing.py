@@ -10,6 +10,8 @@ import numpy as np
 
 from smolbot.config.load import AnyMission
 from smolbot.config.mission import Mission
+from smolbot.config.path_section import SHAPE
+from smolbot.config.toml_layers import set_values
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError, SmolbotError
 from smolbot.ui.console import previewing
@@ -130,21 +132,21 @@ def mission_text(mission: AnyMission, points: list[tuple[float, float]], radius:
     InputError
         If the mission follows no path.
     """
-    from smolbot.runs.settings_toml import toml_text
-
     if not isinstance(mission, Mission):
         raise InputError(f"'{mission.name}' only looks; choose a mission that steers a robot, such as r_path.")
-    data: dict[str, Any] = dict(mission.document.data)
-    kept = {k: v for k, v in data["path"].items() if k in ("speed_mm_s", "lateral_mm_s2", "acceleration_mm_s2")}
-    data["path"] = {"points_mm": [list(point) for point in points], "corner_radius_mm": radius, **kept}
-    data["name"] = _stem(name)
-    data["description"] = f"drawn on a console, after {mission.name}"
-    data.pop("start", None)
-    beside = mission.document.path.parent
+    document = mission.document
+    values: dict[tuple[str, ...], Any] = {
+        ("name",): _stem(name),
+        ("description",): f"drawn on a console, after {mission.name}",
+        ("path", "points_mm"): [list(point) for point in points],
+        ("path", "corner_radius_mm"): radius,
+    }
     for key in ("rig", "robot"):
-        if (beside / str(data[key])).is_file():
-            data[key] = str((beside / str(data[key])).absolute())
-    return toml_text(data)
+        own = document.folder((key,)) / str(document.data[key])
+        if own.is_file():
+            values[key,] = str(own.absolute())
+    void = [("start",), *(("path", key) for key in (*SHAPE, "center_mm"))]
+    return set_values(document.text, values, void, begin="")
 
 
 def _stem(name: str) -> str:

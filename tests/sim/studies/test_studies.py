@@ -13,9 +13,10 @@ import pytest
 from sim.studies import accuracy, bound, cold, damping, depth, precision
 from sim.studies.benches import characterised, localizers, open_bench, pose_row, reference_orientation
 from sim.studies.columns import chosen, joined
-from sim.studies.command import STUDIES, carry_out, load_study
+from sim.studies.command import carry_out, load_study
 from sim.studies.running import StudyFolder, run_chunks
 from sim.studies.study import Chunk, Options, cut
+from smolbot.config.plugins import names
 from smolbot.core.pose import Pose
 from smolbot.errors import InputError
 
@@ -97,7 +98,7 @@ def test_the_help_names_every_study():
     from sim.studies.command import app
 
     text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).output
-    assert all(name in text for name in STUDIES)
+    assert all(name in text for name in names("studies"))
 
 
 def test_nees_of_errors_drawn_from_the_covariance_averages_six():

@@ -80,7 +80,7 @@ class Bench:
 def wiring() -> tuple[BenchSection, tuple[str, ...]]:
     """The shipped bench's wiring, and its actuation coils."""
     rig = load_rig("twin")
-    section, faults = validate(BenchSection, rig.sections.bench, ("bench",))
+    section, faults = validate(BenchSection, rig.raw_section("bench"), ("bench",))
     assert section is not None, faults
     return section, rig.coil_names
 

@@ -62,6 +62,6 @@ def test_every_fault_of_a_device_file_has_its_line(written):
 
 def test_a_direction_out_of_the_plane_of_swing_is_a_fault_of_the_file(written):
     path, _ = written
-    path.write_text(path.read_text().replace("[0, 0, 1]", "[0, 1, 0]"))
+    path.write_text(path.read_text().replace("[0.0, 0.0, 1.0]", "[0, 1, 0]"))
     with pytest.raises(ConfigError, match=r"device\.toml:\d+: device.*plane of oscillation"):
         load_device(path)

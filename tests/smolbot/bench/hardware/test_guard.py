@@ -126,7 +126,7 @@ class Reader:
 
 @pytest.fixture(scope="module")
 def section() -> BenchSection:
-    found, faults = validate(BenchSection, load_rig("twin").sections.bench, ("bench",))
+    found, faults = validate(BenchSection, load_rig("twin").raw_section("bench"), ("bench",))
     assert found is not None, faults
     return found
 

@@ -16,7 +16,7 @@ from smolbot.errors import InputError
 
 @pytest.fixture(scope="module")
 def section() -> BenchSection:
-    found, faults = validate(BenchSection, load_rig("bench").sections.bench, ("bench",))
+    found, faults = validate(BenchSection, load_rig("bench").raw_section("bench"), ("bench",))
     assert found is not None, faults
     return found
 

@@ -22,7 +22,7 @@ CLOSE = OPEN = 1e-3
 
 def bench() -> tuple[BenchSection, tuple[str, ...]]:
     rig = load_rig("bench")
-    section, faults = validate(BenchSection, rig.sections.bench, ("bench",))
+    section, faults = validate(BenchSection, rig.raw_section("bench"), ("bench",))
     assert section is not None, faults
     return section, rig.coil_names
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import re
-import tomllib
 
 import pytest
 
-from smolbot.config.library import find_file
+from smolbot.config.library import find_file, open_file
 from smolbot.config.rig import load_rig
 from smolbot.errors import ConfigError, RigError
 from smolbot.flight.session import run
@@ -69,9 +69,9 @@ def test_a_bench_needs_to_say_how_it_is_wired(tmp_path):
 
 
 def test_a_magnet_needs_a_stage(tmp_path):
-    text = find_file("bench_gel", "rigs").read_text(encoding="utf-8")
+    text = open_file("bench_gel", "rigs").text
     path = tmp_path / "mine.toml"
-    path.write_text(re.sub(r"\[bench\.stage\].*?\n\n", "", text, flags=re.S), encoding="utf-8")
+    path.write_text(re.sub(r"\[bench\.stage\].*?\n(\n|\Z)", "", text, flags=re.S), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"\[magnet\] needs \[bench\.stage\]"):
         load_rig(str(path))
 
@@ -82,9 +82,7 @@ ADDRESSES: tuple[tuple[str, ...], ...] = (("server",), ("truth",), ("stage", "po
 
 @pytest.mark.parametrize("name", ["", "_gel"])
 def test_bench_and_twin_differ_in_addresses_only(name):
-    bench, twin = (
-        tomllib.loads(find_file(f"{kind}{name}", "rigs").read_text(encoding="utf-8")) for kind in ("bench", "twin")
-    )
+    bench, twin = (copy.deepcopy(open_file(f"{kind}{name}", "rigs").data) for kind in ("bench", "twin"))
     for data in (bench, twin):
         data.pop("name")
         data.pop("description")
