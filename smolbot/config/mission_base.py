@@ -12,7 +12,7 @@ from smolbot.config.library import find_file
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.config.units import NotNegative, Positive
-from smolbot.errors import ConfigError, SmolbotError
+from smolbot.errors import ConfigError, PluginError, SmolbotError
 from smolbot.motion.controller import Cycle
 
 
@@ -100,6 +100,8 @@ def load_parts(
             rig_settings = {k.removeprefix("rig."): v for k, v in settings.items() if k.startswith("rig.")}
             beside = str(folder / rig_name) if (rig is None and (folder / rig_name).is_file()) else rig_name
             rig_config = load_rig(beside, rig_settings)
+    except PluginError:  # no fault of the file
+        raise
     except SmolbotError as error:
         messages.append(_as_config(document, ("rig",), error))
     try:
