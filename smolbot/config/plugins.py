@@ -103,23 +103,26 @@ def _protocol_faults(plugin: object, protocol: type) -> Iterator[str]:
                 continue
             if name == "__init__" and (member.__name__ != name or not isinstance(plugin, type)):
                 continue  # one that the protocol does not define, or of an object that is made already
-            asked = _parameters(base, name, member)
+            static = isinstance(member, staticmethod | classmethod)
+            asked = _parameters(base, name, of_class=static)
             call = f"{name}({', '.join(map(_spelled, asked))})"
             found = inspect.getattr_static(plugin, name, None)
             if found is None or not callable(getattr(plugin, name)):
                 yield f"it has no method {call}"
                 continue
-            faults = list(_signature_faults(_parameters(plugin, name, found), asked))
+            of_class = static or isinstance(found, staticmethod | classmethod)
+            faults = list(_signature_faults(_parameters(plugin, name, of_class=of_class), asked))
             if faults:
                 yield f"{name}() {', '.join(faults)}; it is called as {call}"
 
 
-def _parameters(owner: object, name: str, member: object) -> list[Parameter]:
-    """What the callable `name` of a class, protocol or object takes, ``self`` left out."""
+def _parameters(owner: object, name: str, *, of_class: bool) -> list[Parameter]:
+    """What the callable `name` takes when it is called: without ``self``, unless it is called `of_class`."""
     if name == "__init__" and not vars(owner).get("_is_protocol"):
         return list(inspect.signature(owner).parameters.values())  # type: ignore[arg-type]
-    bound = isinstance(owner, type) and not isinstance(member, staticmethod | classmethod)
-    return list(inspect.signature(getattr(owner, name)).parameters.values())[bound:]
+    found = list(inspect.signature(getattr(owner, name)).parameters.values())
+    with_self = isinstance(owner, type) and not of_class and bool(found) and found[0].kind in _POSITIONAL
+    return found[with_self:]
 
 
 def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterator[str]:

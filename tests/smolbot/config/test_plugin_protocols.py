@@ -168,12 +168,17 @@ class DeafWorld(TankWorld):
     def open(rig, robot, start, seed, *, gui=False): ...
 
 
+class UnboundWorld(TankWorld):
+    def unfit(self, rig, robot): ...
+
+
 class HalfWorld:
     @staticmethod
     def check(document): ...
 
 
 BROKEN = [
+    ("rigs", UnboundWorld, "unfit() needs 'robot', which it is not given; it is called as unfit(rig, robot)"),
     ("controllers", WithoutCommand, "it has no method command(pose)"),
     ("controllers", Ungained, "it has no class attribute 'gains' (ClassVar[Mapping[str, Gain]])"),
     ("controllers", ShortReset, "reset() lacks the parameter 'pose'; it is called as reset(path, pose)"),
