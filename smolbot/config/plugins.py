@@ -134,7 +134,7 @@ def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterato
     if lacking:
         missing = [p for p in given if p.name not in names][-len(lacking) :] or lacking
         yield f"lacks the parameter {', '.join(repr(p.name) for p in missing)}"
-    elif any(p.name in names[: len(given)] and names.index(p.name) != i for i, p in enumerate(given)):
+    elif sorted(called := [p.name for p in given]) == sorted(names[: len(given)]) and called != names[: len(given)]:
         yield f"takes them in another order, ({', '.join(names)})"
     for mine, theirs in zip(places, given, strict=False):
         if theirs.default is not Parameter.empty and mine.default is Parameter.empty:
