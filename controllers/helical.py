@@ -64,14 +64,11 @@ class Helical:
         "clear_mm": Gain(5.0, 0.0, 50.0, meaning="progress past a step-out after which the full rate is tried again"),
     }
 
-    most_tilt: float
-    """Most that the magnet's axis leads the robot's by, in rad."""
-
     def __init__(self, setup: HelixSetup, gains: Mapping[str, float]) -> None:
         self.setup = setup
         g = complete_gains(self.gains, gains, "helical")
         self._bound, self._most = 1e-3 * g["cross_track_mm"], g["max_turns"]
-        self._listens, self.most_tilt = round(g["listens"]), math.radians(g["tilt_deg"])
+        self._listens, self._most_tilt = round(g["listens"]), math.radians(g["tilt_deg"])
         self._look, self._weight = g["lookahead_turns"], 1e-3 * g["heading_mm"]
         self._blocked_share, self._tries = g["blocked_share"], round(g["tries"])
         self._slower, self._back, self._clear = g["slower"], g["back_turns"], 1e-3 * g["clear_mm"]
@@ -120,6 +117,15 @@ class Helical:
         self._flown = _Flown(state, legs, self.screwing.predict(state, legs))
         self._moving = True
         return self._say(self._windows(legs), self._state_note(legs), event)
+
+    def tightest_bend(self) -> float:
+        """Compute the radius, in m, of the tightest bend: at the full rate, the magnet's axis leading as far as it may.
+
+        Returns
+        -------
+        float, in m
+        """
+        return self.setup.helix.tightest(self._full, self._most_tilt)
 
     def _say(self, window: tuple[Mechanical, ...] | None, note: str, event: str = "") -> Command:
         return Command(window, note=note, progress=self._progress, phase=self._phase, event=event)
@@ -179,7 +185,7 @@ class Helical:
         at = start
         while len(legs) < self._most:
             course = kernels.best_course(
-                body, factors, at, self.most_tilt, reach, self._look, self._frequency,
+                body, factors, at, self._most_tilt, reach, self._look, self._frequency,
                 self._points, self._arc, near, self._weight,
             )  # fmt: skip
             turns = self._last_turns(at, course, near)

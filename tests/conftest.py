@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
+from importlib.metadata import EntryPoint
 from itertools import count
 from pathlib import Path
+from types import ModuleType
 
 # As the command line does: threads of a linear algebra library only wait for each other where workers share the cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -16,6 +19,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from smolbot.config import plugins
 from smolbot.config.mission import Mission, load_mission
 from smolbot.config.rig import load_rig
 from smolbot.core.pose import Pose
@@ -51,6 +55,29 @@ def cold_coils(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPat
     folder = tmp_path_factory.getbasetemp() / "heat" / str(next(_NUMBERS))
     monkeypatch.setattr("smolbot.flight.safety.heat_store.kept_at", lambda rig: folder / f"{rig}.json")
     return folder
+
+
+@pytest.fixture
+def plug_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, object], None]]:
+    """Makes anything an entry point of ``smolbot.<group>``: ``plug_in(group, name, it)``; None fails when imported."""
+    real, own = plugins.entry_points, []
+
+    def install(group: str, name: str, made: object) -> None:
+        module = ModuleType(f"plugged_in_{name}")
+        setattr(module, "made" if made is not None else "__getattr__", made if made is not None else _fail)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        own.append(EntryPoint(name, f"{module.__name__}:made", f"smolbot.{group}"))
+        plugins._installed.cache_clear()
+
+    monkeypatch.setattr(
+        plugins, "entry_points", lambda group: [*real(group=group), *(o for o in own if o.group == group)]
+    )
+    yield install
+    plugins._installed.cache_clear()
+
+
+def _fail(name: str) -> object:
+    raise ZeroDivisionError("by me")
 
 
 @pytest.fixture(scope="session")

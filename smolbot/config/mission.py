@@ -15,7 +15,7 @@ from smolbot.config.plugins import load, names
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.config.units import Point, Positive
-from smolbot.motion.controller import HelixSetup, Setup, gain_fault
+from smolbot.motion.controller import HelixSetup, Setup, gain_fault, robot_kinds
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths.curve import Curve
@@ -194,7 +194,7 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
 
 def _check_kind(document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig) -> None:
     """A law is made for a kind of robot, and a helix needs a magnet that turns and a gel to bite into."""
-    kinds = getattr(load("controllers", sections.controller.law), "kinds", ("gradient",))
+    kinds = robot_kinds(load("controllers", sections.controller.law))
     faults = []
     if robot.kind not in kinds:
         message = (

@@ -13,7 +13,7 @@ from smolbot.config.path_section import void_keys
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.config.units import NotNegative, Positive
-from smolbot.errors import ConfigError, SmolbotError
+from smolbot.errors import ConfigError, PluginError, SmolbotError
 from smolbot.motion.controller import Cycle
 
 
@@ -108,6 +108,8 @@ def load_parts(
             rig_settings = {k.removeprefix("rig."): v for k, v in settings.items() if k.startswith("rig.")}
             own = document.folder(("rig",)) / rig_name
             rig_config = load_rig(str(own) if rig is None and own.is_file() else rig_name, rig_settings)
+    except PluginError:  # no fault of the file
+        raise
     except SmolbotError as error:
         messages.append(_as_config(document, ("rig",), error))
     try:

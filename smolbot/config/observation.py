@@ -59,7 +59,9 @@ class ObservationFile(MissionBaseFile):
 
 
 class Observation(MissionBase):
-    """A mission that only localizes: nothing here knows where the device is, or where it will go."""
+    """A mission that only localizes: nothing here knows where the device is, or where it will go; it has no path."""
+
+    path: None = None
 
     def __init__(self, document: Document, sections: ObservationFile, rig: RigConfig, robot: RobotConfig) -> None:
         super().__init__(document, sections, rig, robot)

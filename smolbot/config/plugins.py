@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from inspect import Parameter
 from typing import Any
 
 from smolbot.config.document import Document, Fault
 from smolbot.errors import PluginError, did_you_mean
 
+PROTOCOLS = {
+    "controllers": "smolbot.motion.controller:Controller",
+    "rigs": "smolbot.config.world:World",
+    "path_readers": "smolbot.config.plugin_protocols:PathReader",
+    "sensors": "smolbot.config.plugin_protocols:SensorKind",
+    "studies": "smolbot.config.plugin_protocols:StudyPlugin",
+}
+"""By group, the protocol that its entry points keep, loaded when needed; those of other groups are callable."""
+
 _OURS = {"controllers", "sim", "lookup_tables"}
+_POSITIONAL = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
 
 
 @cache
@@ -24,19 +38,122 @@ def names(group: str) -> list[str]:
 
 
 def load(group: str, name: str) -> Any:
-    """Load the entry point `name` of ``smolbot.<group>``.
+    """Load the entry point `name` of ``smolbot.<group>``, and check that it keeps the protocol of that group.
 
     Raises
     ------
     PluginError
-        If none has that name, or if a foreign package shadows the one that it lives in.
+        If none has that name, if a foreign package shadows the one that it lives in, or if it breaks its protocol.
     """
     found = _installed(group).get(name)
     if found is None:
         known = names(group)
         hint = did_you_mean(name, known)
         raise PluginError(f"No {group[:-1]} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
-    return _load(found)
+    plugin, what = _load(found), f"{group[:-1].capitalize()} '{name}' ({found.value})"
+    if group in PROTOCOLS:
+        module, _, protocol = PROTOCOLS[group].partition(":")
+        check_protocol(plugin, getattr(import_module(module), protocol), what)
+    elif not callable(plugin):
+        raise PluginError(f"{what} must be a function or a class; got {plugin!r}.")
+    return plugin
+
+
+def check_protocol(plugin: object, protocol: type, what: str) -> None:
+    """Check that a plug-in has every method and class attribute of a protocol, and that its methods can be called so.
+
+    Attributes that a class may set when it is made (those of a protocol without ``ClassVar``) are not looked for.
+
+    Parameters
+    ----------
+    plugin : object
+        A class, or an object that keeps the protocol itself.
+    protocol : type
+        A subclass of `typing.Protocol`.
+    what : str
+        What the message calls the plug-in: its group, name and place.
+
+    Raises
+    ------
+    PluginError
+        With everything that is missing or called otherwise, and what the protocol asks for.
+
+    Examples
+    --------
+    >>> from smolbot.core.rig import Witness
+    >>> class Blind:
+    ...     def truth(self): ...
+    >>> check_protocol(Blind, Witness, "Witness 'blind'")
+    Traceback (most recent call last):
+    ...
+    smolbot.errors.PluginError: Witness 'blind' breaks its protocol, smolbot.core.rig.Witness: truth() lacks the \
+parameter 'time'; it is called as truth(time).
+    """
+    faults = list(_protocol_faults(plugin, protocol))
+    if faults:
+        of = f"{protocol.__module__}.{protocol.__qualname__}"
+        raise PluginError(f"{what} breaks its protocol, {of}: {'; '.join(faults)}.")
+
+
+def _protocol_faults(plugin: object, protocol: type) -> Iterator[str]:
+    """What a plug-in lacks of a protocol, in the order in which the protocol names it."""
+    for base in reversed([b for b in protocol.__mro__ if vars(b).get("_is_protocol")]):
+        for name, annotation in vars(base).get("__annotations__", {}).items():
+            if "ClassVar" in str(annotation) and not hasattr(plugin, name):
+                yield f"it has no class attribute '{name}' ({annotation})"
+        for name, member in vars(base).items():
+            if (name.startswith("_") and name != "__init__") or not callable(getattr(base, name)):
+                continue
+            if name == "__init__" and (member.__name__ != name or not isinstance(plugin, type)):
+                continue  # one that the protocol does not define, or of an object that is made already
+            static = isinstance(member, staticmethod | classmethod)
+            asked = _parameters(base, name, of_class=static)
+            call = f"{name}({', '.join(map(_spelled, asked))})"
+            found = inspect.getattr_static(plugin, name, None)
+            if found is None or not callable(getattr(plugin, name)):
+                yield f"it has no method {call}"
+                continue
+            of_class = static or isinstance(found, staticmethod | classmethod)
+            faults = list(_signature_faults(_parameters(plugin, name, of_class=of_class), asked))
+            if faults:
+                yield f"{name}() {', '.join(faults)}; it is called as {call}"
+
+
+def _parameters(owner: object, name: str, *, of_class: bool) -> list[Parameter]:
+    """What the callable `name` takes when it is called: without ``self``, unless it is called `of_class`."""
+    if name == "__init__" and not vars(owner).get("_is_protocol"):
+        return list(inspect.signature(owner).parameters.values())  # type: ignore[arg-type]
+    found = list(inspect.signature(getattr(owner, name)).parameters.values())
+    with_self = isinstance(owner, type) and not of_class and bool(found) and found[0].kind in _POSITIONAL
+    return found[with_self:]
+
+
+def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterator[str]:
+    """Why a method that takes `found` cannot be called with what is `asked` for."""
+    kinds, names = {p.kind for p in found}, [p.name for p in found]
+    places = [p for p in found if p.kind in _POSITIONAL]
+    given = [p for p in asked if p.kind in _POSITIONAL]
+    lacking = [] if Parameter.VAR_POSITIONAL in kinds else given[len(places) :]
+    if lacking:
+        missing = [p for p in given if p.name not in names][-len(lacking) :] or lacking
+        yield f"lacks the parameter {', '.join(repr(p.name) for p in missing)}"
+    elif sorted(called := [p.name for p in given]) == sorted(names[: len(given)]) and called != names[: len(given)]:
+        yield f"takes them in another order, ({', '.join(names)})"
+    for mine, theirs in zip(places, given, strict=False):
+        if theirs.default is not Parameter.empty and mine.default is Parameter.empty:
+            yield f"cannot do without '{mine.name}'"
+    by_name = {p.name for p in asked if p.kind is Parameter.KEYWORD_ONLY}
+    for p in (*places[len(given) :], *(p for p in found if p.kind is Parameter.KEYWORD_ONLY)):
+        if p.default is Parameter.empty and p.name not in by_name:
+            yield f"needs '{p.name}', which it is not given"
+    if Parameter.VAR_KEYWORD not in kinds:
+        wanted = [p for p in asked if p.kind is Parameter.VAR_KEYWORD or (p.name in by_name and p.name not in names)]
+        yield from (f"lacks the parameter '{_spelled(p)}'" for p in wanted)
+
+
+def _spelled(parameter: Parameter) -> str:
+    """A parameter as a definition names it, without its type."""
+    return str(parameter.replace(annotation=Parameter.empty))
 
 
 def load_world(name: str, document: Document) -> Any:
@@ -49,7 +166,7 @@ def load_world(name: str, document: Document) -> Any:
 def _load(point: EntryPoint) -> Any:
     try:
         return point.load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # whatever a foreign module does when it is imported
         package = point.value.split(":")[0].split(".")[0]
         raise PluginError(_explain(package, point, error)) from error
 
@@ -57,7 +174,8 @@ def _load(point: EntryPoint) -> Any:
 def _explain(package: str, point: EntryPoint, error: Exception) -> str:
     from importlib.util import find_spec
 
-    message = f"'{point.name}' ({point.value}) cannot be loaded: {error}."
+    kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
+    message = f"'{point.name}' ({point.value}) cannot be loaded: {kind}{error}."
     if package not in _OURS:
         return message
     found = find_spec(package)

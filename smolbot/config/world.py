@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from smolbot.config.document import Document, Fault
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
-from smolbot.core.rig import Rig
+from smolbot.core.rig import Rig, Stage
+from smolbot.core.sensing import Device
 
 
 class World(Protocol):
@@ -26,4 +27,26 @@ class World(Protocol):
         """Open the rig with the robot at `start` (x, y in m), ready to play shots.
 
         `options` are `gui` and `operator` (see `smolbot.core.operator`); a world passes over what it has no need of.
+        """
+
+
+@runtime_checkable
+class StagedWorld(Protocol):
+    """A world that can also bring a device to known places over its sensors, by which these are calibrated."""
+
+    @staticmethod
+    def stage(rig: RigConfig, device: Device, seed: int) -> Stage:
+        """Open the positioning stage.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        device : Device
+            What sits in its holder.
+        seed : int
+            Of a simulated world.
+
+        Returns
+        -------
+        Stage
         """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.limits import Limits
@@ -30,7 +30,11 @@ class Stage(Protocol):
 
 @runtime_checkable
 class Rig(Protocol):
-    """A world that plays shots. The tank, the bench and the twin keep the same promise."""
+    """A world that plays shots. The tank, the bench and the twin keep the same promise.
+
+    It may also keep the protocols below, which nothing depends on: `RecoveryCounter`, `StatusReporter`,
+    `ProvenanceReporter`, `Checkable`.
+    """
 
     sensors: SensorArray
     limits: Limits
@@ -59,16 +63,36 @@ class Rig(Protocol):
         """Stop, then let go of every device."""
 
 
-class Telling(Protocol):
-    """What a rig may also offer; the loop asks for each where it is there."""
+@runtime_checkable
+class RecoveryCounter(Protocol):
+    """A rig that recovers from faults by itself, and counts them."""
 
     @property
     def recovered(self) -> Mapping[str, int]:
         """How often it recovered from what, by kind: ``{"read_timeouts": 1}``. Ends up in the summary."""
 
+
+@runtime_checkable
+class StatusReporter(Protocol):
+    """A rig that has something to say of itself while a mission runs."""
+
     @property
     def status_line(self) -> str:
-        """A few words of how it is, shown beside the progress; empty if there is nothing to say."""
+        """A few words on its state, shown beside the progress; empty if there is nothing to say."""
+
+
+@runtime_checkable
+class ProvenanceReporter(Protocol):
+    """A rig, or a witness, that can say what it is and how it came to be so."""
+
+    def provenance(self) -> dict[str, Any]:
+        """What the run's ``provenance.json`` keeps of it: devices and their serial numbers, or seed and drawn values.
+
+        Returns
+        -------
+        dict
+            Values that JSON can hold.
+        """
 
 
 @dataclass(frozen=True)

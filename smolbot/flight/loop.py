@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from lookup_tables.errors import OutsideTableError
 from smolbot.core.blas_threads import one_thread
 from smolbot.core.pose import Pose
-from smolbot.core.rig import Rig
+from smolbot.core.rig import RecoveryCounter, Rig, StatusReporter
 from smolbot.core.sensing import Recording, SensorArray
 from smolbot.core.shots import Shot
 from smolbot.errors import InputError, InterlockError, OperatorStopError, RigError
@@ -165,7 +165,8 @@ class Loop:
     def _recovered(self) -> dict[str, int]:
         """What was borne, by the safety and by the rig; what both counted, once."""
         found = dict(self.safety.recovered)
-        for kind, times in getattr(self.rig, "recovered", {}).items():
+        counted = self.rig.recovered if isinstance(self.rig, RecoveryCounter) else {}
+        for kind, times in counted.items():
             name = kind.replace(" ", "_")
             found[name] = max(found.get(name, 0), times)
         return found
@@ -231,7 +232,7 @@ class Loop:
         if self.scheduler.paused:
             self._paused += ended - shot.start
         done = self._clock()
-        says = str(getattr(self.rig, "status_line", ""))
+        says = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended, says)
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Swing) -> None:

@@ -7,7 +7,7 @@ from typing import Protocol
 from smolbot.core.shots import Actuate, Shot
 from smolbot.flight.tracking.passive_trackers import Glimpse
 from smolbot.flight.tracking.tracker import Tracker
-from smolbot.motion.controller import Command, Controller
+from smolbot.motion.controller import Command, Controller, PlaybackAware
 from smolbot.paths.curve import Curve
 
 
@@ -21,8 +21,7 @@ class Pilot(Protocol):
 class Follower:
     """Lets a controller follow a path from the moment that two poses have agreed.
 
-    A controller that has a method ``unplayed()`` is told when its last command was not played, since the loop was held
-    or had lost the signal: a law that learns from what its commands do must not learn from that one.
+    One that is `PlaybackAware` is told when its last command was not played.
     """
 
     def __init__(self, path: Curve, controller: Controller) -> None:
@@ -45,15 +44,13 @@ class Follower:
         if not self._begun:
             self.controller.reset(self.path, pose)
             self._begun = True
-        if self._sent is not None and isinstance(self._sent.window, Actuate) and self._sent.window not in shot.windows:
-            getattr(self.controller, "unplayed", _nothing)()
+        window = None if self._sent is None else self._sent.window
+        unplayed = isinstance(window, Actuate) and window not in shot.windows
+        if unplayed and isinstance(self.controller, PlaybackAware):
+            self.controller.unplayed()
         command = self._sent = self.controller.command(pose)
         self._waiting = command if command.mechanical else None
         return command
-
-
-def _nothing() -> None:
-    """For a controller that does not ask."""
 
 
 class Watcher:

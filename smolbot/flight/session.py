@@ -16,7 +16,7 @@ from smolbot.config.plugins import load_world
 from smolbot.config.sensors import write_sensors
 from smolbot.config.world import World
 from smolbot.core.operator import Operator, SilentOperator, TerminalOperator
-from smolbot.core.rig import Rig
+from smolbot.core.rig import ProvenanceReporter, Rig
 from smolbot.core.thread_switching import short_turns
 from smolbot.errors import InputError
 from smolbot.flight.assembly import learned_sensors, make_loop
@@ -190,7 +190,7 @@ class _Flight:
         flushed: Callable[[int], None] | None,
     ) -> Run:
         mission = self.mission
-        self.drawn = getattr(rig, "provenance", dict)()
+        self.drawn = rig.provenance() if isinstance(rig, ProvenanceReporter) else {}
         self.trace = Trace(rig.witness if witness else None)
         real = rig.witness is None  # coils of a world that tells the truth are made anew each time
         memory = HeatMemory.of(mission.rig.name) if real else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.limits import Limits
@@ -171,24 +171,118 @@ class Reach:
 
 
 class Controller(Protocol):
-    """Promise of every controller. It is made once per mission from a setup and its gains.
+    """What every controller has. It is made once per mission from a setup and its gains.
 
-    One that learns from what its commands do may also have ``unplayed()``: called before the next command where the
-    last one was not played.
+    It may also keep the protocols below, each of one member, which nothing depends on: `RobotKinds`, `ForceForecast`,
+    `BendForecast`, `PlaybackAware`.
+
+    Attributes
+    ----------
+    gains : mapping of str to Gain
+        What a user may tune, by name; an attribute of the class.
     """
 
     gains: ClassVar[Mapping[str, Gain]]
 
-    def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None: ...
+    def __init__(self, setup: Setup, gains: Mapping[str, float]) -> None:
+        """Make a controller for one mission.
+
+        Parameters
+        ----------
+        setup : Setup
+            That of a helical robot is a `HelixSetup`.
+        gains : mapping of str to float
+            Gains that differ from their defaults.
+        """
 
     def reset(self, path: Curve, pose: Pose) -> None:
-        """Begin a path from a pose."""
+        """Begin a path from a pose.
+
+        Parameters
+        ----------
+        path : Curve
+        pose : Pose
+            Where the robot is when the first command begins.
+        """
 
     def command(self, pose: Pose) -> Command:
-        """What to do, given where the robot is when the command begins."""
+        """Decide what to do next.
+
+        Parameters
+        ----------
+        pose : Pose
+            Where the robot is when the command begins.
+
+        Returns
+        -------
+        Command
+        """
+
+
+@runtime_checkable
+class RobotKinds(Protocol):
+    """A controller class for robots of other kinds than ``gradient``.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Kinds of robot that it drives, as robot files name them; an attribute of the class.
+    """
+
+    kinds: ClassVar[tuple[str, ...]]
+
+
+@runtime_checkable
+class ForceForecast(Protocol):
+    """A controller of a robot that coils pull, which can tell the force that it would exert along a path."""
 
     def reach(self, path: Curve) -> Reach:
-        """How its force would act along `path`; what `preview` shows."""
+        """Compute the force along a path, which `preview` shows.
+
+        Parameters
+        ----------
+        path : Curve
+
+        Returns
+        -------
+        Reach
+        """
+
+
+@runtime_checkable
+class BendForecast(Protocol):
+    """A controller of a helical robot, which can tell how tightly that robot turns."""
+
+    def tightest_bend(self) -> float:
+        """Compute the radius of the tightest bend, by which `preview` judges a path.
+
+        Returns
+        -------
+        float, in m
+        """
+
+
+@runtime_checkable
+class PlaybackAware(Protocol):
+    """A controller that learns from what its commands do."""
+
+    def unplayed(self) -> None:
+        """Forget the last command: it was not played, since the loop was held or had lost the signal."""
+
+
+def robot_kinds(law: type[Controller]) -> tuple[str, ...]:
+    """Kinds of robot that a controller class drives: ``gradient`` where it does not say.
+
+    Parameters
+    ----------
+    law : type
+        A controller class.
+
+    Returns
+    -------
+    tuple of str
+    """
+    return law.kinds if isinstance(law, RobotKinds) else ("gradient",)
 
 
 def complete_gains(

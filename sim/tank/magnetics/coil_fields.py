@@ -12,16 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lookup_tables.cache import default_cache_dir, keep, used
+from lookup_tables.coils import FlatCoil, RoundCoil
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-
-if TYPE_CHECKING:
-    from lookup_tables import FlatCoil, RoundCoil
 
 FORMAT = 1
 ROUND, FLAT = 0.0, 1.0
@@ -61,8 +58,6 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
         Rounded outward to whole cells, so that neighbouring wishes share a table.
     spacing : float, in m
     """
-    from lookup_tables import FlatCoil
-
     up, ahead = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     standing: RoundCoil | FlatCoil
     if isinstance(coil, FlatCoil):
@@ -87,9 +82,7 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
 def coil_frame(coil: RoundCoil | FlatCoil) -> FloatArray:
     """Rows (3, 3): the coil's own axes in the world, the last along its axis."""
     axis = np.asarray(coil.axis) / np.linalg.norm(coil.axis)
-    width = getattr(coil, "width_direction", None)
-    if width is None:
-        width = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    width = coil.width_direction if isinstance(coil, FlatCoil) else np.eye(3)[int(np.argmin(np.abs(axis)))]
     width = width - (width @ axis) * axis
     width /= np.linalg.norm(width)
     return np.array([width, np.cross(axis, width), axis])
@@ -147,7 +140,7 @@ def pack(
         local = [(corners - np.asarray(coils[i].center)) @ coil_frame(coils[i]).T for i in members]
         margin = 4e-3
         points = np.concatenate(local)
-        flat = hasattr(coils[members[0]], "width_direction")
+        flat = isinstance(coils[members[0]], FlatCoil)
         step = 2 * spacing if flat else spacing
         table = shape_table(coils[members[0]], points.min(0) - margin, points.max(0) + margin, step)
         counts = np.ones(3)

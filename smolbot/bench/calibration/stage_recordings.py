@@ -75,16 +75,17 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
         If the world has no stage, or the folder is in use.
     """
     from smolbot.config.plugins import load_world
+    from smolbot.config.world import StagedWorld
 
     if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
         raise InputError(f"--keep {keep}: must be a new or empty folder, so that no recording is lost.")
-    opened = getattr(load_world(rig.world, rig.document), "stage", None)
-    if opened is None:
+    world = load_world(rig.world, rig.document)
+    if not isinstance(world, StagedWorld):
         raise InputError(
             f"World '{rig.world}' of rig '{rig.name}' has no stage of its own; give a TRACK with recordings."
         )
     box = rig.container
-    stage = opened(rig, device, seed)
+    stage = world.stage(rig, device, seed)
     track = planned_track(box.low, box.high + np.array([0.0, 0.0, box.wall_height]), count)
     heard = [stage.record(p.position, np.array(p.orientation), HALF_PERIODS) for p in track]
     if keep is not None:

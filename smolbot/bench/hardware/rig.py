@@ -25,12 +25,13 @@ from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.core.closing import Closing
 from smolbot.core.coil_probe import BEFORE, Probe, probe_shot
-from smolbot.core.rig import CheckItem, Witness
+from smolbot.core.rig import CheckItem, ProvenanceReporter, Witness
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import MoveMagnet, Rest, Rotate, Shot, magnet_near_after
 from smolbot.errors import RigError
 
 if TYPE_CHECKING:
+    from smolbot.bench.hardware.remotewitness import RemoteWitness
     from smolbot.core.operator import Operator
 
 LOST_IN_A_ROW = 2
@@ -59,6 +60,7 @@ class BenchRig(Closing):
     def __init__(self, rig: RigConfig, section: BenchSection, operator: Operator) -> None:
         self.sensors, self.limits = rig.sensors, rig.limits
         self.witness: Witness | None = None
+        self._truth: RemoteWitness | None = None
         self.recovered: Counter[str] = Counter()
         self._rig, self._section = rig, section
         self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
@@ -109,7 +111,7 @@ class BenchRig(Closing):
             from smolbot.bench.hardware.remotewitness import RemoteWitness
 
             try:
-                self.witness = RemoteWitness(section.truth, self._epoch)
+                self.witness = self._truth = RemoteWitness(section.truth, self._epoch)
             except (RigError, OSError) as error:
                 faults.append(f"truth of the twin at {section.truth}: {error}")
         if faults:
@@ -193,11 +195,10 @@ class BenchRig(Closing):
             return
         self._open = False
         self.stop()
-        for part in (self._guard, self._card, self._magnet, self._supply, self.witness, self._driver):
-            closing = getattr(part, "close", None)
-            if closing is not None:
+        for part in (self._guard, self._card, self._magnet, self._supply, self._truth, self._driver):
+            if part is not None:
                 with contextlib.suppress(RigError):  # a device that is gone keeps no other from being let go
-                    closing()
+                    part.close()
 
     @property
     def status_line(self) -> str:
@@ -230,8 +231,7 @@ class BenchRig(Closing):
             found["magnet_stage"] = self._magnet.identity
         if self._supply is not None:
             found["supply"] = str(self._supply.identity)
-        drawn = getattr(self.witness, "provenance", None)
-        return found if drawn is None else found | {"twin": drawn()}
+        return found | {"twin": self.witness.provenance()} if isinstance(self.witness, ProvenanceReporter) else found
 
     def _electrical(self, shot: Shot) -> Recording | None:
         assert self._card is not None

@@ -13,7 +13,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Actuate, Shot
-from smolbot.motion.controller import Controller, Reach
+from smolbot.motion.controller import Controller, ForceForecast, Reach
 from smolbot.motion.gradient import advance
 from smolbot.paths.corners import corner_indices, curvature
 
@@ -48,6 +48,8 @@ class Preview:
         Where the robot is expected to go.
     localization_error : ndarray, shape (n,), in m
         Horizontal rms error of one pose, along the path.
+    reach : Reach or None
+        The law's force along the path; None where the law does not say.
     coil_energy : float, in J
     reasons : list of str
         Why not to fly; empty means go.
@@ -65,7 +67,7 @@ class Preview:
     wanted_time: float | None
     cycles: int
     trail: FloatArray
-    reach: Reach
+    reach: Reach | None
     localization_error: FloatArray
     coil_energy: float
     reasons: list[str] = field(default_factory=list)
@@ -174,7 +176,7 @@ def preview(mission: Mission) -> Preview:
         wanted_time=None if mission.path.speed is None else mission.path.speed.duration,
         cycles=rollout.cycles,
         trail=np.array(rollout.trail),
-        reach=rollout.controller.reach(mission.path),
+        reach=rollout.controller.reach(mission.path) if isinstance(rollout.controller, ForceForecast) else None,
         localization_error=expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
         coil_energy=rollout.energy,
         reasons=[reason] if reason else [],

@@ -14,7 +14,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Rotate, Shot, magnet_near_after
-from smolbot.motion.controller import Controller, HelixSetup
+from smolbot.motion.controller import BendForecast, Controller, HelixSetup
 from smolbot.paths.curve import Curve
 
 BEND_OVER = 4e-3
@@ -42,7 +42,7 @@ class HelixPreview:
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to be in the pauses.
     radius, bend : float, in m
-        Of the tightest bend that it can make, and of the tightest in the path.
+        Of the tightest bend that it can make (None where its law does not say), and of the tightest in the path.
     torque_margin : ndarray, shape (n,)
         Least torque of the field over what the gel asks for, along the path; under 1 the robot steps out.
     localization_error : ndarray, shape (n,), in m
@@ -56,7 +56,7 @@ class HelixPreview:
     length: float
     duration: float
     trail: FloatArray
-    radius: float
+    radius: float | None
     bend: float
     torque_margin: FloatArray
     localization_error: FloatArray
@@ -74,7 +74,8 @@ def preview_helix(mission: Mission) -> HelixPreview:
     frequency = setup.limits.max_rotation_frequency
     arc = np.linspace(0.0, mission.path.length, 25)
     margin = np.array([setup.helix.torque_margin(p, frequency) for p in mission.path.at(arc)])
-    radius, bend = setup.helix.tightest(frequency, controller.most_tilt), tightest_bend(mission.path)
+    radius = controller.tightest_bend() if isinstance(controller, BendForecast) else None
+    bend = tightest_bend(mission.path)
     shots, clock, trail, reasons = _fly(mission, setup, controller)
     worst = int(np.argmin(margin))
     if margin[worst] < 1.0:
@@ -82,7 +83,7 @@ def preview_helix(mission: Mission) -> HelixPreview:
             f"the field would lose the robot near {_mm(mission.path.at(arc[worst]))}: "
             f"its torque is {margin[worst]:.2f} of what the gel asks for at {frequency:g} Hz."
         )
-    if bend < radius:
+    if radius is not None and bend < radius:
         reasons.insert(
             0,
             f"the path bends with a radius of {bend * 1e3:.1f} mm; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from smolbot.config.mission import Mission
     from smolbot.flight.preview.gradient import Preview
     from smolbot.flight.preview.helix import HelixPreview
+    from smolbot.motion.controller import Reach
 
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 
@@ -63,10 +64,6 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
 
 
 def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
-    import numpy as np
-
-    reach, worst = seen.reach, int(np.argmax(seen.reach.direction_error))
-    where = f"at ({reach.points[worst, 0] * 1e3:.1f}, {reach.points[worst, 1] * 1e3:.1f}) mm"
     error = seen.localization_error * 1e3
     rows = [
         ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
@@ -75,12 +72,7 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
         *[("", remark) for remark in seen.remarks],
         ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
         ("along the path", _pace(seen)),
-        ("force along the path", f"{reach.force.min() * 1e6:.0f} to {reach.force.max() * 1e6:.0f} µN"),
-        (
-            "force direction error",
-            f"median {np.degrees(np.median(reach.direction_error)):.0f}°, "
-            f"worst {np.degrees(reach.direction_error[worst]):.0f}° {where}",
-        ),
+        *_force_rows(mission, seen.reach),
         ("localization error", f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose"),
         ("coil energy", f"{seen.coil_energy:.0f} J"),
     ]
@@ -94,27 +86,53 @@ def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
         "path_time_wanted_s": seen.wanted_time,
         "expected_duration_s": as_json(seen.duration),
         "expected_cycles": seen.cycles,
-        "force_un": {"min": reach.force.min() * 1e6, "max": reach.force.max() * 1e6},
-        "force_direction_error_deg": {
-            "median": float(np.degrees(np.median(reach.direction_error))),
-            "max": float(np.degrees(reach.direction_error.max())),
-        },
+        **_force_figures(seen.reach),
         "localization_error_mm": {"min": error.min(), "max": error.max()},
         "coil_energy_j": seen.coil_energy,
     }
     show_verdict(mission, seen, rows, figures if json else None)
 
 
+def _force_rows(mission: Mission, reach: Reach | None) -> list[tuple[str, str]]:
+    """Rows of the table on the law's force along the path."""
+    import numpy as np
+
+    if reach is None:
+        return [("force along the path", f"not known: the law '{mission.law}' has no method reach(path)")]
+    worst = int(np.argmax(reach.direction_error))
+    x, y = reach.points[worst, :2] * 1e3
+    middle, most = np.degrees([np.median(reach.direction_error), reach.direction_error[worst]])
+    return [
+        ("force along the path", f"{reach.force.min() * 1e6:.0f} to {reach.force.max() * 1e6:.0f} µN"),
+        ("force direction error", f"median {middle:.0f}°, worst {most:.0f}° at ({x:.1f}, {y:.1f}) mm"),
+    ]
+
+
+def _force_figures(reach: Reach | None) -> dict[str, Any]:
+    """The same for ``--json``; null where the law does not say."""
+    import numpy as np
+
+    if reach is None:
+        return {"force_un": None, "force_direction_error_deg": None}
+    error = np.degrees(reach.direction_error)
+    return {
+        "force_un": {"min": reach.force.min() * 1e6, "max": reach.force.max() * 1e6},
+        "force_direction_error_deg": {"median": float(np.median(error)), "max": float(error.max())},
+    }
+
+
 def _show_helix_preview(mission: Mission, seen: HelixPreview, json: bool) -> None:
     error, margin = seen.localization_error * 1e3, seen.torque_margin
     turns = ", ".join(f"{t:g}" for t in seen.turns)
+    told = f"not known for this robot: the law '{mission.law}' has no method tightest_bend()"
+    radius = told if seen.radius is None else f"{seen.radius * 1e3:.1f} mm for this robot"
     rows = [
         ("listening", seen.listening.timeline()),
         ("a maneuver", seen.maneuver.timeline()),
         ("turns before each pause", f"{turns}: {sum(seen.turns):g} in all, {len(seen.turns)} pauses"),
         ("path", f"{seen.length * 1e3:.1f} mm"),
         ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
-        ("tightest bend", f"{seen.bend * 1e3:.1f} mm in the path, {seen.radius * 1e3:.1f} mm for this robot"),
+        ("tightest bend", f"{seen.bend * 1e3:.1f} mm in the path, {radius}"),
         ("torque to spare", f"{margin.min():.2f} to {margin.max():.2f} times what the gel asks for"),
         ("localization error", f"{error.min():.3f} to {error.max():.3f} mm rms in the plane, each pose"),
     ]
@@ -125,7 +143,10 @@ def _show_helix_preview(mission: Mission, seen: HelixPreview, json: bool) -> Non
         "pauses": len(seen.turns),
         "path_length_mm": seen.length * 1e3,
         "expected_duration_s": as_json(seen.duration),
-        "bend_radius_mm": {"path": as_json(seen.bend * 1e3), "robot": as_json(seen.radius * 1e3)},
+        "bend_radius_mm": {
+            "path": as_json(seen.bend * 1e3),
+            "robot": None if seen.radius is None else as_json(1e3 * seen.radius),
+        },
         "torque_margin": {"min": float(margin.min()), "max": float(margin.max())},
         "localization_error_mm": {"min": float(error.min()), "max": float(error.max())},
     }

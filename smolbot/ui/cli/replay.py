@@ -61,9 +61,7 @@ def replay(
         picture = out or played.record.folder / "replay.png"
         said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in played.changed.items())
         moments = played.moments
-        draw_replay(
-            picture, getattr(played.mission, "path", None), played.record.moments[: len(moments)], moments, said
-        )
+        draw_replay(picture, played.mission.path, played.record.moments[: len(moments)], moments, said)
         found["figure"] = str(picture)
     _show(played, found, json=json)
     if not played.changed and difference is not None:

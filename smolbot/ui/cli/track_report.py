@@ -105,7 +105,7 @@ class TrackReport:
         self.rows += _compared(figures, alignment.given)
         if alignment.sigma > VAGUE:
             self._warn("when the video began is not sure: it shows too little but straight movement")
-        path = getattr(poses.mission, "path", None)  # a mission that only looks has none
+        path = None if poses.mission is None else poses.mission.path
         error = None if path is None else tracking_error(self.track, path, poses)
         if error is not None:
             figures["tracking_error_mm"] = error
