@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sim.batch.flights import COLUMNS, Flight, Plant, combine, fly_seeds, warm_rates, write_results
+from sim.batch.flights import Plant
 from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 
 if TYPE_CHECKING:
-    from smolbot.config.load import AnyMission
+    from smolbot.functions.simulate import Flight, Simulation
 
 
 def simulate(
@@ -31,37 +30,27 @@ def simulate(
     json: JsonOption = False,
 ) -> None:
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
-    from sim.batch.executors import open_executor
     from smolbot.config.load import load_mission
-    from smolbot.runs.folder import RunFolder, dated, provenance
-    from smolbot.runs.recording.files import RunFiles
+    from smolbot.functions.simulate import simulate as fly_seeds
+    from smolbot.runs.folder import dated
+    from smolbot.ui.cli.show import bar
 
-    wanted = parse_seeds(seeds)
-    settings = settings_from(set_)
-    loaded = load_mission(mission, rig, settings)
-    if plant is Plant.REDUCED:
-        from sim.reduced.rig import require_flyable
+    wanted, settings = parse_seeds(seeds), settings_from(set_)
+    name = load_mission(mission, rig, settings).name
+    passed = 0
+    with bar(name, total=len(wanted)) as tell:
 
-        require_flyable(loaded)
-    if loaded.robot.kind == "gradient":
-        loaded.rig.table()  # built once, before the workers need it
-    folder = RunFolder(out or dated(f"simulate-{loaded.name}"))
-    where = provenance(wanted[0], settings, {"seeds": wanted, "plant": str(plant)})
-    folder.begin(RunFiles.of(loaded).contents, where)
-    begin = time.perf_counter()
-    with open_executor(jobs, scheduler) as executor:
-        flown = fly_seeds(executor, mission, rig, settings, wanted, plant)
-        flights = list(_watched(flown, loaded.name, len(wanted)))
-        wall = time.perf_counter() - begin
-    flights.sort(key=lambda f: f.summary["seed"])
-    write_results(folder.path / "results.csv", flights)
-    draw(loaded, flights, folder.path / "flights.png")
-    figures = combine(loaded.name, flights)
-    figures["flights_per_minute"] = {"in_all": 60.0 * len(flights) / wall, **warm_rates(flights)}
-    figures["folder"] = str(folder.path)
-    folder.end(figures)
-    _show(figures, flights, json)
-    raise typer.Exit(0 if figures["passed"] == figures["flown"] else 1)
+        def progress(flight: Flight) -> None:
+            nonlocal passed
+            passed += flight.passed
+            tell(advance=1, description=f"{name}: {passed} passed")
+
+        found = fly_seeds(
+            mission, wanted, rig=rig, plant=plant.value, jobs=jobs, scheduler=scheduler,
+            out=out or dated(f"simulate-{name}"), settings=settings, progress=progress,
+        )  # fmt: skip
+    _show(found, json)
+    raise typer.Exit(0 if found.passed == len(found.flights) else 1)
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -82,36 +71,13 @@ def parse_seeds(text: str) -> list[int]:
     return list(range(a, b + 1))
 
 
-def draw(mission: AnyMission, flights: list[Flight], path: Path) -> None:
-    """Write the picture of all flights."""
-    from smolbot.config.observation import Observation
-
-    if isinstance(mission, Observation):
-        from sim.batch.observations_picture import draw_observations
-
-        draw_observations(mission, flights, path)
-    else:
-        from sim.batch.flights_picture import draw_flights
-
-        draw_flights(mission, flights, path)
-
-
-def _watched(flights: Iterator[Flight], name: str, total: int) -> Iterator[Flight]:
-    from smolbot.ui.cli.show import bar
-
-    passed = 0
-    with bar(name, total=total) as tell:
-        for flight in flights:
-            passed += flight.summary["verdict"] == "passed"
-            tell(advance=1, description=f"{name}: {passed} passed")
-            yield flight
-
-
-def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
+def _show(found: Simulation, json: bool) -> None:
+    from smolbot.functions.simulate import COLUMNS
     from smolbot.runs.summary import label_of
     from smolbot.ui.cli.show import echo_json, table
 
-    low, high = figures["pass_rate_95"]
+    figures = found.figures()
+    low, high = found.pass_rate_95
     rows = [
         ("passed", f"{figures['passed']} of {figures['flown']} ({low:.0%} to {high:.0%} with 95 % confidence)"),
         *[
@@ -119,11 +85,11 @@ def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
             for column in COLUMNS
             if isinstance(v := figures.get(column), dict)
         ],
-        ("flights a minute", _rates(figures["flights_per_minute"])),
+        ("flights a minute", _rates(found.flights_per_minute)),
         *[
             (f"seed {f.summary['seed']}", "; ".join(f.summary["verdict_reasons"]))
-            for f in flights
-            if f.summary["verdict"] != "passed"
+            for f in found.flights
+            if not f.passed
         ],
         ("folder", figures["folder"]),
     ]
@@ -132,7 +98,7 @@ def _show(figures: dict[str, Any], flights: list[Flight], json: bool) -> None:
         echo_json(figures)
 
 
-def _rates(rates: dict[str, float | None]) -> str:
+def _rates(rates: Mapping[str, float | None]) -> str:
     text = f"{rates['in_all']:.0f}"
     if rates["warm"] is None:
         return text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
@@ -18,13 +18,19 @@ CONNECT_SECONDS = 10.0
 
 @contextmanager
 def open_executor(jobs: int = 0, scheduler: str | None = None) -> Iterator[Executor]:
-    """An executor of `jobs` processes (0: one per core), or of the dask cluster at address `scheduler`.
+    """An executor of `jobs` processes, or of the dask cluster at address `scheduler`.
+
+    With 0 there is one process per core; with 1 all is done in this one, in a thread.
 
     Raises
     ------
     InputError
         If no scheduler answers there, or dask is not installed.
     """
+    if scheduler is None and jobs == 1:
+        with ThreadPoolExecutor(1) as here:
+            yield here
+        return
     if scheduler is None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one core each; small matrices gain nothing from more
         context = multiprocessing.get_context("spawn")

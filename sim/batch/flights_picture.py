@@ -15,7 +15,7 @@ from smolbot.runs.summary import label_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from sim.batch.flights import Flight
+    from smolbot.functions.simulate import Flight
 
 
 def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:

@@ -12,7 +12,7 @@ from smolbot.runs.pictures.style import TRUE, outline, sheet, two_views
 if TYPE_CHECKING:
     from matplotlib.gridspec import SubplotSpec
 
-    from sim.batch.flights import Flight
+    from smolbot.functions.simulate import Flight
 
 Row = tuple[str, list[str], float | None]
 

@@ -87,7 +87,7 @@ class StudyFolder:
         write_rows(self.path / "results.csv", shown, zip(*map(_texts, shown.values()), strict=True))
 
     def _write_json(self, name: str, data: Any) -> None:
-        from smolbot.ui.cli.show import json_text
+        from smolbot.core.results import json_text
 
         (self.path / name).write_text(json_text(data), encoding="utf-8")
 

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from sim.batch.flights import Plant
-from smolbot.errors import InputError, writing
+from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
 
-if TYPE_CHECKING:
-    from optuna import Study
-
-    from sim.tuning.search import Problem
-    from smolbot.config.mission import Mission
-
 LEAST_TRIALS = 2
-JOURNAL = "trials.journal"
 
 
 def tune(
@@ -42,91 +33,28 @@ def tune(
     json: JsonOption = False,
 ) -> None:
     """Tune a mission's gains over drawn worlds: a gains file, pass rates before and after, what each gain matters."""
-    from sim.batch.executors import open_executor
-    from sim.tuning.report import draw, gains_file, importances, write_trials
-    from sim.tuning.search import open_study, search
-    from sim.tuning.verdict import better
-    from sim.tuning.verdict import held_out as confirm
     from smolbot.config.mission import load_mission
+    from smolbot.functions.tune import tune as search_gains
     from smolbot.runs.folder import dated
-
-    settings = settings_from(set_)
-    loaded = load_mission(mission, rig, settings)
-    problem = _problem(loaded, mission, rig, settings, only, worlds, seed, plant)
-    loaded.rig.table()  # built once, before the workers need it
-    if resume and out is None:
-        raise InputError("--resume needs --out, the folder of the search to go on with.")
-    folder = out or dated(f"tune-{loaded.name}")
-    _make(folder, resume)
-    kind = f"{loaded.name} {loaded.law} {plant} seed {seed} worlds {worlds} {','.join(problem.gains)}"
-    study = open_study(folder / JOURNAL, seed, kind, resume=resume)
-    with open_executor(jobs, scheduler) as executor:
-        with _progress(loaded.name, trials) as ended:
-            search(study, problem, trials, executor, ended)
-        before, tuned = confirm(problem, [problem.start, study.best_params], held_out, executor)
-    shares = importances(study)
-    write_trials(study, folder / "trials.csv")
-    (folder / "gains.toml").write_text(gains_file(problem, loaded.law, tuned, before, seed), encoding="utf-8")
-    improved = better(tuned, before)
-    headline = f"{loaded.name}: {'tuned gains are better' if improved else 'no better gains were found'}"
-    draw(study, shares, tuned, before, headline, folder / "tune.png")
-    figures: dict[str, Any] = {
-        "mission": loaded.name, "law": loaded.law, "plant": str(plant), "seed": seed, "trials": trials,
-        "worlds": worlds, "best_cost_mm": study.best_value, "before": before.figures(), "tuned": tuned.figures(),
-        "importances": shares, "verdict": "better" if improved else "not better", "folder": str(folder),
-    }  # fmt: skip
-    _show(figures, json)
-    raise typer.Exit(0 if improved else 1)
-
-
-def _problem(
-    loaded: Mission, mission: str, rig: str | None, settings: dict[str, str], only: str | None, worlds: int, seed: int,
-    plant: Plant,
-) -> Problem:  # fmt: skip
-    """What is to be tuned; raises `InputError` for a gain that the law does not have."""
-    from sim.tuning.search import Problem
-    from sim.tuning.verdict import FIRST_HELD_OUT
-    from smolbot.config.plugins import load
-
-    if plant is Plant.REDUCED:
-        from sim.reduced.rig import require_flyable
-
-        require_flyable(loaded)
-    declared = load("controllers", loaded.law).gains
-    names = [name.strip() for name in only.split(",")] if only else list(declared)
-    unknown = [name for name in names if name not in declared]
-    if unknown:
-        raise InputError(f"--only: {loaded.law} has no gain '{unknown[0]}'; it has {', '.join(declared)}.")
-    first = (seed * 1000) % FIRST_HELD_OUT
-    start = {name: float(loaded.gains.get(name, declared[name].default)) for name in names}
-    chosen = {name: declared[name] for name in names}
-    return Problem(mission, rig, settings, chosen, start, range(first, first + worlds), plant)
-
-
-def _make(folder: Path, resume: bool) -> None:
-    if resume:
-        return
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is not empty; name a new folder, or go on with --resume.")
-    with writing(folder, done="made"):
-        folder.mkdir(parents=True, exist_ok=True)
-
-
-@contextmanager
-def _progress(name: str, trials: int) -> Iterator[Callable[[Study], None]]:
-    """A bar on the terminal with the best cost so far."""
-    from sim.tuning.search import finished
     from smolbot.ui.cli.show import bar
 
+    if resume and out is None:
+        raise InputError("--resume needs --out, the folder of the search to go on with.")
+    settings = settings_from(set_)
+    name = load_mission(mission, rig, settings).name
     with bar(name, total=trials) as tell:
 
-        def ended(study: Study) -> None:
-            done = finished(study)
-            costs = [t.value for t in done if t.value is not None]
-            best = f"best {min(costs):.3f} mm" if costs else "no trial whole yet"
-            tell(completed=len(done), description=f"{name}: {best}")
+        def progress(done: int, best: float | None) -> None:
+            cost = "no trial whole yet" if best is None else f"best {best:.3f} mm"
+            tell(completed=done, description=f"{name}: {cost}")
 
-        yield ended
+        found = search_gains(
+            mission, trials=trials, worlds=worlds, held_out=held_out, plant=plant.value,
+            only=[gain.strip() for gain in only.split(",")] if only else None, seed=seed, rig=rig, jobs=jobs,
+            scheduler=scheduler, out=out or dated(f"tune-{name}"), resume=resume, settings=settings, progress=progress,
+        )  # fmt: skip
+    _show(found.figures(), json)
+    raise typer.Exit(0 if found.improved else 1)
 
 
 def _show(figures: dict[str, Any], json: bool) -> None:

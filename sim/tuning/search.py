@@ -65,8 +65,10 @@ class Problem:
         return {**self.settings, **{f"controller.gains.{name}": repr(value) for name, value in gains.items()}}
 
 
-def open_study(path: Path, seed: int, name: str, *, resume: bool) -> Study:
-    """The journal at `path` as an Optuna study; trials that a killed process left running count as failed.
+def open_study(path: Path | None, seed: int, name: str, *, resume: bool) -> Study:
+    """The journal at `path` as an Optuna study, or one in memory.
+
+    Trials that a killed process left running count as failed.
 
     Raises
     ------
@@ -78,11 +80,11 @@ def open_study(path: Path, seed: int, name: str, *, resume: bool) -> Study:
     from optuna.storages.journal import JournalFileBackend
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    if resume and not path.is_file():
+    if path is not None and resume and not path.is_file():
         raise InputError(f"{path.parent}: holds no search to resume.")
-    storage = JournalStorage(JournalFileBackend(str(path)))
-    held = optuna.get_all_study_names(storage) if resume else [name]
-    if name not in held:
+    storage = None if path is None else JournalStorage(JournalFileBackend(str(path)))
+    held = [name] if storage is None or not resume else optuna.get_all_study_names(storage)
+    if path is not None and name not in held:
         raise InputError(f"{path.parent}: holds the search '{held[0]}', not '{name}'; resume it as it was begun.")
     study = optuna.create_study(
         storage=storage,

@@ -13,6 +13,7 @@ from sim.batch.flights import Plant, fly_one
 from sim.batch.intervals import wilson_interval
 from sim.tuning.cost import cost
 from sim.tuning.search import Problem
+from smolbot.functions.tune import HeldOut
 
 FIRST_HELD_OUT = 1_000_000
 """Held-out worlds begin here; those of the search lie below."""
@@ -35,16 +36,16 @@ class Flown:
 
     def figures(self) -> dict[str, Any]:
         """For tables and JSON."""
+        return self.told().figures()
+
+    def told(self) -> HeldOut:
+        """As `smolbot.tune` hands it out."""
         done = [s for s in self.summaries if s["status"] == "completed"]
-        return {
-            "flown": len(self.summaries),
-            "passed": self.passed,
-            "pass_rate_95": wilson_interval(self.passed, len(self.summaries)),
-            "cost_mm": float(np.mean(self.costs)),
-            "tracking_rms_mm": _mean([s["tracking_error_mm"]["rms"] for s in done]),
-            "duration_s": _mean([s["duration_s"] for s in done]),
-            "gains": dict(self.gains),
-        }
+        return HeldOut(
+            dict(self.gains), len(self.summaries), self.passed, wilson_interval(self.passed, len(self.summaries)),
+            float(np.mean(self.costs)), tuple(self.costs), _mean([s["tracking_error_mm"]["rms"] for s in done]),
+            _mean([s["duration_s"] for s in done]),
+        )  # fmt: skip
 
 
 def held_out(problem: Problem, gains: Sequence[Mapping[str, float]], count: int, executor: Executor) -> list[Flown]:

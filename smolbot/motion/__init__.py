@@ -1,1 +1,5 @@
 """What robots do under a command, as the controller believes it."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

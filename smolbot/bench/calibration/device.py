@@ -22,14 +22,16 @@ shift it by 0.02 Hz, which the scatter over repeats does not show.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from smolbot.config.device import Uncertainty
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
+from smolbot.core.results import Readable, as_columns
 from smolbot.core.sensing import DampingModel, Device, Recording
 from smolbot.core.shots import Excite, Listen, RingDown, Shot
 from smolbot.errors import InputError, SignalLostError
@@ -111,8 +113,8 @@ class Plan:
             raise InputError(f"Calibration height_std must be 0 or more, in m, and finite; got {self.height_std}.")
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Readable):
     """What was found, and how.
 
     Attributes
@@ -131,6 +133,10 @@ class Calibration:
     stops_reached : bool
         If not, theta_max is the believed one, or the largest amplitude seen if that is larger.
     shots : int
+    robot, rig : str
+        Names of both, where they are known.
+    file : Path or None
+        The device file that was written.
     """
 
     device: Device
@@ -142,6 +148,17 @@ class Calibration:
     evidence: float
     stops_reached: bool
     shots: int
+    robot: str = ""
+    rig: str = ""
+    file: Path | None = None
+
+    def sweep_table(self) -> dict[str, np.ndarray[Any, Any]]:
+        """The fields of `SweepPoint` as arrays, a value for each burst of the frequency sweep."""
+        return as_columns(map(asdict, self.sweep), [f.name for f in fields(SweepPoint)])
+
+    def drive_table(self) -> dict[str, np.ndarray[Any, Any]]:
+        """The fields of `DrivePoint` as arrays, a value for each current of the drive sweep."""
+        return as_columns(map(asdict, self.drives), [f.name for f in fields(DrivePoint)])
 
 
 def calibrate(

@@ -61,9 +61,8 @@ def calibrate_array(
     from smolbot.bench.calibration.stage_recordings import from_files, on_stage, ringing
     from smolbot.config.rig import load_rig
     from smolbot.config.sensors import write_sensors
+    from smolbot.functions.targets import check_writable, expected_hum, find_device
     from smolbot.localization.array.calibration import calibrate_sensors
-    from smolbot.ui.cli.calibrate import check_writable, expected_hum
-    from smolbot.ui.cli.localize import find_device
 
     if track is None and samples is not None:
         raise InputError("--samples needs a TRACK: where the device was in each shot.")

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smolbot.core.results import as_json
 from smolbot.errors import ConfigError, InputError, writing
 from smolbot.ui.cli.observations import cycle_figures, show_observation_preview, show_verdict
-from smolbot.ui.cli.show import as_json, echo_json, table
+from smolbot.ui.cli.show import echo_json, table
 
 if TYPE_CHECKING:
     from smolbot.config.mission import Mission

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from smolbot.ui.cli.show import as_json, echo_json, table
+from smolbot.core.results import as_json
+from smolbot.ui.cli.show import echo_json, table
 
 if TYPE_CHECKING:
     from smolbot.config.load import AnyMission

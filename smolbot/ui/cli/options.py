@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from smolbot.errors import InputError
+from smolbot.functions.settings import DEFAULT_ROBOT
 
 MissionArgument = Annotated[
     str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")
@@ -22,7 +23,6 @@ SetOption = Annotated[
         help="key=value laid over the mission file; rig.key=value over the rig file; @FILE: all of a TOML file.",
     ),
 ]
-DEFAULT_ROBOT = "gradient"
 RobotOption = Annotated[
     str | None,
     typer.Option("--robot", help=f"Robot, by name or path; default: the device file's, or {DEFAULT_ROBOT}."),

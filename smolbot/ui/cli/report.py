@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
+from smolbot.core.results import as_json
 from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption
-from smolbot.ui.cli.show import as_json, echo_json, table
+from smolbot.ui.cli.show import echo_json, table
 
 RunsArgument = Annotated[
     list[Path], typer.Argument(help="Run folder, or its record; several are compared.", metavar="RUN …")

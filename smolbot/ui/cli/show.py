@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
+
+from smolbot.core.results import json_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,27 +60,9 @@ def table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> 
     console(err=err).print(shown)
 
 
-def as_json(value: Any) -> Any:
-    """A value that JSON can hold: nan and infinity become null, arrays lists."""
-    if isinstance(value, dict):
-        return {str(k): as_json(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [as_json(v) for v in value]
-    if hasattr(value, "tolist"):
-        return as_json(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def echo_json(data: Any) -> None:
     """One JSON object on standard output."""
     sys.stdout.write(json_text(data))
-
-
-def json_text(data: Any) -> str:
-    """One JSON object as text, as commands print and keep it."""
-    return json.dumps(as_json(data), indent=2, default=str) + "\n"
 
 
 def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

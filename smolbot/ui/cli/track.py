@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,13 +13,8 @@ from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption
 
 if TYPE_CHECKING:
-    from smolbot.config.robot import RobotConfig
     from smolbot.core.arrays import FloatArray
-    from smolbot.runs.optics.opticaltrack import OpticalTrack
-    from smolbot.runs.optics.outline import Body
-    from smolbot.runs.optics.runposes import RunPoses
-    from smolbot.runs.optics.video import Video
-    from smolbot.runs.optics.view import View
+    from smolbot.functions.track import VideoTrack
 
 
 def track(
@@ -75,61 +71,65 @@ def track(
 
     Frames that do not show the robot are counted and left out.
     """
-    from smolbot.runs.optics.video import Video
-
     if (from_s is not None or to_s is not None) and not deflection:
         raise InputError("--from-s and --to-s are for --deflection.")
     folder = out or (run / "optical" if run is not None else Path(f"{video.stem}_track"))
     if deflection:
         if run is not None or fiducials is not None or corners is not None:
             raise InputError("--deflection measures angles in a clip: --run, --fiducials and --corners are not for it.")
+        from smolbot.runs.optics.video import Video
         from smolbot.ui.cli.track_swing import measure_swing
 
         measure_swing(Video(video, fps), fps is not None, from_s, to_s, folder, json)
         return
-    _check_points(fiducials, corners, corners_mm)
-    if offset_s is not None and run is None:
-        raise InputError("--offset-s needs --run: it is when the video began on that run's clock.")
-    points = None if corners is None else (_pairs(corners, "--corners"), _pairs(corners_mm or "", "--corners-mm"))
-    if points is not None:
-        from smolbot.runs.optics.view import check_points
+    from smolbot.functions.track import track as follow
+    from smolbot.ui.cli.show import bar, echo_json, table
 
-        check_points(*points)
-    poses = None
-    if run is not None:
-        from smolbot.runs.optics.runposes import read_run_poses
-
-        poses = read_run_poses(run)
-    config = _robot(robot, poses)
-    film = Video(video, fps)
-    height, told = _height(robot_z_mm, poses, fiducials, corners_z_mm)
-    view, notes = _view(film, fiducials, points, corners_z_mm, camera_height_mm, height)
-    body = _body(config, mark)
-    found = _follow(film, view, body, height, background, json)
-    from smolbot.ui.cli.track_report import TrackReport
-
-    report = TrackReport(found, film, config, view, height, seen_from=told, camera=notes)
-    report.tell_track(pictured=background is not None)
-    if poses is not None and run is not None:
-        report.compare(poses, run, offset_s, known=robot_z_mm is not None)
-    report.leave(folder, run, json)
-
-
-def _check_points(fiducials: Path | None, corners: str | None, corners_mm: str | None) -> None:
-    if fiducials is not None and (corners or corners_mm):
-        raise InputError("Give --fiducials or --corners, not both.")
-    if fiducials is None and corners is None:
-        raise InputError(
-            "Where pixels are must be known: --fiducials FILE, or --corners 'u,v u,v u,v u,v' with --corners-mm "
-            "'x,y …'."
-        )
     if (corners is None) != (corners_mm is None):
         raise InputError("--corners and --corners-mm belong together: four points in the picture, and where they are.")
+    with bar("frames", total=None, quiet=json) as tell:
+        found = follow(
+            video, fiducials=fiducials, corners=_pairs(corners, "--corners"),
+            corners_at=_si(_pairs(corners_mm, "--corners-mm")), corners_height=_si(corners_z_mm),
+            camera_height=_si(camera_height_mm), robot=robot, robot_height=_si(robot_z_mm), mark=mark,
+            background=background, run=run, offset=offset_s, fps=fps, out=folder,
+            progress=lambda done, total: tell(completed=done, total=total),
+        )  # fmt: skip
+    table(found.video.name, [*_rows(found), ("written", f"{folder}: track.csv, track.json, track.png")], err=json)
+    if json:
+        echo_json({**found.figures, "track": str(folder / "track.csv")})
 
 
-def _pairs(text: str, option: str) -> FloatArray:
+def _rows(found: VideoTrack) -> list[tuple[str, str]]:
+    """The track, what makes it doubtful, and a run's errors against it."""
+    f, seen = found.figures, found.track
+    place = ", ".join(f"{1e3 * v:.0f}" for v in found.view.place)
+    rows = [
+        (
+            "frames",
+            f"{seen.total} at {f['fps']:g} per second; robot seen in {len(seen.frames)}, hidden in {seen.hidden}",
+        ),
+        ("camera", f"{'; '.join(found.camera)}; at {place} mm"),
+        ("robot", f"{found.robot}, at z = {1e3 * found.height:.2f} mm ({found.height_from})"),
+        ("sure to", f"{f['sigma_mm']:.3f} mm by its outline, {f['camera_sigma_mm']:.3f} mm by the camera's place"),
+    ]
+    if found.alignment is not None:
+        rows += _compared(f, found.alignment.given)
+    if "tracking_error_mm" in f:
+        rows.append(("tracking error", f"{_plain(f['tracking_error_mm'])} mm, of the robot as seen to the path"))
+    return rows + [("warning", warning) for warning in found.warnings]
+
+
+def _si(value: Any) -> Any:
+    """Millimetres in m; None stays."""
+    return None if value is None else 1e-3 * value
+
+
+def _pairs(text: str | None, option: str) -> FloatArray | None:
     import numpy as np
 
+    if text is None:
+        return None
     parts = text.split()
     try:
         values = [[float(v) for v in part.split(",")] for part in parts]
@@ -140,78 +140,28 @@ def _pairs(text: str, option: str) -> FloatArray:
     return np.array(values)
 
 
-def _robot(name: str | None, poses: RunPoses | None) -> RobotConfig:
-    from smolbot.config.robot import load_robot
-
-    if name is None and poses is not None and poses.mission is not None:
-        return poses.mission.robot
-    return load_robot(name or "gradient")
-
-
-def _body(config: RobotConfig, mark: str) -> Body:
-    """The housing as a box, and where its magnet lies."""
-    import numpy as np
-
-    from smolbot.runs.optics.outline import Body
-
-    sides = {"head": 1.0, "tail": -1.0, "none": 0.0, "auto": math.copysign(1.0, config.device.l0 - config.center[2])}
-    if mark not in sides:
-        raise InputError(f"--mark must be one of {', '.join(sides)}; got '{mark}'.")
-    across, up, ahead = config.size
-    return Body(0.5 * np.array([ahead, across, up]), np.array([config.center[2], config.center[0]]), sides[mark])
-
-
-def _height(
-    robot_z_mm: float | None, poses: RunPoses | None, fiducials: Path | None, corners_z_mm: float | None
-) -> tuple[float, str]:
-    """z of the robot, in m, and where it is known from."""
-    if robot_z_mm is not None:
-        return 1e-3 * robot_z_mm, "as given"
-    if poses is not None:
-        mission = poses.mission
-        if mission is not None and mission.robot.kind == "gradient":
-            return mission.rig.surface_z, "the liquid's surface: it floats"
-        return float(poses.positions[:, 2].mean()), "mean of the run's poses"
-    if fiducials is not None:
-        from smolbot.runs.optics.fiducials import read_fiducials
-
-        section = read_fiducials(fiducials).fiducials
-        heights = [section.height_mm if m.height_mm is None else m.height_mm for m in section.markers]
-        return 1e-3 * max(heights), "that of the highest markers; --robot-z-mm says better"
-    return 1e-3 * (corners_z_mm or 0.0), "that of the four points; --robot-z-mm says better"
+def _compared(figures: Mapping[str, Any], given: bool) -> list[tuple[str, str]]:
+    how = "as given" if given else f"± {1e3 * figures['offset_sigma_s']:.0f} ms, by the best match"
+    z = figures["z_error_from_mean_mm"]
+    height = f"from the mean {z['mean']:.2f} ± {z['std']:.2f} mm"
+    if "z_error_mm" in figures:
+        known = figures["z_error_mm"]
+        height += f"; from the known height {known['mean']:+.2f} ± {known['std']:.2f} mm"
+    sides = [f"{figures[k]['mean']:+.2f} ± {figures[k]['std']:.2f}" for k in ("x_error_mm", "y_error_mm")]
+    return [
+        (
+            "video began",
+            f"{figures['offset_s']:.3f} s on the run's clock ({how}); correlation {figures['correlation']:.4f}",
+        ),
+        ("position error", f"{_plain(figures['position_error_mm'])} mm (x and y), of {figures['poses']} poses"),
+        ("to optical path", f"{_plain(figures['to_optical_path_mm'])} mm"),
+        ("error in x, y", ", ".join(sides) + " mm"),
+        ("error in z", height),
+        ("angle error", f"{_plain(figures['angle_error_deg'])}°, mean of signs {figures['angle_bias_deg']:+.2f}°"),
+        *([("as tracked", f"{_plain(figures['tracked_position_error_mm'])} mm")]
+          if "tracked_position_error_mm" in figures else []),
+    ]  # fmt: skip
 
 
-def _view(
-    film: Video, fiducials: Path | None, points: Any, corners_z_mm: float | None, camera_height_mm: float | None,
-    height: float,
-) -> tuple[View, list[str]]:  # fmt: skip
-    import numpy as np
-
-    camera = None if camera_height_mm is None else 1e-3 * camera_height_mm
-    notes: list[str] = []
-    if fiducials is not None:
-        from smolbot.runs.optics.fiducials import read_fiducials, view_by_markers
-
-        found = view_by_markers(film.background, read_fiducials(fiducials), camera)
-        view = found.view
-        notes.append(f"{len(found.seen)} of {len(found.seen) + len(found.missing)} markers, {view.rms:.2f} pixels rms")
-        if found.missing:
-            notes.append(f"markers not seen: {', '.join(map(str, found.missing))}")
-    else:
-        from smolbot.runs.optics.view import CLICK, find_view
-
-        z = height if corners_z_mm is None else 1e-3 * corners_z_mm
-        places = np.column_stack([1e-3 * points[1], np.full(4, z)])
-        view = find_view(points[0], places, film.size, camera, sharp=CLICK)
-        notes.append(f"four points, {view.rms:.2f} pixels rms")
-    return view, notes
-
-
-def _follow(film: Video, view: View, body: Body, height: float, background: Path | None, json: bool) -> OpticalTrack:
-    from smolbot.runs.optics.tracking import track_body
-    from smolbot.runs.optics.video import read_picture
-    from smolbot.ui.cli.show import bar
-
-    empty = None if background is None else read_picture(background, film.size)
-    with bar("frames", total=film.frames, quiet=json) as tell:
-        return track_body(film, view, body, height, background=empty, progress=lambda done, _: tell(completed=done))
+def _plain(f: dict[str, float]) -> str:
+    return f"{f['mean']:.2f} ± {f.get('std', math.nan):.2f}, p95 {f['p95']:.2f}, worst {f['max']:.2f}"

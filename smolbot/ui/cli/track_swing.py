@@ -21,10 +21,11 @@ def measure_swing(
     clip: Video, told: bool, from_s: float | None, to_s: float | None, folder: Path, json: bool
 ) -> None:  # fmt: skip
     """Measure, print, and leave swing.csv, swing.json and swing.png in `folder`; `told` if the frame rate was given."""
+    from smolbot.core.results import json_text
     from smolbot.runs.optics.deflection import follow_swing
     from smolbot.runs.optics.ringing import fit_ringing
     from smolbot.runs.optics.swingpicture import draw_swing
-    from smolbot.ui.cli.show import echo_json, json_text, table
+    from smolbot.ui.cli.show import echo_json, table
 
     if not told and clip.fps < SLOW:
         raise InputError(

@@ -23,8 +23,8 @@ from smolbot.config.device import load_device
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
 from smolbot.errors import InputError, SignalLostError
+from smolbot.functions.targets import expected_hum, find_target
 from smolbot.ui.cli.app import main
-from smolbot.ui.cli.calibrate import expected_hum, find_target
 
 QUICK = Plan(sweep_points=3, repeats=2)
 
@@ -110,7 +110,7 @@ def test_the_command_writes_a_device_file_that_names_its_robot(tmp_path, monkeyp
         drives = (DrivePoint(1.0, 0.1, 0.001), DrivePoint(3.0, 0.32, 0.001))
         return Calibration(better, Uncertainty(0.003, 0.01, 0.2), device, height, sweep, drives, 500.0, reached, 9)
 
-    monkeypatch.setattr("smolbot.bench.calibration.device.calibrate", told_beforehand)
+    monkeypatch.setattr("smolbot.functions.calibrate.calibrate_device", told_beforehand)
     out = tmp_path / "device.toml"
     monkeypatch.setattr(sys, "argv", ["smolbot", "calibrate", "tank", "--z-mm", "59.7", "--out", str(out), "--json"])
     with pytest.raises(SystemExit) as left:
@@ -132,7 +132,7 @@ def test_a_height_outside_the_container_is_refused(tmp_path, monkeypatch, capsys
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == 2
-    assert "--z-mm must lie within the container of rig 'tank', 45 to 80 mm" in capsys.readouterr().err
+    assert "height (--z-mm) must lie within the container of rig 'tank', 45 to 80 mm" in capsys.readouterr().err
 
 
 def test_rigs_and_missions_are_told_apart():

@@ -1,0 +1,9 @@
+from .builder import build as build
+from .builder import mesh_axis as mesh_axis
+from .cache import cached_table as cached_table
+from .coils import Coil as Coil
+from .coils import FlatCoil as FlatCoil
+from .coils import RoundCoil as RoundCoil
+from .errors import OutsideTableError as OutsideTableError
+from .errors import TableError as TableError
+from .table import FieldTable as FieldTable

@@ -1,0 +1,76 @@
+"""Flies a mission over many seeds, each a tank drawn anew: the entry point ``simulate`` of ``smolbot.functions``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from sim.batch.executors import open_executor
+from sim.batch.flights import Plant, fly_seeds, warm_rates
+from sim.batch.intervals import wilson_interval
+from smolbot.config.load import AnyMission, load_mission
+from smolbot.config.observation import Observation
+from smolbot.core.text_table import write_rows
+from smolbot.errors import InputError
+from smolbot.functions.simulate import Flight, PlantName, Simulation
+from smolbot.runs.folder import RunFolder, provenance
+from smolbot.runs.recording.files import RunFiles
+
+
+def simulate(
+    mission: str,
+    seeds: Iterable[int],
+    *,
+    rig: str | None = None,
+    plant: PlantName = "full",
+    jobs: int = 1,
+    scheduler: str | None = None,
+    out: Path | None = None,
+    settings: Mapping[str, str] | None = None,
+    progress: Callable[[Flight], None] | None = None,
+) -> Simulation:
+    """Fly a mission once per seed; parameters and errors as `smolbot.simulate` has them."""
+    wanted, laid = sorted(seeds), dict(settings or {})
+    if not wanted:
+        raise InputError("simulate needs one seed at least; got none.")
+    loaded = load_mission(mission, rig, laid)
+    if plant == "reduced":
+        from sim.reduced.rig import require_flyable
+
+        require_flyable(loaded)
+    if loaded.robot.kind == "gradient":
+        loaded.rig.table()  # built once, before the workers need it
+    folder = None if out is None else RunFolder(out)
+    if folder is not None:
+        where = provenance(wanted[0], laid, {"seeds": wanted, "plant": plant})
+        folder.begin(RunFiles.of(loaded).contents, where)
+    begin, flights = time.perf_counter(), []
+    with open_executor(jobs, scheduler) as executor:
+        for flight in fly_seeds(executor, mission, rig, laid, wanted, Plant(plant)):
+            flights.append(flight)
+            if progress is not None:
+                progress(flight)
+        wall = time.perf_counter() - begin
+    flights.sort(key=lambda f: f.summary["seed"])
+    rates = {"in_all": 60.0 * len(flights) / wall, **warm_rates(flights)}
+    interval = wilson_interval(sum(f.passed for f in flights), len(flights))
+    found = Simulation(loaded.name, plant, tuple(flights), interval, rates, out)
+    if folder is not None:
+        columns = found.columns()
+        write_rows(folder.path / "results.csv", columns, ([f.value(c) for c in columns] for f in flights))
+        draw(loaded, flights, folder.path / "flights.png")
+        folder.end(found.figures())
+    return found
+
+
+def draw(mission: AnyMission, flights: list[Flight], path: Path) -> None:
+    """Write the picture of all flights."""
+    if isinstance(mission, Observation):
+        from sim.batch.observations_picture import draw_observations
+
+        draw_observations(mission, flights, path)
+    else:
+        from sim.batch.flights_picture import draw_flights
+
+        draw_flights(mission, flights, path)

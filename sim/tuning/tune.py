@@ -1,0 +1,102 @@
+"""Searches gains for a mission and validates the best: the entry point ``tune`` of ``smolbot.functions``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim.batch.executors import open_executor
+from sim.batch.flights import Plant, forget_missions
+from sim.tuning.report import draw, gains_file, importances, write_trials
+from sim.tuning.search import Problem, finished, open_study, search
+from sim.tuning.verdict import FIRST_HELD_OUT, better
+from sim.tuning.verdict import held_out as confirm
+from smolbot.config.mission import Mission, load_mission
+from smolbot.config.plugins import load
+from smolbot.errors import InputError, writing
+from smolbot.functions.simulate import PlantName
+from smolbot.functions.tune import Trial, Tuning
+
+if TYPE_CHECKING:
+    from optuna import Study
+
+JOURNAL = "trials.journal"
+
+
+def tune(
+    mission: str,
+    *,
+    trials: int = 100,
+    worlds: int = 9,
+    held_out: int = 20,
+    plant: PlantName = "reduced",
+    only: Sequence[str] | None = None,
+    seed: int = 1,
+    rig: str | None = None,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    out: Path | None = None,
+    resume: bool = False,
+    settings: Mapping[str, str] | None = None,
+    progress: Callable[[int, float | None], None] | None = None,
+) -> Tuning:
+    """Tune a mission's gains; parameters and errors as `smolbot.tune` has them."""
+    laid = dict(settings or {})
+    loaded = load_mission(mission, rig, laid)
+    problem = _problem(loaded, mission, rig, laid, only, worlds, seed, Plant(plant))
+    loaded.rig.table()  # built once, before the workers need it
+    forget_missions()
+    if resume and out is None:
+        raise InputError("--resume needs --out, the folder of the search to go on with.")
+    if out is not None and not resume:
+        _make(out)
+    kind = f"{loaded.name} {loaded.law} {plant} seed {seed} worlds {worlds} {','.join(problem.gains)}"
+    study = open_study(None if out is None else out / JOURNAL, seed, kind, resume=resume)
+
+    def ended(study: Study) -> None:
+        costs = [t.value for t in finished(study) if t.value is not None]
+        if progress is not None:
+            progress(len(finished(study)), min(costs, default=None))
+
+    with open_executor(jobs, scheduler) as executor:
+        search(study, problem, trials, executor, ended)
+        before, tuned = confirm(problem, [problem.start, study.best_params], held_out, executor)
+    shares, improved = importances(study), better(tuned, before)
+    if out is not None:
+        write_trials(study, out / "trials.csv")
+        (out / "gains.toml").write_text(gains_file(problem, loaded.law, tuned, before, seed), encoding="utf-8")
+        headline = f"{loaded.name}: {'tuned gains are better' if improved else 'no better gains were found'}"
+        draw(study, shares, tuned, before, headline, out / "tune.png")
+    tried = tuple(Trial(t.number, t.state.name.lower(), t.value, dict(t.params)) for t in study.get_trials())
+    return Tuning(
+        loaded.name, loaded.law, plant, seed, worlds, tried, study.best_value, before.told(), tuned.told(), improved,
+        shares, out,
+    )  # fmt: skip
+
+
+def _problem(
+    loaded: Mission, mission: str, rig: str | None, settings: dict[str, str], only: Sequence[str] | None, worlds: int,
+    seed: int, plant: Plant,
+) -> Problem:  # fmt: skip
+    """What is to be tuned; raises `InputError` for a gain that the law does not have."""
+    if plant is Plant.REDUCED:
+        from sim.reduced.rig import require_flyable
+
+        require_flyable(loaded)
+    declared = load("controllers", loaded.law).gains
+    names = list(only or declared)
+    unknown = [name for name in names if name not in declared]
+    if unknown:
+        raise InputError(f"--only: {loaded.law} has no gain '{unknown[0]}'; it has {', '.join(declared)}.")
+    first = (seed * 1000) % FIRST_HELD_OUT
+    start = {name: float(loaded.gains.get(name, declared[name].default)) for name in names}
+    chosen = {name: declared[name] for name in names}
+    return Problem(mission, rig, settings, chosen, start, range(first, first + worlds), plant)
+
+
+def _make(folder: Path) -> None:
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is not empty; name a new folder, or go on with --resume.")
+    with writing(folder, done="made"):
+        folder.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,11 @@
+from .document import Document as Document
+from .document import Fault as Fault
+from .document import FileModel as FileModel
+from .library import find_file as find_file
+from .plugin_protocols import PathReader as PathReader
+from .plugin_protocols import SensorKind as SensorKind
+from .plugin_protocols import StudyPlugin as StudyPlugin
+from .rig import RigConfig as RigConfig
+from .robot import RobotConfig as RobotConfig
+from .sensors import CalibratedSensors as CalibratedSensors
+from .world import World as World

@@ -1,0 +1,4 @@
+from .arrays import BoolArray as BoolArray
+from .arrays import FloatArray as FloatArray
+from .coil_heat import Coil as Coil
+from .operator import Operator as Operator

@@ -1,0 +1,159 @@
+"""Paths under which things could be had before, for one more release, each with a warning that names the new one.
+
+`MOVED` is all there is to edit: a row for each old path. A row that names no object stands for a whole module.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from opcode import opname
+from types import ModuleType
+from typing import Any
+
+MOVED = {
+    # documented at a module of its own before it had a public path
+    "smolbot.runs.run:CycleRecord": "smolbot.runs:CycleRecord",
+    "smolbot.runs.run:Event": "smolbot.runs:Event",
+    "smolbot.runs.recording.reader:RecordedRun": "smolbot.runs:RecordedRun",
+    "smolbot.runs.recording.reader:Played": "smolbot.runs:Played",
+    "smolbot.runs.recording.converter:Converter": "smolbot.runs:Converter",
+    "smolbot.runs.recording.files:RunFiles": "smolbot.runs:RunFiles",
+    "smolbot.runs.trace:Moment": "smolbot.runs:Moment",
+    "smolbot.runs.trace:Trace": "smolbot.runs:Trace",
+    "smolbot.flight.replay:Replay": "smolbot.flight:Replay",
+    "smolbot.flight.pilots:Pilot": "smolbot.flight:Pilot",
+    "smolbot.flight.tracking.tracker:Oscillation": "smolbot.flight:Oscillation",
+    "smolbot.paths.speed_profile:SpeedProfile": "smolbot.paths:SpeedProfile",
+    "smolbot.config.world:World": "smolbot.config:World",
+    "smolbot.config.rig:RigConfig": "smolbot.config:RigConfig",
+    "smolbot.config.robot:RobotConfig": "smolbot.config:RobotConfig",
+    "smolbot.config.robot:load_robot": "smolbot:load_robot",
+    "smolbot.config.library:find_file": "smolbot.config:find_file",
+    "smolbot.config.document:Document": "smolbot.config:Document",
+    "smolbot.config.document:Fault": "smolbot.config:Fault",
+    "smolbot.config.sensors:CalibratedSensors": "smolbot.config:CalibratedSensors",
+    "smolbot.motion.controller:Cycle": "smolbot.motion:Cycle",
+    "smolbot.motion.controller:HelixSetup": "smolbot.motion:HelixSetup",
+    "smolbot.motion.controller:Reach": "smolbot.motion:Reach",
+    "smolbot.motion.controller:complete_gains": "smolbot.motion:complete_gains",
+    "smolbot.motion.robot:Robot": "smolbot.motion:Robot",
+    "smolbot.motion.helix:Helix": "smolbot.motion:Helix",
+    "smolbot.motion.led:Motion": "smolbot.motion:Motion",
+    "smolbot.core.operator:Operator": "smolbot.core:Operator",
+    "smolbot.core.coil_heat:Coil": "smolbot.core:Coil",
+    "smolbot.core.arrays:FloatArray": "smolbot.core:FloatArray",
+    "smolbot.core.arrays:BoolArray": "smolbot.core:BoolArray",
+    "smolbot.localization.localizer:Swing": "smolbot.localization:Swing",
+    "smolbot.localization.problem:Problem": "smolbot.localization:Problem",
+    "smolbot.localization.problem:Fit": "smolbot.localization:Fit",
+    "sim.tank.world:TankWorld": "sim:TankWorld",
+    "lookup_tables.coils:Coil": "lookup_tables:Coil",
+    # documented before modules moved into rooms
+    "smolbot.flown:CycleRecord": "smolbot.runs:CycleRecord",
+    "smolbot.flown:Event": "smolbot.runs:Event",
+    "smolbot.recording.reader:RecordedRun": "smolbot.runs:RecordedRun",
+    "smolbot.recording.reader:Played": "smolbot.runs:Played",
+    "smolbot.recording.converter:Converter": "smolbot.runs:Converter",
+    "smolbot.recording.files:RunFiles": "smolbot.runs:RunFiles",
+    "smolbot.records.trace:Moment": "smolbot.runs:Moment",
+    "smolbot.records.trace:Trace": "smolbot.runs:Trace",
+    "smolbot.replaying:Replay": "smolbot.flight:Replay",
+    "smolbot.speeds:SpeedProfile": "smolbot.paths:SpeedProfile",
+    "smolbot.pilots:Pilot": "smolbot.flight:Pilot",
+    "smolbot.plugins:World": "smolbot.config:World",
+    "smolbot.control:Cycle": "smolbot.motion:Cycle",
+    "smolbot.control:HelixSetup": "smolbot.motion:HelixSetup",
+    "smolbot.control:Reach": "smolbot.motion:Reach",
+    "smolbot.control:complete_gains": "smolbot.motion:complete_gains",
+    "smolbot.rigfile:RigConfig": "smolbot.config:RigConfig",
+    "smolbot.robotfile:RobotConfig": "smolbot.config:RobotConfig",
+    "smolbot.robotfile:load_robot": "smolbot:load_robot",
+    "smolbot.library:find_file": "smolbot.config:find_file",
+    "smolbot.operator:Operator": "smolbot.core:Operator",
+    "smolbot.watching:Motion": "smolbot.motion:Motion",
+    "smolbot.tracking:Oscillation": "smolbot.flight:Oscillation",
+    "smolbot.sensorsfile:CalibratedSensors": "smolbot.config:CalibratedSensors",
+    "smolbot.heat:Coil": "smolbot.core:Coil",
+    "smolbot.arrays:FloatArray": "smolbot.core:FloatArray",
+    "smolbot.arrays:BoolArray": "smolbot.core:BoolArray",
+    "smolbot.hardware.stage": "smolbot.bench.hardware.stage",
+    "sim.world:TankWorld": "sim:TankWorld",
+}
+"""Old path and new one, ``module:name`` each."""
+
+_OURS = ("smolbot", "controllers", "lookup_tables", "sim")
+_SPELLED = ("IMPORT_FROM", "LOAD_ATTR", "LOAD_METHOD")  # and not found by a pickle, which knows no other path
+_MODULES = {old.partition(":")[0] for old in MOVED}
+
+
+class _OldPath(ModuleType):
+    """A module some of whose names, or that itself, moved elsewhere: a use of them by others warns."""
+
+    def __getattribute__(self, name: str) -> Any:
+        held = ModuleType.__getattribute__(self, "__dict__")
+        module = held["__name__"]
+        new = MOVED.get(f"{module}:{name}")
+        if new is None and module in MOVED and name not in held and not name.startswith("__"):
+            new = f"{MOVED[module]}:{name}"
+        if new is None:
+            return ModuleType.__getattribute__(self, name)
+        caller = sys._getframe(1)
+        asked = str(caller.f_globals.get("__name__", ""))
+        spelled = opname[caller.f_code.co_code[caller.f_lasti]] in _SPELLED
+        gone = name not in held and asked != "importlib._bootstrap"  # which only looks whether there is such a name
+        if gone or (spelled and asked.partition(".")[0] not in _OURS):
+            place, _, there = new.partition(":")
+            said = f"{module}.{name} is now {place}.{there}; the old path ends with the next release."
+            warnings.warn(said, DeprecationWarning, stacklevel=2)
+        return held[name] if name in held else _find(new)
+
+
+class _Empty(Loader):
+    """Makes a module that is no more: it has nothing but old paths."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__class__ = _OldPath
+
+
+class _Watched(SourceFileLoader):
+    """Loads a module that is still there, and watches over its old paths."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        super().exec_module(module)
+        module.__class__ = _OldPath
+
+
+class _Finder(MetaPathFinder):
+    """Finds the modules of `MOVED`, there or no more, and the packages that held them."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        is_parent = any(module.startswith(f"{fullname}.") for module in _MODULES)
+        if fullname not in _MODULES and not is_parent:
+            return None
+        there = PathFinder.find_spec(fullname, path)
+        if there is None:
+            return ModuleSpec(fullname, _Empty(), is_package=is_parent)
+        if fullname in _MODULES and there.origin is not None:
+            there.loader = _Watched(fullname, there.origin)
+        return there
+
+
+def _find(path: str) -> Any:
+    """What stands at a path of `MOVED`."""
+    module, _, name = path.partition(":")
+    return getattr(import_module(module), name)
+
+
+def install() -> None:
+    """Let old paths be found, also those of modules that are loaded already; once."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Finder())
+    for loaded in _MODULES & sys.modules.keys():
+        sys.modules[loaded].__class__ = _OldPath

@@ -1,0 +1,51 @@
+"""``preview``: a mission of either kind timed on paper."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from smolbot.config.load import AnyMission, load_mission
+from smolbot.config.observation import Observation
+from smolbot.flight.preview.gradient import Preview
+from smolbot.flight.preview.gradient import preview as preview_gradient
+from smolbot.flight.preview.helix import HelixPreview, preview_helix
+from smolbot.flight.preview.observation import ObservationPreview, preview_observation
+from smolbot.functions.settings import merge_settings
+
+AnyPreview = Preview | HelixPreview | ObservationPreview
+"""What `preview` returns: one kind for each kind of mission; all have ``go``, ``reasons``, ``duration``."""
+
+
+def preview(mission: str | AnyMission, rig: str | None = None, **overrides: Any) -> AnyPreview:
+    """Time a mission on paper and fly it once on the controller's own model; opens nothing.
+
+    Parameters
+    ----------
+    mission : str, Mission or Observation
+        Shipped name, path of a mission file, or a mission that was loaded.
+    rig : str, optional
+        A rig to use instead of the mission's own.
+    **overrides
+        Settings laid over the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
+
+    Returns
+    -------
+    Preview, HelixPreview or ObservationPreview
+        Of a robot that coils pull, of one that a rotating magnet drives, of a device that is only watched.
+
+    Raises
+    ------
+    ConfigError, InputError
+        For every fault of the files.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> seen = smolbot.preview("line")
+    >>> seen.go, round(seen.duration)
+    (True, 25)
+    """
+    loaded = load_mission(mission, rig, merge_settings(None, overrides)) if isinstance(mission, str) else mission
+    if isinstance(loaded, Observation):
+        return preview_observation(loaded)
+    return preview_helix(loaded) if loaded.robot.kind == "helical" else preview_gradient(loaded)

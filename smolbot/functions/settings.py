@@ -1,0 +1,36 @@
+"""Settings laid over a mission's files, from a call's keywords."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+DEFAULT_ROBOT = "gradient"
+"""Robot where nothing names another."""
+
+
+def merge_settings(settings: Mapping[str, str] | None, overrides: Mapping[str, Any]) -> dict[str, str]:
+    """Settings as files are read with, from those that are written that way and from keywords of a call.
+
+    Parameters
+    ----------
+    settings : mapping of str to str, optional
+        ``{"controller.tolerance_mm": "0.5"}``, values as TOML writes them.
+    overrides : mapping of str to object
+        Keywords, with ``__`` for the dot; they win.
+
+    Returns
+    -------
+    dict of str to str
+
+    Examples
+    --------
+    >>> merge_settings(None, {"controller__tolerance_mm": 0.5, "path__glyph": "S"})
+    {'controller.tolerance_mm': '0.5', 'path.glyph': 'S'}
+    """
+    spelled = {
+        name.replace("__", "."): value if isinstance(value, str) else json.dumps(value)
+        for name, value in overrides.items()
+    }
+    return {**(settings or {}), **spelled}

@@ -1,0 +1,1 @@
+from .speed_profile import SpeedProfile as SpeedProfile

@@ -1,0 +1,14 @@
+from .optics.alignment import Alignment as Alignment
+from .optics.analysis import PathAnalysis as PathAnalysis
+from .optics.opticaltrack import OpticalTrack as OpticalTrack
+from .optics.view import View as View
+from .recording.converter import Converter as Converter
+from .recording.files import RunFiles as RunFiles
+from .recording.reader import Played as Played
+from .recording.reader import RecordedRun as RecordedRun
+from .run import CycleRecord as CycleRecord
+from .run import Event as Event
+from .run import Listener as Listener
+from .run import Tape as Tape
+from .trace import Moment as Moment
+from .trace import Trace as Trace

@@ -1,0 +1,57 @@
+"""Every path that was ever documented works, and warns once of what it is now."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+
+import pytest
+
+from smolbot.deprecated import MOVED, _find
+
+PATHS = sorted(path if ":" in path else f"{path}:{_find(f'{new}:__all__')[0]}" for path, new in MOVED.items())
+
+
+def imported(path):
+    """What a user's own code has from a path, and the warnings that it causes."""
+    module, name = path.split(":")
+    scope = {"__name__": "notebook"}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        exec(f"from {module} import {name}", scope)
+    return scope[name], [warning for warning in caught if warning.category is DeprecationWarning]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_an_old_path_gives_what_the_new_one_does_with_one_warning_that_names_it(path):
+    new = MOVED.get(path) or f"{MOVED[path.split(':')[0]]}:{path.split(':')[1]}"
+    found, caught = imported(path)
+    assert found is _find(new)
+    assert len(caught) == 1
+    assert new.replace(":", ".") in str(caught[0].message)
+
+
+@pytest.mark.parametrize("path", sorted(set(MOVED.values())))
+def test_a_new_path_is_one_package_deep_and_gives_no_warning(path):
+    if ":" not in path:
+        return
+    assert path.split(":")[0].count(".") <= 1
+    assert imported(path)[1] == []
+
+
+def test_other_names_of_a_watched_module_and_pickles_cause_no_warning():
+    from smolbot.runs import Event
+
+    assert imported("smolbot.runs.run:trusted_poses")[1] == []
+    kept = pickle.dumps(Event(1.0, "paused"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert pickle.loads(kept) == Event(1.0, "paused")
+
+
+def test_a_name_that_never_was_is_an_error_as_elsewhere():
+    for module in ("smolbot.control", "smolbot.runs.run", "smolbot.hardware.stage"):
+        with pytest.raises(ImportError):
+            imported(f"{module}:NeverThere")
+    with pytest.raises(ModuleNotFoundError):
+        imported("smolbot.never:There")
