@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from importlib.machinery import ModuleSpec, SourceFileLoader
 from opcode import opname
 from types import ModuleType
 from typing import Any
@@ -137,7 +137,8 @@ class _Finder(MetaPathFinder):
         is_parent = any(module.startswith(f"{fullname}.") for module in _MODULES)
         if fullname not in _MODULES and not is_parent:
             return None
-        there = PathFinder.find_spec(fullname, path)
+        others = [finder for finder in sys.meta_path if finder is not self]  # an editable install has one of its own
+        there = next((spec for finder in others if (spec := finder.find_spec(fullname, path, target))), None)
         if there is None:
             return ModuleSpec(fullname, _Empty(), is_package=is_parent)
         if fullname in _MODULES and there.origin is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 import json
 import re
 import tomllib
@@ -16,6 +15,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from smolbot.config.alternatives import void_keys
 from smolbot.config.toml_layers import lay_over, set_values
 from smolbot.config.units import SI
 from smolbot.errors import ConfigError, MissingFileError, did_you_mean, writing
@@ -63,14 +63,15 @@ class Document:
         self.path = path
         self.settings: dict[str, str] = {}
         self.prefix = ""
-        self._dropped: tuple[str, ...] = ()
+        self._void: list[tuple[str, str]] = []
         own = _parsed(path, text)
         places: dict[KeyPath, tuple[Path | None, int]] = {key: (None, n) for key, n in _key_lines(text).items()}
         if parent is not None:
             own.pop(EXTENDS, None)
-            replaced = _values(own)
+            void = void_keys(parent.data, own)
+            replaced = {*_values(own), *void}
             kept = {key: parent.place(key) for key in parent._places if not _under(key, replaced)}
-            text, places = lay_over(parent.text, text, [(EXTENDS,)]), {**kept, **places}
+            text, places = lay_over(parent.text, text, [(EXTENDS,), *void]), {**kept, **places}
         self._text = text
         self._places: dict[KeyPath, tuple[Path | None, int]] = places
         self.data: dict[str, Any] = own if parent is None else tomllib.loads(text)
@@ -86,7 +87,7 @@ class Document:
         if not self.settings:
             return self._text
         given = {tuple(name.split(".")): _setting(value) for name, value in self.settings.items()}
-        return set_values(self._text, given, [tuple(name.split(".")) for name in self._dropped])
+        return set_values(self._text, given, self._void)
 
     def place(self, key: KeyPath) -> tuple[Path, int]:
         """File and line of `key`, or of the nearest key that encloses it."""
@@ -118,26 +119,31 @@ class Document:
         ordered = sorted(faults, key=lambda fault: (places[fault][0] != self.path, places[fault][1]))
         return ConfigError("\n".join(dict.fromkeys(self.spell(f) for f in ordered)))
 
-    def override(self, settings: dict[str, str], prefix: str = "", without: Iterable[str] = ()) -> Document:
+    def override(self, settings: dict[str, str], prefix: str = "") -> Document:
         """The same document with ``key.path = value`` settings laid over it, values in TOML spelling.
 
-        `prefix` is what the user put before the keys, for messages. Keys `without` are taken out.
+        `prefix` is what the user put before the keys, for messages.
         """
         changed = copy.copy(self)
-        changed.prefix, changed.settings, changed._dropped = prefix, dict(settings), tuple(without)
+        changed.prefix, changed.settings = prefix, dict(settings)
         changed.data = copy.deepcopy(self.data)
-        for name in changed._dropped:
-            *sections, last = name.split(".")
-            functools.reduce(lambda table, part: table.get(part, {}), sections, changed.data).pop(last, None)
+        alone: dict[str, Any] = {}
         for name, value in settings.items():
-            parts = name.split(".")
-            target = changed.data
-            for part in parts[:-1]:
-                target = target.setdefault(part, {})
-                if not isinstance(target, dict):
-                    raise ConfigError(f"--set {name}={value}: {part} is not a section of {self.path}.")
-            target[parts[-1]] = _setting(value)
+            self._set(alone, name, value)
+        changed._void = void_keys(self.data, alone)
+        for section, key in changed._void:
+            del changed.data[section][key]
+        for name, value in settings.items():
+            self._set(changed.data, name, value)
         return changed
+
+    def _set(self, data: dict[str, Any], name: str, value: str) -> None:
+        *sections, last = name.split(".")
+        for part in sections:
+            data = data.setdefault(part, {})
+            if not isinstance(data, dict):
+                raise ConfigError(f"--set {name}={value}: {part} is not a section of {self.path}.")
+        data[last] = _setting(value)
 
     def validate(self, model: type[Model]) -> tuple[Model | None, list[Fault]]:
         """The document as `model`, or None and every fault found."""

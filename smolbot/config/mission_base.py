@@ -9,7 +9,6 @@ from pydantic import Field
 
 from smolbot.config.document import Document, Fault, FileModel, Model
 from smolbot.config.library import open_file
-from smolbot.config.path_section import void_keys
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.config.units import NotNegative, Positive
@@ -85,8 +84,7 @@ class MissionBase:
 def open_document(name: str, settings: dict[str, str]) -> Document:
     """A shipped mission by name, or a user's by path, with settings laid over it; those of the rig are left out."""
     document = open_file(name, "missions")
-    own = {k: v for k, v in settings.items() if not k.startswith("rig.")}
-    return document.override(own, without=void_keys(document, own))
+    return document.override({k: v for k, v in settings.items() if not k.startswith("rig.")})
 
 
 def load_parts(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import field_validator, model_validator
 
+from smolbot.config.alternatives import PATHS
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.plugins import load, names
 from smolbot.config.units import NotNegative, Point, Positive
@@ -23,21 +23,6 @@ from smolbot.paths.speed_profile import speed_profile
 
 if TYPE_CHECKING:
     from smolbot.config.plugin_protocols import PathReader
-
-KINDS = ("glyph", "points_mm", "file")
-"""Keys of ``[path]`` of which a mission gives one."""
-
-SHAPE = (*KINDS, "width_mm", "height_mm", "element")
-"""Keys of ``[path]`` that a path of another kind makes void."""
-
-
-def void_keys(document: Document, settings: Mapping[str, str]) -> list[str]:
-    """Keys of the file that settings with a path of another kind take the place of."""
-    section = document.data.get("path", {})
-    given = [kind for kind in KINDS if f"path.{kind}" in settings]
-    if not given or any(kind in section for kind in given):
-        return []
-    return [f"path.{key}" for key in SHAPE if key in section and f"path.{key}" not in settings]
 
 
 class PathSection(FileModel):
@@ -96,7 +81,7 @@ class PathSection(FileModel):
 
     @model_validator(mode="after")
     def _one_kind(self) -> PathSection:
-        given = [name for name in KINDS if getattr(self, name) is not None]
+        given = [name for name in PATHS if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"give one of glyph, points_mm or file; got {', '.join(given) or 'none'}.")
         if self.glyph is not None and (self.width_mm is None or self.height_mm is None):
@@ -132,7 +117,7 @@ def read_path(document: Document, section: PathSection, height: float) -> tuple[
     ConfigError
         With the key at fault, and the place in the file that it names.
     """
-    key = next(name for name in KINDS if getattr(section, name) is not None)
+    key = next(name for name in PATHS if getattr(section, name) is not None)
     try:
         outline = _outline(document, section)
         curve = Curve(_in_world(outline, section.center_mm, height))  # points that coincide are told as they were given

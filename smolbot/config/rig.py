@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from smolbot.config.alternatives import SINGLE_AXIS
 from smolbot.config.document import Document, Fault, Model, validate
 from smolbot.config.library import open_file
 from smolbot.config.plugins import load, load_world, names
 from smolbot.config.rig_sections import MagnetSection, Range, RigFile
-from smolbot.config.sensors import SINGLE_AXIS, CalibratedSensors, load_sensors
+from smolbot.config.sensors import CalibratedSensors, load_sensors
 from smolbot.core.arrays import FloatArray, frozen
 from smolbot.core.coil_heat import Coil
 from smolbot.core.limits import Limits

@@ -10,14 +10,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from smolbot.config.alternatives import SINGLE_AXIS
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.toml_layers import write_file
 from smolbot.config.units import SI, NotNegative, Positive, Vector
 from smolbot.core.arrays import FloatArray, frozen
 from smolbot.core.sensing import SensorArray
-
-SINGLE_AXIS = "single_axis"
-"""The kind of sensors of which every other kind is made: `SensorsSection` is its section."""
 
 DIGITS = 7
 """Of numbers in a sensors file: a nanometre of a place, a microradian of an axis."""

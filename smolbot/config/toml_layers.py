@@ -53,8 +53,9 @@ Layer = dict[KeyPath, Entry]
 
 
 def lay_over(base: str, upper: str, without: Iterable[KeyPath]) -> str:
-    """Text of `base` with all that `upper` says laid over it, but for its keys `without`."""
-    layer, over = read_layer(base), _without(read_layer(upper), without)
+    """Text of `base` with all that `upper` says laid over it, but for the keys `without` of either."""
+    without = list(without)
+    layer, over = (_without(read_layer(text), without) for text in (base, upper))
     ours, theirs = layer.pop(()), over.pop(())
     between = BEGAN if theirs.above and ours.above else ""
     layer = {(): Entry(theirs.above + between + ours.above, comment=ours.comment + theirs.comment), **layer}

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from smolbot.config.alternatives import SHAPE
 from smolbot.config.load import AnyMission
 from smolbot.config.mission import Mission
-from smolbot.config.path_section import SHAPE
 from smolbot.config.toml_layers import set_values
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError, SmolbotError

@@ -272,3 +272,11 @@ def test_two_kinds_of_path_that_are_set_are_one_too_many():
 
 def test_a_glyph_that_is_set_keeps_the_size_of_the_files_own():
     assert load_mission("r_path", None, {"path.glyph": "S"}).document.data["path"]["height_mm"] == 24.0
+
+
+def test_a_file_that_extends_a_mission_may_follow_another_kind_of_path(write):
+    write("own.csv", "0,0\n5,0\n")
+    path = write("mine.toml", 'extends = "r_path"\nname = "mine"\n[path]\nfile = "own.csv"\n')
+    mission = load_mission(path)
+    assert mission.path.length == pytest.approx(5e-3)
+    assert mission.document.data["path"] == {"center_mm": [0.0, 0.0], "file": "own.csv"}
