@@ -22,6 +22,9 @@ PROTOCOLS = {
 }
 """By group, the protocol that its entry points keep, loaded when needed; those of other groups are callable."""
 
+_CALLED = {"studies": "study", "path_readers": "path reader", "sensors": "kind of sensors"}
+"""What messages call an entry point of a group, where that is not the group's name without its last letter."""
+
 _OURS = {"controllers", "sim", "lookup_tables"}
 _POSITIONAL = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -45,12 +48,12 @@ def load(group: str, name: str) -> Any:
     PluginError
         If none has that name, if a foreign package shadows the one that it lives in, or if it breaks its protocol.
     """
-    found = _installed(group).get(name)
+    found, kind = _installed(group).get(name), _CALLED.get(group, group[:-1])
     if found is None:
         known = names(group)
         hint = did_you_mean(name, known)
-        raise PluginError(f"No {group[:-1]} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
-    plugin, what = _load(found), f"{group[:-1].capitalize()} '{name}' ({found.value})"
+        raise PluginError(f"No {kind} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
+    plugin, what = _load(found), f"{kind.capitalize()} '{name}' ({found.value})"
     if group in PROTOCOLS:
         module, _, protocol = PROTOCOLS[group].partition(":")
         check_protocol(plugin, getattr(import_module(module), protocol), what)
