@@ -16,6 +16,7 @@ from smolbot.errors import PluginError, did_you_mean
 PROTOCOLS = {
     "controllers": "smolbot.motion.controller:Controller",
     "rigs": "smolbot.config.world:World",
+    "estimators": "smolbot.localization.estimator:PoseEstimator",
 }
 """By group, the protocol that its entry points keep, loaded when needed; those of other groups are callable."""
 

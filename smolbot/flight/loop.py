@@ -23,9 +23,8 @@ from smolbot.flight.tracking.noise_monitor import NoiseWatch
 from smolbot.flight.tracking.resonance_filter import Resonance
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter
-from smolbot.localization.localizer import Localizer, Swing
+from smolbot.localization.estimator import Oscillation, PoseEstimator
 from smolbot.localization.noise.actuation_tails import CoilTails
-from smolbot.localization.synthetic import SightedSwing, Sightings
 from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, Run, Status, Tape
 
@@ -50,7 +49,6 @@ def as_lists(sensors: SensorArray) -> dict[str, object]:
 class Loop:
     """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
-    In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
     Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
     A device that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
     The `safety` is asked before every shot and told of every recording; without one, only the rig's limits count.
@@ -66,7 +64,7 @@ class Loop:
         self,
         rig: Rig,
         scheduler: Scheduler,
-        localizer: Localizer | Sightings,
+        localizer: PoseEstimator,
         tracker: Tracker,
         pilot: Pilot,
         rules: StopRules,
@@ -83,7 +81,7 @@ class Loop:
     ) -> None:
         self.rig = rig
         self.scheduler = scheduler
-        self.localizer: Localizer | Sightings = localizer
+        self.localizer = localizer
         self.tracker = tracker
         self.pilot = pilot
         self.rules = rules
@@ -205,7 +203,7 @@ class Loop:
         recording = self.safety.after(shot, recording, ended)
         recording = None if recording is None else self.tails.removed(shot, recording)
         pose: Pose | None = None
-        swing: Swing | SightedSwing | None = None
+        swing: Oscillation | None = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
             lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.vague
@@ -218,7 +216,7 @@ class Loop:
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.moved(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
-        if recording is not None and isinstance(swing, Swing) and learns:
+        if recording is not None and swing is not None and learns:
             assert tracked is not None
             if self.array_filter is not None and pose is not None:
                 self._learn_array(tracked.time, self.array_filter, pose, swing)
@@ -235,12 +233,10 @@ class Loop:
         says = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended, says)
 
-    def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Swing) -> None:
+    def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Let the localizer know of sensors that do not stand where they were thought to."""
         terms = swing.of_the_array(learned.belief.frames)
-        if terms is None or isinstance(self.localizer, Sightings):
-            return
-        if not learned.update(pose, terms):
+        if terms is None or not learned.update(pose, terms):
             return
         device = replace(self.localizer.device, moment=learned.moment, l0=learned.l0)
         self.localizer = self.localizer.with_sensors(learned.sensors).with_device(device)
@@ -248,22 +244,23 @@ class Loop:
         found = {"recordings": learned.recordings, "moment_a_m2": learned.moment, "l0_m": learned.l0}
         self._happened(time, "array learned", {**found, **as_lists(learned.sensors)})
 
-    def _follow_resonance(self, time: float, swing: Swing) -> None:
-        device = self.resonance.update(time, *swing.resonance())
-        if device is None or isinstance(self.localizer, Sightings):
+    def _follow_resonance(self, time: float, swing: Oscillation) -> None:
+        seen = swing.resonance()
+        device = None if seen is None else self.resonance.update(time, *seen)
+        if device is None:
             return
         self.localizer = self.localizer.with_device(device)
         self.scheduler.device = device
         self._happened(time, "device retuned", {"frequency_hz": device.frequency, "damping_per_s": device.damping})
 
-    def _refresh_noise(self, time: float, swing: Swing, recording: Recording) -> None:
+    def _refresh_noise(self, time: float, swing: Oscillation, recording: Recording) -> None:
         """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
-        if self.led or isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
+        noise = self.localizer.noise
+        energies = None if self.led or noise is None else swing.energies(recording, noise)
+        ratios = None if energies is None else self.noise_watch.update(*energies)
+        if noise is None or ratios is None:
             return
-        ratios = self.noise_watch.update(*swing.energies(recording, self.localizer.noise))
-        if ratios is None:
-            return
-        self.localizer = self.localizer.with_noise(self.localizer.noise.rescaled(ratios))
+        self.localizer = self.localizer.with_noise(noise.rescaled(ratios))
         self._happened(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})
 
     def _ended(self, command: Command) -> tuple[Status, str] | None:
