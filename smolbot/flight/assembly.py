@@ -14,6 +14,7 @@ from smolbot.config.plugins import load
 from smolbot.config.sensors import SensorsFile, UncertaintySection
 from smolbot.core.coil_heat import CoilHeat
 from smolbot.core.rig import Rig
+from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.loop import Loop, StopRules
 from smolbot.flight.pause import Pause
 from smolbot.flight.pilots import Follower, Measurer, Pilot, Watcher
@@ -31,7 +32,6 @@ from smolbot.localization.array.terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.synthetic import SightingRig
-from smolbot.motion.robot import magnet_inertia
 from smolbot.runs.run import Listener, Tape
 
 
@@ -47,8 +47,7 @@ def make_loop(
     """The loop of a mission on an open rig, every part made from the mission's files."""
     device, cycle = mission.robot.device, mission.cycle
     tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
-    inertia = magnet_inertia(device.moment, device.l0)
-    scheduler = Scheduler(cycle, rig.limits, device, rig.excitation_field, rig.now, inertia)
+    scheduler = Scheduler(cycle, rig.limits, DeviceBelief(device), rig.excitation_field, rig.now)
     listening = mission.base.localization
     localizer = load("estimators", listening.estimator)(rig.sensors, device, search_volume(mission))
     quiet = Quiet(listening.quiet, mission.rig.sample_rate, listening.learns_ring_down)
