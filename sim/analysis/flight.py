@@ -98,7 +98,7 @@ class Model:
         self.setup: Setup = mission.setup()
         self.ring_down = self.setup.cycle.ring_down
         listening = mission.sections.localization
-        if listening.quiet > 0.0 and listening.learn_ring_down:
+        if listening.quiet > 0.0 and listening.learns_ring_down:
             constants = [c.time_constant for c in mission.rig.sections.excitation]
             self.ring_down = max(QUIET_AFTER * max(constants), self.setup.limits.min_ring_down)
         cycle = replace(self.setup.cycle, ring_down=self.ring_down)

@@ -22,6 +22,7 @@ from smolbot.core.rotations import half_turned
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Listen, Rest, Shot
 from smolbot.errors import InputError, RigError
+from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.synthetic import Sighting, Sightings
 
@@ -64,8 +65,19 @@ class ReducedRig:
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
         self._open = True
 
-    def sightings(self, localizer: Localizer) -> Sightings:
-        """What takes the place of `localizer`; from now on the rig errs as that one would."""
+    def sightings(self, localizer: PoseEstimator) -> Sightings:
+        """What takes the place of `localizer`; from now on the rig errs as that one would.
+
+        Raises
+        ------
+        InputError
+            If it is none of ours: how it errs is not known.
+        """
+        if not isinstance(localizer, Localizer):
+            raise InputError(
+                f"The reduced plant knows how whitened and paper err, and nothing of {type(localizer).__name__}. Fly "
+                "it in the full tank: --plant full."
+            )
         plant, truth = self._plant, self._plant.truth
         sensors, device = plant.sensors, self._device
         lines = 1 + len(self._rig.sections.noise.harmonics)

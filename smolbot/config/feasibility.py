@@ -150,9 +150,10 @@ def covariances_along(mission: MissionBase, path: Curve, arc: FloatArray) -> Flo
 def expected_covariances(mission: MissionBase, points: FloatArray, orientations: list[FloatArray]) -> FloatArray:
     """Covariances (n, 6, 6) of one pose each, (m, rad), at `points` (n, 3) in m and `orientations` (4,).
 
-    Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned.
+    Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned;
+    a lab's own is not known to, and can do no better.
     """
-    find = _whitened if mission.base.localization.estimator == "whitened" else _paper
+    find = _paper if mission.base.localization.estimator == "paper" else _whitened
     return find(mission, points, orientations)
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from smolbot.config.document import Document, Fault, FileModel, Model
 from smolbot.config.library import open_file
+from smolbot.config.plugins import load, names
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.config.units import NotNegative, Positive
-from smolbot.errors import ConfigError, PluginError, SmolbotError
+from smolbot.errors import ConfigError, PluginError, SmolbotError, did_you_mean
 from smolbot.motion.controller import Cycle
 
 
@@ -28,14 +29,29 @@ class CycleSection(FileModel):
 class LocalizationSection(FileModel):
     """How poses are found."""
 
-    estimator: Literal["whitened", "paper"] = "whitened"
+    estimator: str = "whitened"
     quiet_s: NotNegative = 10.0
     learn_ring_down: bool = False
 
+    @field_validator("estimator")
+    @classmethod
+    def _installed(cls, name: str) -> str:
+        known = names("estimators")
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise ValueError(f"no estimator is named '{name}'; installed: {', '.join(known)}.{hint}")
+        load("estimators", name)  # one that breaks its protocol is refused here
+        return name
+
     @property
     def quiet(self) -> float:
-        """Seconds that are listened to before the first cycle: only the whitened estimator learns from them."""
-        return self.quiet_s if self.estimator == "whitened" else 0.0
+        """Seconds that are listened to before the first cycle; 0 where the estimator learns nothing from them."""
+        return self.quiet_s if "noise" in load("estimators", self.estimator).learns else 0.0
+
+    @property
+    def learns_ring_down(self) -> bool:
+        """Whether the excitation coils' decay is learned, so that listening may start before it is over."""
+        return self.learn_ring_down and "transients" in load("estimators", self.estimator).learns
 
 
 class StopSection(FileModel):

@@ -19,6 +19,7 @@ PROTOCOLS = {
     "path_readers": "smolbot.config.plugin_protocols:PathReader",
     "sensors": "smolbot.config.plugin_protocols:SensorKind",
     "studies": "smolbot.config.plugin_protocols:StudyPlugin",
+    "estimators": "smolbot.localization.estimator:PoseEstimator",
 }
 """By group, the protocol that its entry points keep, loaded when needed; those of other groups are callable."""
 

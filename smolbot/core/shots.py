@@ -141,7 +141,8 @@ class Shot:
     ----------
     windows : tuple of windows
     mode : {"quiet", "search", "track", "lost", "hold"}
-        Why the scheduler made it.
+        Why the scheduler made it: to listen to noise, coils or probes before the first cycle, to find the device, to
+        act, since the signal was lost, to listen without acting (until two poses agree, and in a pause).
     start : float, in s
         When it begins, on the rig's clock.
 

@@ -14,6 +14,7 @@ from smolbot.config.plugins import load
 from smolbot.config.sensors import SensorsFile, UncertaintySection
 from smolbot.core.coil_heat import CoilHeat
 from smolbot.core.rig import Rig
+from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.loop import Loop, StopRules
 from smolbot.flight.pause import Pause
 from smolbot.flight.pilots import Follower, Measurer, Pilot, Watcher
@@ -29,9 +30,8 @@ from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayBelief, ArrayFilter, tilt_frames
 from smolbot.localization.array.terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
-from smolbot.localization.localizer import Localizer
+from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.synthetic import SightingRig
-from smolbot.motion.robot import magnet_inertia
 from smolbot.runs.run import Listener, Tape
 
 
@@ -47,15 +47,13 @@ def make_loop(
     """The loop of a mission on an open rig, every part made from the mission's files."""
     device, cycle = mission.robot.device, mission.cycle
     tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
-    inertia = magnet_inertia(device.moment, device.l0)
-    scheduler = Scheduler(cycle, rig.limits, device, rig.excitation_field, rig.now, inertia)
+    scheduler = Scheduler(cycle, rig.limits, DeviceBelief(device), rig.excitation_field, rig.now)
     listening = mission.base.localization
-    localizer = Localizer(rig.sensors, device, estimator=listening.estimator, volume=search_volume(mission))
-    learns = listening.estimator == "whitened" and listening.learn_ring_down
-    quiet = Quiet(listening.quiet, mission.rig.sample_rate, learns)
+    localizer = load("estimators", listening.estimator)(rig.sensors, device, search_volume(mission))
+    quiet = Quiet(listening.quiet, mission.rig.sample_rate, listening.learns_ring_down)
     stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
-    locator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
+    locator: PoseEstimator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
     return Loop(
         rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
         independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
@@ -94,10 +92,10 @@ def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, flo
     return (x, y, box.floor_z - margin), (right, back, box.surface_z + margin)
 
 
-def make_array_filter(mission: MissionBase, locator: object) -> ArrayFilter | None:
+def make_array_filter(mission: MissionBase, locator: PoseEstimator) -> ArrayFilter | None:
     """What learns the sensors in flight, where the rig file says how far they may be off; None where it does not."""
     covariance = mission.rig.sensor_covariance
-    if covariance is None or not isinstance(locator, Localizer) or locator.estimator != "whitened":
+    if covariance is None or "sensors" not in locator.learns:
         return None
     n = len(covariance)
     deviations = np.zeros((n + OF_DEVICE, n + OF_DEVICE))

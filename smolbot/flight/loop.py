@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from typing import Self
 
 from lookup_tables.errors import OutsideTableError
 from smolbot.core.blas_threads import one_thread
@@ -23,11 +25,12 @@ from smolbot.flight.tracking.noise_monitor import NoiseWatch
 from smolbot.flight.tracking.resonance_filter import Resonance
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter
-from smolbot.localization.localizer import Localizer, Swing
+from smolbot.localization.estimator import Oscillation, PoseEstimator
 from smolbot.localization.noise.actuation_tails import CoilTails
-from smolbot.localization.synthetic import SightedSwing, Sightings
 from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, Run, Status, Tape
+
+_FORESEEN = (InterlockError, RigError, OutsideTableError)
 
 LEARN_EVERY = 5
 """Cycles between two looks at the resonance and the noise, which change slowly."""
@@ -50,23 +53,30 @@ def as_lists(sensors: SensorArray) -> dict[str, object]:
 class Loop:
     """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
-    In a world that makes no signals, `Sightings` take the localizer's place, and there is nothing to learn from.
     Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
     A device that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
     The `safety` is asked before every shot and told of every recording; without one, only the rig's limits count.
     The `tape` hears of all that is played and happens; while the `pause` holds, the robot is listened to and not moved.
 
+    Cycle by cycle, with every output at zero once the block is left, whatever happened in it::
+
+        with loop:
+            while not loop.done:
+                record = loop.step()
+
     Attributes
     ----------
     run : Run
-        What has happened so far; whole once `fly` returned or raised.
+        What has happened so far; whole once the block was left, or `fly` returned or raised.
     """
+
+    resonance: Resonance  # of the scheduler's belief, from the first step on
 
     def __init__(
         self,
         rig: Rig,
         scheduler: Scheduler,
-        localizer: Localizer | Sightings,
+        localizer: PoseEstimator,
         tracker: Tracker,
         pilot: Pilot,
         rules: StopRules,
@@ -83,13 +93,12 @@ class Loop:
     ) -> None:
         self.rig = rig
         self.scheduler = scheduler
-        self.localizer: Localizer | Sightings = localizer
+        self.localizer = localizer
         self.tracker = tracker
         self.pilot = pilot
         self.rules = rules
         self.quiet = quiet
         self.events: list[Event] = []
-        self.resonance = Resonance(localizer.device)
         self.tails = CoilTails()
         self.noise_watch = NoiseWatch(len(localizer.sensors))
         self.array_filter = array_filter
@@ -101,59 +110,121 @@ class Loop:
         self.pause = pause if pause is not None else Pause()
         self._tape = tape
         self._clock = clock
-        self._started = 0.0
+        self._flying = False
+        self._command: Command | None = None
+        self._ending: tuple[Status, str] | None = None
+        self._began = self._started = 0.0
         self._paused = 0.0
         self._heard = 0
 
     def fly(self) -> Run:
         """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards.
 
-        An error that nobody foresaw is raised once the outputs are at zero and `run` says what happened.
+        Returns
+        -------
+        Run
+            How it ended, and every cycle.
+
+        Raises
+        ------
+        Exception
+            One that nobody foresaw, once the outputs are at zero and `run` says what happened. What ends a flight by
+            its own rules (a limit, a failing rig, the edge of the field table, Ctrl-C) is told by the run alone.
         """
-        self.run, begin = Run(), self._clock()
-        run = self.run
+        with suppress(KeyboardInterrupt, *_FORESEEN), self:
+            while not self.done:
+                self.step()
+        return self.run
+
+    def __enter__(self) -> Self:
+        """Begin a run. Nothing is played before the first `step`."""
+        self.run, self._command, self._ending = Run(), None, None
+        self._began = self._clock()
+        self._linear_algebra = ExitStack()
+        self._linear_algebra.enter_context(one_thread())
+        self._flying = True
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        """End the run, however it went: every output goes to zero, nothing more is played, `run` says what happened."""
+        self._flying = False
         try:
-            try:
-                with one_thread():
-                    self._cycle_on(run)
-            finally:
-                self.safety.end()
-        except KeyboardInterrupt as stop:
-            run.status, run.stop_reason = "stopped", str(stop) or CTRL_C
-        except (InterlockError, RigError, OutsideTableError) as error:
-            run.status, run.stop_reason = "stopped" if isinstance(error, OperatorStopError) else "failed", str(error)
-        except Exception as error:
-            run.status, run.stop_reason = "failed", f"{type(error).__name__}: {error}"
+            self._linear_algebra.close()
+            self.safety.end()
+        except BaseException as failed:
+            error = failed
             raise
         finally:
-            if (
-                run.status == "failed" and self.safety.latch.is_shut
-            ):  # what stopped the rig matters, not what it said then
-                run.status, run.stop_reason = self.safety.latch.ending, self.safety.latch.reason
-            self._silence(run)
-            run.duration = self.rig.now()
-            run.events = self.events
-            run.safety = self.safety.figures()
-            run.recovered = self._recovered()
-            run.wall = self._clock() - begin
-        return run
+            self._finish(self.run, error)
 
-    def _cycle_on(self, run: Run) -> None:
-        """Learn what is to be learned, then cycle until there is a reason to end."""
+    @property
+    def done(self) -> bool:
+        """Whether the pilot is done, or a stop rule ended the run: there is nothing to step to."""
+        return self._ending is not None
+
+    def step(self) -> CycleRecord:
+        """Play one cycle: shot, recording, pose, track, command. The first also learns what is to be learned before.
+
+        Returns
+        -------
+        CycleRecord
+            What happened, and the command for the next cycle.
+
+        Raises
+        ------
+        InputError
+            Outside of a ``with`` block of the loop, at whose end outputs go to zero, and once it is done.
+        InterlockError, RigError
+            If a shot breaks a limit, or the world fails; the safety's stops are of the latter kind.
+        """
+        if not self._flying or self.done:
+            why = "it is done" if self._flying else "step it in a block 'with loop:', which ends with outputs at zero"
+            raise InputError(f"This loop plays no cycle: {why}.")
+        if self._command is None:
+            self._prepare()
+            self._command = Command(None, note="no pose yet")
+        record = self._cycle(self._command)
+        self.run.cycles.append(record)
+        for listener in self.listeners:
+            listener(record)
+        self._command = record.command
+        self._ending = self._ended(record.command)
+        return record
+
+    def _prepare(self) -> None:
+        """Learn what is to be learned before the first cycle."""
         first = Preparation(self.localizer, self.scheduler, self.quiet, self._played, self.rig.now, self._happened)
         first.learn()
         self.localizer, self.tails = first.localizer, first.tails
         first.warm_up(None if self.array_filter is None else self.array_filter.belief.frames)
-        run.begun = self._started = self.rig.now()
-        command, reason = Command(None, note="no pose yet"), None
-        while reason is None:
-            record = self._cycle(command)
-            run.cycles.append(record)
-            for listener in self.listeners:
-                listener(record)
-            command = record.command
-            reason = self._ended(command)
-        run.status, run.stop_reason = reason
+        self.resonance = Resonance(self.scheduler.belief)
+        self.run.begun = self._started = self.rig.now()
+
+    def _finish(self, run: Run, error: BaseException | None) -> None:
+        """Say how the run ended, bring the outputs to zero, and complete its figures."""
+        try:
+            run.status, run.stop_reason = self._outcome(error)
+        finally:
+            self._silence(run)
+        run.duration = self.rig.now()
+        run.events = self.events
+        run.safety = self.safety.figures()
+        run.recovered = self._recovered()
+        run.wall = self._clock() - self._began
+
+    def _outcome(self, error: BaseException | None) -> tuple[Status, str]:
+        """How a run ended that `error` ended, if any did."""
+        if error is None:
+            return self._ending or ("stopped", "the loop was left before it was done")
+        if isinstance(error, KeyboardInterrupt):
+            return "stopped", str(error) or CTRL_C
+        if not isinstance(error, Exception):
+            return "stopped", type(error).__name__
+        if isinstance(error, OperatorStopError):
+            return "stopped", str(error)
+        if self.safety.latch.is_shut:  # what stopped the rig matters, not what it said then
+            return self.safety.latch.ending, self.safety.latch.reason
+        return "failed", str(error) if isinstance(error, _FORESEEN) else f"{type(error).__name__}: {error}"
 
     def _silence(self, run: Run) -> None:
         try:
@@ -205,7 +276,7 @@ class Loop:
         recording = self.safety.after(shot, recording, ended)
         recording = None if recording is None else self.tails.removed(shot, recording)
         pose: Pose | None = None
-        swing: Swing | SightedSwing | None = None
+        swing: Oscillation | None = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
             lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.vague
@@ -218,7 +289,7 @@ class Loop:
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.moved(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
-        if recording is not None and isinstance(swing, Swing) and learns:
+        if recording is not None and swing is not None and learns:
             assert tracked is not None
             if self.array_filter is not None and pose is not None:
                 self._learn_array(tracked.time, self.array_filter, pose, swing)
@@ -235,35 +306,33 @@ class Loop:
         says = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended, says)
 
-    def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Swing) -> None:
+    def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Let the localizer know of sensors that do not stand where they were thought to."""
         terms = swing.of_the_array(learned.belief.frames)
-        if terms is None or isinstance(self.localizer, Sightings):
+        if terms is None or not learned.update(pose, terms):
             return
-        if not learned.update(pose, terms):
-            return
-        device = replace(self.localizer.device, moment=learned.moment, l0=learned.l0)
-        self.localizer = self.localizer.with_sensors(learned.sensors).with_device(device)
-        self.resonance.device = replace(self.resonance.device, moment=learned.moment, l0=learned.l0)
+        belief = self.scheduler.belief
+        belief.learn_magnet(learned.moment, learned.l0)
+        self.localizer = self.localizer.with_sensors(learned.sensors).with_device(belief.device)
         found = {"recordings": learned.recordings, "moment_a_m2": learned.moment, "l0_m": learned.l0}
         self._happened(time, "array learned", {**found, **as_lists(learned.sensors)})
 
-    def _follow_resonance(self, time: float, swing: Swing) -> None:
-        device = self.resonance.update(time, *swing.resonance())
-        if device is None or isinstance(self.localizer, Sightings):
+    def _follow_resonance(self, time: float, swing: Oscillation) -> None:
+        seen = swing.resonance()
+        device = None if seen is None else self.resonance.update(time, *seen)
+        if device is None:
             return
         self.localizer = self.localizer.with_device(device)
-        self.scheduler.device = device
         self._happened(time, "device retuned", {"frequency_hz": device.frequency, "damping_per_s": device.damping})
 
-    def _refresh_noise(self, time: float, swing: Swing, recording: Recording) -> None:
+    def _refresh_noise(self, time: float, swing: Oscillation, recording: Recording) -> None:
         """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
-        if self.led or isinstance(self.localizer, Sightings) or self.localizer.estimator != "whitened":
+        noise = self.localizer.noise
+        energies = None if self.led or noise is None else swing.energies(recording, noise)
+        ratios = None if energies is None else self.noise_watch.update(*energies)
+        if noise is None or ratios is None:
             return
-        ratios = self.noise_watch.update(*swing.energies(recording, self.localizer.noise))
-        if ratios is None:
-            return
-        self.localizer = self.localizer.with_noise(self.localizer.noise.rescaled(ratios))
+        self.localizer = self.localizer.with_noise(noise.rescaled(ratios))
         self._happened(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})
 
     def _ended(self, command: Command) -> tuple[Status, str] | None:

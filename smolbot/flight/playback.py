@@ -13,6 +13,7 @@ from smolbot.core.rig import Witness
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.core.shots import Actuate, Excite, Listen, Shot
 from smolbot.errors import InputError, RigError
+from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion.controller import Command, Cycle
 from smolbot.runs.recording.reader import Played, RecordedRun
@@ -91,15 +92,20 @@ class PlayedRig:
 class PlayedScheduler:
     """Gives the shots that were played, in their order, instead of planning any."""
 
-    def __init__(self, record: RecordedRun, rig: PlayedRig, cycle: Cycle, limits: Limits, device: Device) -> None:
+    def __init__(self, record: RecordedRun, rig: PlayedRig, cycle: Cycle, limits: Limits, belief: DeviceBelief) -> None:
         self.cycle = cycle
         self.limits = limits
-        self.device = device
+        self.belief = belief
         self.paused = False
         cycles = set(record.shot_of_cycle)
         self._learned = [p for p in record.played if p.shot.mode == "quiet" and p.number not in cycles]
         by_number = {p.number: p for p in record.played}
         self._shots = iter([rig.shortened(by_number[number].shot) for number in record.shot_of_cycle])
+
+    @property
+    def device(self) -> Device:
+        """The device that shots were made for."""
+        return self.belief.scheduled
 
     def quiet_shots(self, duration: float) -> Iterator[Shot]:
         """Those that only listened."""

@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from smolbot.core.arrays import FloatArray
-from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Shot
 from smolbot.errors import InputError, RigError
 from smolbot.flight.scheduler import Scheduler
-from smolbot.localization.forward import deflection, sensor_field
-from smolbot.localization.localizer import Localizer
+from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.noise.actuation_tails import CoilTails, Tail, learn_tail
 from smolbot.localization.noise.excitation_transients import QUIET_AFTER, learn_time_constant
 from smolbot.localization.noise.model import NoiseModel
-from smolbot.localization.synthetic import Sightings
 
 
 @dataclass(frozen=True)
@@ -57,14 +52,14 @@ class Preparation:
 
     Attributes
     ----------
-    localizer : Localizer or Sightings
+    localizer : PoseEstimator
         With what was learned.
     tails : CoilTails
     """
 
     def __init__(
         self,
-        localizer: Localizer | Sightings,
+        localizer: PoseEstimator,
         scheduler: Scheduler,
         quiet: Quiet,
         play: Callable[[Shot], Recording | None],
@@ -95,7 +90,7 @@ class Preparation:
         if self.quiet.duration <= 0.0:
             return
         heard = [self._play(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
-        if isinstance(self.localizer, Sightings):
+        if "noise" not in self.localizer.learns:
             return
         try:
             noise = NoiseModel.learn([recording for recording in heard if recording is not None])
@@ -110,15 +105,16 @@ class Preparation:
         if not self.quiet.learn_ring_down:
             return
         heard = [self._listened(shot) for shot in self.scheduler.probe_shots()]
-        if isinstance(self.localizer, Sightings):
-            constants = self.localizer.time_constants
-        else:
+        constants = self.localizer.transients
+        if "transients" in self.localizer.learns:
             frequency = self.localizer.device.frequency
             constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
             if len(constants) < len(heard):  # listening later, as the mission says, is right for any coil
                 self._happened(self._now(), "ring-down not learned", {"lost": len(heard) - len(constants)})
                 return
             self.localizer = self.localizer.with_transients(constants)
+        if not constants:
+            return
         ring_down = max(QUIET_AFTER * max(constants), self.scheduler.limits.min_ring_down)
         self.scheduler.cycle = replace(self.scheduler.cycle, ring_down=ring_down)
         detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
@@ -126,7 +122,7 @@ class Preparation:
 
     def _learn_tails(self) -> None:
         """Learn what a pull of each actuation coil leaves, where listening starts before it is over."""
-        if not self.quiet.learn_ring_down or isinstance(self.localizer, Sightings):
+        if not self.quiet.learn_ring_down or "transients" not in self.localizer.learns:
             return
         self.tails = CoilTails(tuple(self._tail(coil) for coil in range(len(self.scheduler.limits.coils))))
         learned = [tail for tail in self.tails.tails if tail is not None]
@@ -145,20 +141,9 @@ class Preparation:
         return None
 
     def warm_up(self, frames: FloatArray | None) -> None:
-        """Use every compiled kernel once, on a made-up recording, so that the first cycles are as quick as the rest.
+        """Have the estimator do once whatever is slow the first time, as the cycle is by now.
 
         `frames` are those in which an array's tilts are learned, where they are; see `array_filter.tilt_frames`.
         """
-        if isinstance(self.localizer, Sightings):
-            return
-        device, cycle, rate = self.localizer.device, self.scheduler.cycle, self.quiet.sample_rate
-        orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
-        samples = round(cycle.half_periods * rate / (2.0 * device.frequency))
-        time_ = cycle.ring_down + np.arange(samples) / rate
-        theta = deflection(device, time_, 0.5 * device.theta_max, 0.3)
-        middle = 0.5 * np.add(self.localizer.volume.low, self.localizer.volume.high)
-        heard = sensor_field(self.localizer.sensors, device, middle, orientation, theta)
-        recording = Recording(heard, rate, cycle.ring_down)
-        _, swing = self.localizer.locate_swing(recording, self.localizer.locate(recording))
-        if frames is not None:
-            swing.of_the_array(frames)
+        cycle = self.scheduler.cycle
+        self.localizer.warm_up(cycle.half_periods, self.quiet.sample_rate, cycle.ring_down, frames)

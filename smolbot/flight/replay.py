@@ -125,7 +125,7 @@ def make_replay_loop(record: RecordedRun, mission: Any, half_periods: int | None
     """
     rig = PlayedRig(record, mission.rig.sensors, mission.rig.limits, half_periods)
     loop = make_loop(rig, mission)
-    loop.scheduler = PlayedScheduler(record, rig, loop.scheduler.cycle, rig.limits, mission.robot.device)  # type: ignore[assignment]
+    loop.scheduler = PlayedScheduler(record, rig, loop.scheduler.cycle, rig.limits, loop.scheduler.belief)  # type: ignore[assignment]
     loop.pilot = PlayedPilot(record)
     loop.rules = StopRules(float("inf"), len(record.moments) + 1)
     learned = [p for p in record.played if p.shot.mode == "quiet"]

@@ -17,6 +17,7 @@ from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Excite, Listen, Mode, RingDown, Shot, Window
+from smolbot.flight.device_belief import DeviceBelief
 from smolbot.localization.forward import envelope
 from smolbot.motion.controller import Command, Cycle
 
@@ -79,14 +80,12 @@ class Scheduler:
     ----------
     cycle : Cycle
     limits : Limits
-    device : Device
-        Replaced when its resonance is learned anew.
+    belief : DeviceBelief
+        What is believed of the device; see there which of it shots are made for.
     excitation_field : callable
         Position (3,) in m to field (2, 3) in T per A of the excitation coils, as believed.
     clock : callable
         Earliest start of the next shot, in s.
-    inertia : float, in kg·m²
-        Of the magnet about the cantilever's rotation centre.
     patience : int
         Misses in a row that are borne before actuation stops.
     """
@@ -95,22 +94,25 @@ class Scheduler:
         self,
         cycle: Cycle,
         limits: Limits,
-        device: Device,
+        belief: DeviceBelief,
         excitation_field: Callable[[FloatArray], FloatArray],
         clock: Callable[[], float],
-        inertia: float,
         patience: int = 3,
     ) -> None:
         self.cycle = cycle
         self.limits = limits
-        self.device = device
+        self.belief = belief
         self.patience = patience
         self.paused = False
         self.searched = 0
         self._excitation_field = excitation_field
         self._clock = clock
-        self._inertia = inertia
         self._driven: float | None = None  # end of the last burst, in s
+
+    @property
+    def device(self) -> Device:
+        """The device that shots are made for."""
+        return self.belief.scheduled
 
     def quiet_shots(self, duration: float) -> Iterator[Shot]:
         """Shots of about a second that only listen, `duration` s in all."""
@@ -175,7 +177,7 @@ class Scheduler:
         most = self.cycle.excite_current
         if turn == 0 and pose is not None:
             fields = self._excitation_field(np.asarray(pose.position))
-            currents = drive(fields, pose, self.device, self._inertia, cycles, most, self._left(start)).currents
+            currents = drive(fields, pose, self.device, self.belief.inertia, cycles, most, self._left(start)).currents
         else:
             currents = most * np.array(SEARCH_DIRECTIONS[turn - 1])
         return Excite((float(currents[0]), float(currents[1])), self.device.frequency, cycles)

@@ -129,13 +129,7 @@ def fly(
     An error that nobody foresaw is raised once every output is at zero and the folder is written.
     """
     latch = latch if latch is not None else Latch()
-    if opener is not None:
-        rig = opener(mission, seed)
-    else:
-        world: World = load_world(mission.rig.world, mission.rig.document)
-        place = mission.start if isinstance(mission, Observation) else mission.put_down
-        asked = operator if operator is not None else SilentOperator()
-        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=asked)
+    rig = open_rig(mission, seed, gui=gui, operator=operator) if opener is None else opener(mission, seed)
     try:
         latch.bind(rig.stop)
         flight = _Flight(mission, seed, folder, settings or {}, latch, pause)
@@ -145,6 +139,34 @@ def fly(
     if report and folder is not None:
         flown.report = _report(mission, folder.path)
     return flown
+
+
+def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator: Operator | None = None) -> Rig:
+    """Open the world that a mission's rig file names, with the robot where the mission puts it.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    seed : int
+        Of a simulated world.
+    gui : bool
+        Show a simulated world in a window, where there is a display.
+    operator : Operator, optional
+        Who moves what only a hand can move; without one, nobody is asked.
+
+    Returns
+    -------
+    Rig
+        To be closed by the caller; ``contextlib.closing`` does.
+
+    Raises
+    ------
+    RigError
+        If a device cannot be opened; nothing was energised.
+    """
+    world: World = load_world(mission.rig.world, mission.rig.document)
+    place = mission.start if isinstance(mission, Observation) else mission.put_down
+    return world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
 
 
 def _report(mission: AnyMission, folder: Path) -> str:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import nearer_twin, quaternion_from_matrix
+from smolbot.core.rotations import nearer_twin, quaternion_from_axes, quaternion_from_matrix
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
 from smolbot.localization.array.terms import ArrayTerms, array_terms
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.cold_start import SearchVolume, best_fits
+from smolbot.localization.estimator import PoseEstimatorBase
+from smolbot.localization.forward import deflection, sensor_field
 from smolbot.localization.noise.excitation_transients import AUDIBLE
 from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.noise.residuals import energies
@@ -85,9 +87,13 @@ class Swing:
         """Variance of the residuals: of whitened data about 1 where noise is all that is left."""
         return mean_square(self._problem, self._fit)
 
-    def energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
-        """What is left in each channel, and what `noise` foretells, each (n_sensors,) in units of the noise."""
-        return energies(self._problem.model, self._fit, recording, noise)
+    def energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
+        """What is left in each channel, and what `noise` foretells, each (n_sensors,) in units of the noise.
+
+        None of a fit that knows no noise.
+        """
+        model = self._problem.model
+        return energies(model, self._fit, recording, noise) if model.white else None
 
     def of_the_array(self, frames: FloatArray) -> ArrayTerms | None:
         """What the recording says of the sensors, with tilts along `frames` (n_sensors, 2, 3); None where nothing."""
@@ -98,7 +104,7 @@ class Swing:
         return self._problem.resonance(self._fit, self._variance)
 
 
-class Localizer:
+class Localizer(PoseEstimatorBase):
     """Fits the six degrees of freedom of a SMOL device to a recording.
 
     Phase and amplitude are fitted along with the pose: the amplitude at the end of the drive is at
@@ -126,6 +132,8 @@ class Localizer:
     channel does not change a pose.
     """
 
+    learns: ClassVar[frozenset[str]] = frozenset({"noise", "transients", "sensors"})
+
     def __init__(
         self,
         sensors: SensorArray,
@@ -137,28 +145,32 @@ class Localizer:
     ) -> None:
         if estimator not in get_args(Estimator):
             raise InputError(f"estimator must be 'whitened' or 'paper'; got {estimator!r}.")
-        self.sensors = sensors
-        self.device = device
-        self.noise = noise or NoiseModel.assumed(sensors)
+        super().__init__(sensors, device, volume)
+        self.noise: NoiseModel = noise or NoiseModel.assumed(sensors)
         self.estimator = estimator
-        self.volume = volume or SearchVolume()
         self.transients = tuple(transients)
+        if estimator == "paper":
+            self.learns = frozenset()  # type: ignore[misc]  # of the class for all that are named in missions
 
-    def with_noise(self, noise: NoiseModel) -> Localizer:
-        """The same localizer under another noise model."""
-        return Localizer(self.sensors, self.device, noise, self.estimator, self.volume, self.transients)
+    def rebuilt(
+        self, sensors: SensorArray, device: Device, noise: NoiseModel | None, transients: tuple[float, ...]
+    ) -> Localizer:
+        """Make a localizer like this one from what it is told."""
+        return Localizer(sensors, device, noise, self.estimator, self.volume, transients)
 
-    def with_device(self, device: Device) -> Localizer:
-        """The same localizer for a device that was learned anew."""
-        return Localizer(self.sensors, device, self.noise, self.estimator, self.volume, self.transients)
-
-    def with_sensors(self, sensors: SensorArray) -> Localizer:
-        """The same localizer for an array that was learned anew."""
-        return Localizer(sensors, self.device, self.noise, self.estimator, self.volume, self.transients)
-
-    def with_transients(self, transients: tuple[float, ...]) -> Localizer:
-        """The same localizer for excitation coils whose ring-down was learned."""
-        return Localizer(self.sensors, self.device, self.noise, self.estimator, self.volume, transients)
+    def warm_up(self, half_periods: int, sample_rate: float, ring_down: float, frames: FloatArray | None) -> None:
+        """Use every compiled kernel once, on a made-up recording; see `PoseEstimator.warm_up`."""
+        device = self.device
+        orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
+        samples = round(half_periods * sample_rate / (2.0 * device.frequency))
+        time_ = ring_down + np.arange(samples) / sample_rate
+        theta = deflection(device, time_, 0.5 * device.theta_max, 0.3)
+        middle = 0.5 * np.add(self.volume.low, self.volume.high)
+        heard = sensor_field(self.sensors, device, middle, orientation, theta)
+        recording = Recording(heard, sample_rate, ring_down)
+        _, swing = self.locate_swing(recording, self.locate(recording))
+        if frames is not None:
+            swing.of_the_array(frames)
 
     def locate(self, recording: Recording, prior: Pose | None = None) -> Pose:
         """Pose at the middle of the recording, from all of it.
@@ -315,6 +327,22 @@ class Localizer:
     def _inside(self, fit: Fit) -> bool:
         bounds = zip(self.volume.low, fit.position, self.volume.high, strict=True)
         return all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
+
+
+class Whitened(Localizer):
+    """The ``whitened`` estimator, as missions name it."""
+
+    def __init__(self, sensors: SensorArray, device: Device, volume: SearchVolume | None = None) -> None:
+        super().__init__(sensors, device, estimator="whitened", volume=volume)
+
+
+class Paper(Localizer):
+    """The ``paper`` estimator, as missions name it."""
+
+    learns: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, sensors: SensorArray, device: Device, volume: SearchVolume | None = None) -> None:
+        super().__init__(sensors, device, estimator="paper", volume=volume)
 
 
 def _near_enough(pose: Pose, prior: Pose) -> bool:

@@ -12,15 +12,26 @@ from smolbot.core.rotations import nearer_twin
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
-from smolbot.localization.localizer import MAX_SIGMA, MIN_AMPLITUDE, MIN_R_SQUARED, Localizer
+from smolbot.localization.estimator import PoseEstimator, PoseEstimatorBase
+from smolbot.localization.localizer import MAX_SIGMA, MIN_AMPLITUDE, MIN_R_SQUARED
+from smolbot.localization.noise.model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)
 class SightedSwing:
-    """Amplitude of the oscillation in rad, and its covariance (7, 7) with the pose; see `localizer.Swing`."""
+    """Amplitude of the oscillation in rad, and its covariance (7, 7) with the pose; see `Oscillation`."""
 
     amplitude: float
     covariance: FloatArray
+
+    def resonance(self) -> None:
+        """Nothing is known of it."""
+
+    def of_the_array(self, frames: FloatArray) -> None:
+        """Nothing is known of it."""
+
+    def energies(self, recording: Recording, noise: NoiseModel) -> None:
+        """Nothing is known of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,22 +72,26 @@ class Sighting(Recording):
     fitted: Fitted | None = None
 
 
-@dataclass(frozen=True)
-class Sightings:
+class Sightings(PoseEstimatorBase):
     """Takes `Localizer`'s place where a rig hands out sightings. It holds no truth: all it knows is in a sighting.
 
-    Attributes
+    Parameters
     ----------
     sensors, device, volume
         As the localizer believes in them.
-    time_constants : tuple of float, in s
-        Of the excitation coils' ring-down, as they are believed to be: there is no signal to learn them from.
+    transients : tuple of float, in s
+        Time constants of the excitation coils, as they are believed to be: there is no signal to learn them from.
     """
 
-    sensors: SensorArray
-    device: Device
-    volume: SearchVolume
-    time_constants: tuple[float, ...] = ()
+    def __init__(
+        self,
+        sensors: SensorArray,
+        device: Device,
+        volume: SearchVolume | None = None,
+        transients: tuple[float, ...] = (),
+    ) -> None:
+        super().__init__(sensors, device, volume)
+        self.transients = transients
 
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, SightedSwing]:
         """Pose and swing of a sighting, judged by the rules of `Localizer`; depends on its arguments alone.
@@ -120,5 +135,11 @@ class Sightings:
 class SightingRig(Protocol):
     """A rig that makes no signals, but poses with the errors that a localizer's would have."""
 
-    def sightings(self, localizer: Localizer) -> Sightings:
-        """What takes the place of `localizer`; from now on the rig errs as that one would."""
+    def sightings(self, localizer: PoseEstimator) -> PoseEstimator:
+        """What takes the place of `localizer`; from now on the rig errs as that one would.
+
+        Raises
+        ------
+        InputError
+            If it does not know how that one errs.
+        """

@@ -12,7 +12,8 @@ from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Shot
-from smolbot.flight.tracking.tracker import AMPLITUDE_WANDER, WANDER, Oscillation, State, Tracker
+from smolbot.flight.tracking.tracker import AMPLITUDE_WANDER, WANDER, State, Tracker
+from smolbot.localization.estimator import Oscillation
 from smolbot.motion.led import Motion
 
 _P, _E, _A, _V, _W = slice(0, 3), slice(3, 6), 6, slice(7, 10), slice(10, 13)

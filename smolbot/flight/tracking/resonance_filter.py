@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
+from smolbot.flight.device_belief import DeviceBelief
 
 START = np.array([0.3, 3.0])
 """How far frequency (Hz) and damping (1/s) may be off at the start."""
@@ -29,11 +28,11 @@ class Resonance:
     """A Kalman filter on the differences of frequency and damping from the device that is believed in.
 
     Every recording says a little of both, along with its pose. When enough has come together, the
-    device is replaced by one that has learned.
+    belief is retuned.
     """
 
-    def __init__(self, device: Device) -> None:
-        self.device = device
+    def __init__(self, belief: DeviceBelief) -> None:
+        self.belief = belief
         self._off = np.zeros(2)
         self._covariance = np.diag(START**2)
         self._time: float | None = None
@@ -49,7 +48,7 @@ class Resonance:
         return np.sqrt(np.diag(self._covariance))
 
     def update(self, time: float, seen: FloatArray, covariance: FloatArray) -> Device | None:
-        """Take in what one recording at `time` s says; return a new device if the old one should be replaced.
+        """Take in what one recording at `time` s says; return the device if the belief was retuned.
 
         Parameters
         ----------
@@ -70,14 +69,11 @@ class Resonance:
         gain = self._covariance @ inverse
         self._off = self._off + gain @ innovation
         self._covariance = (np.eye(2) - gain) @ self._covariance
-        worthwhile = np.array([WORTHWHILE[0], WORTHWHILE[1] * max(self.device.damping, 1.0)])
+        device = self.belief.device
+        worthwhile = np.array([WORTHWHILE[0], WORTHWHILE[1] * max(device.damping, 1.0)])
         sure = (np.abs(self._off) > worthwhile) & (np.abs(self._off) > SURE * self.sigma)
         if not sure.any():
             return None
-        self.device = replace(
-            self.device,
-            frequency=self.device.frequency + float(self._off[0]),
-            damping=max(self.device.damping + float(self._off[1]), 0.0),
-        )
+        self.belief.retune(device.frequency + float(self._off[0]), max(device.damping + float(self._off[1]), 0.0))
         self._off = np.zeros(2)
-        return self.device
+        return self.belief.device

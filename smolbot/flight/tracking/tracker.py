@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from smolbot.core.rotations import (
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Rotate, Shot
 from smolbot.flight.tracking.kalman import carried_on, corrected
+from smolbot.localization.estimator import Oscillation
 from smolbot.motion.gradient import advance, stray_turn
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
@@ -73,19 +74,6 @@ class State:
     amplitude: float
     drift: FloatArray
     covariance: FloatArray
-
-
-class Oscillation(Protocol):
-    """What a recording says of the swing: amplitude in rad, and covariance (7, 7) of (position, rotation e, amplitude).
-
-    That of a fit (`localizer.Swing`), or of a world that skips the signals.
-    """
-
-    @property
-    def amplitude(self) -> float: ...
-
-    @property
-    def covariance(self) -> FloatArray: ...
 
 
 class Tracker:

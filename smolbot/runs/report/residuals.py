@@ -69,7 +69,8 @@ def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
         if (pose := moment.cycle.trusted) is not None and played[number].samples is not None
     ]
     step = max(len(chosen) / most, 1.0)
-    degree = Localizer(beliefs.sensors, beliefs.device, estimator=mission.base.localization.estimator)
+    paper = mission.base.localization.estimator == "paper"
+    degree = Localizer(beliefs.sensors, beliefs.device, estimator="paper" if paper else "whitened")
     for index in np.unique((np.arange(min(most, len(chosen))) * step).astype(int)):
         pose, shot = chosen[index]
         while events and events[0].time < pose.time:

@@ -13,15 +13,13 @@ from smolbot.ui.cli.options import JsonOption
 if TYPE_CHECKING:
     from smolbot.flight.replay import Replay
 
-ESTIMATORS = ("whitened", "paper")
-
 FIGURES = (".png", ".svg", ".pdf")
 
 
 def replay(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or its run.mcap.", show_default=False)],
     estimator: Annotated[
-        str | None, typer.Option("--estimator", help=f"Locate with this one: {' or '.join(ESTIMATORS)}.")
+        str | None, typer.Option("--estimator", help="Locate with this one: whitened, paper or a lab's own.")
     ] = None,
     half_periods: Annotated[
         int | None, typer.Option("--half-periods", help="Use only so many half-periods of each window.")
@@ -35,12 +33,13 @@ def replay(
     json: JsonOption = False,
 ) -> None:
     """Locate again in what a run heard: the same poses bit for bit, or those of other settings, compared."""
+    from smolbot.config.plugins import names
     from smolbot.flight.replay import apart, figures
     from smolbot.flight.replay import replay as play
     from smolbot.runs.pictures.replay import draw_replay
 
-    if estimator is not None and estimator not in ESTIMATORS:
-        raise InputError(f"--estimator must be one of {', '.join(ESTIMATORS)}; got '{estimator}'.")
+    if estimator is not None and estimator not in names("estimators"):
+        raise InputError(f"--estimator must be one of {', '.join(names('estimators'))}; got '{estimator}'.")
     if out is not None and out.suffix.lower() not in FIGURES:
         raise InputError(f"--out {out}: a figure is one of {', '.join(FIGURES)}; got '{out.suffix}'.")
     if out is not None and not out.absolute().parent.is_dir():

@@ -9,13 +9,13 @@ import pytest
 
 from smolbot.core.sensing import SensorArray
 from smolbot.core.shots import RingDown
+from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.preparation import Preparation, Quiet
 from smolbot.flight.scheduler import Scheduler
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.noise.excitation_transients import QUIET_AFTER
 from smolbot.localization.synthetic import Sightings
 from smolbot.motion.controller import Command, Cycle
-from smolbot.motion.robot import magnet_inertia
 
 
 class Unseen:
@@ -28,8 +28,8 @@ class Unseen:
 def test_however_quick_the_coils_no_shot_listens_before_the_rig_lets_it(line, along_device, time_constants):
     """Coils that are silent after 4 ms gain nothing where amplifiers need 5 ms; slow ones take their time."""
     limits = replace(line.rig.limits, min_ring_down=5e-3)
-    inertia = magnet_inertia(along_device.moment, along_device.l0)
-    scheduler = Scheduler(Cycle(), limits, along_device, lambda _: 1e-4 * np.eye(3)[:2], lambda: 0.0, inertia)
+    belief = DeviceBelief(along_device)
+    scheduler = Scheduler(Cycle(), limits, belief, lambda _: 1e-4 * np.eye(3)[:2], lambda: 0.0)
     array = SensorArray(np.zeros((3, 3)), np.eye(3))
     sightings = Sightings(array, along_device, SearchVolume((-1, -1, -1), (1, 1, 1), spacing=1.0), time_constants)
     told = []

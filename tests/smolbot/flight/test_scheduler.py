@@ -15,6 +15,7 @@ from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Listen
+from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.scheduler import SEARCH_DIRECTIONS, Scheduler, stretched_actuation
 from smolbot.motion.controller import Command, Cycle
 from smolbot.motion.robot import magnet_inertia
@@ -38,8 +39,7 @@ class Belief:
 
 def scheduler(per_ampere=1e-4, **options):
     return Scheduler(
-        CYCLE, LIMITS, DEVICE, lambda _: per_ampere * np.eye(3)[:2], lambda: 1.5,
-        magnet_inertia(DEVICE.moment, DEVICE.l0), **options,
+        CYCLE, LIMITS, DeviceBelief(DEVICE), lambda _: per_ampere * np.eye(3)[:2], lambda: 1.5, **options,
     )  # fmt: skip
 
 
