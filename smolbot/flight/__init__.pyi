@@ -6,4 +6,3 @@ from .preview.helix import HelixPreview as HelixPreview
 from .preview.observation import ObservationPreview as ObservationPreview
 from .replay import Replay as Replay
 from .session import fly as fly
-from .tracking.tracker import Oscillation as Oscillation

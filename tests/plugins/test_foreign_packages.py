@@ -146,7 +146,7 @@ def test_a_foreign_package_imports_documented_names_only(path):
 
 def test_the_lab_has_a_part_of_every_kind():
     groups = {group.removeprefix("smolbot.") for group in PROJECT["project"]["entry-points"]}
-    assert groups == {"rigs", "controllers", "commands", "path_readers", "sensors", "studies"}
+    assert groups == {"rigs", "controllers", "estimators", "commands", "path_readers", "sensors", "studies"}
 
 
 @pytest.mark.parametrize("section", ["", '\n[ours]\naddress = "10.0.0.7"\n'], ids=["without section", "with section"])
@@ -168,7 +168,7 @@ def test_a_labs_own_helical_law_is_previewed_and_flies(tmp_path):
 def test_list_shows_every_part_of_the_lab(installed, tmp_path):
     listed = json.loads(smolbot(installed, tmp_path, "list", "--json").stdout)
     parts = {"controllers": "drift", "worlds": "bath", "path_readers": "polar", "sensor_kinds": "triaxial"}
-    parts["studies"] = "nearness"
+    parts |= {"studies": "nearness", "estimators": "steady"}
     for group, name in parts.items():
         assert name in listed[group]
 
@@ -178,10 +178,11 @@ def test_list_shows_every_part_of_the_lab(installed, tmp_path):
     [
         ("line", "--rig", "bath.toml"),
         ("line", "--set", "controller.law=drift", "--set", "controller.gains.current_a=3"),
+        ("line", "--set", "localization.estimator=steady"),
         ("spiral.toml",),
         ("line", "--rig", "cubes.toml"),
     ],
-    ids=["world", "law", "path reader", "kind of sensors"],
+    ids=["world", "law", "estimator", "path reader", "kind of sensors"],
 )
 def test_each_part_of_the_lab_flies(installed, files, arguments):
     told = flown(installed, files, *arguments)

@@ -1,1 +1,1 @@
-"""Parts of a lab: a world, a law, a command, a path reader, a kind of sensors and a study."""
+"""Parts of a lab: a world, a law, an estimator, a command, a path reader, a kind of sensors and a study."""
