@@ -35,7 +35,9 @@ def load(group: str, name: str) -> Any:
     if found is None:
         known = names(group)
         hint = did_you_mean(name, known)
-        raise PluginError(f"No {group[:-1]} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
+        raise PluginError(
+            f"No {group[:-1]} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}", group=group, name=name
+        )
     return _load(found)
 
 
@@ -51,7 +53,8 @@ def _load(point: EntryPoint) -> Any:
         return point.load()
     except (ImportError, AttributeError) as error:
         package = point.value.split(":")[0].split(".")[0]
-        raise PluginError(_explain(package, point, error)) from error
+        group = point.group.removeprefix("smolbot.")
+        raise PluginError(_explain(package, point, error), group=group, name=point.name) from error
 
 
 def _explain(package: str, point: EntryPoint, error: Exception) -> str:
