@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,6 +29,8 @@ from smolbot.localization.noise.actuation_tails import CoilTails
 from smolbot.localization.synthetic import SightedSwing, Sightings
 from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, Run, Status, Tape
+
+_LOG = logging.getLogger(__name__)
 
 LEARN_EVERY = 5
 """Cycles between two looks at the resonance and the noise, which change slowly."""
@@ -121,6 +124,7 @@ class Loop:
         except KeyboardInterrupt as stop:
             run.status, run.stop_reason = "stopped", str(stop) or CTRL_C
         except (InterlockError, RigError, OutsideTableError) as error:
+            run.error = error
             run.status, run.stop_reason = "stopped" if isinstance(error, OperatorStopError) else "failed", str(error)
         except Exception as error:
             run.status, run.stop_reason = "failed", f"{type(error).__name__}: {error}"
@@ -182,6 +186,7 @@ class Loop:
     def _happened(self, time: float, what: str, detail: dict[str, object]) -> None:
         event = Event(time, what, detail)
         self.events.append(event)
+        _LOG.info("%.3f s: %s %s", time, what, detail)
         if self._tape is not None:
             self._tape.happened(event)
 

@@ -13,6 +13,7 @@ from smolbot.config.load import AnyMission
 from smolbot.config.mission_base import MissionBase
 from smolbot.core.blas_threads import kernel
 from smolbot.core.pose import Pose
+from smolbot.core.results import Readable
 from smolbot.core.version import __version__
 from smolbot.flight.assembly import make_loop
 from smolbot.flight.loop import Loop, StopRules
@@ -25,8 +26,8 @@ from smolbot.runs.summary import against_truth
 from smolbot.runs.trace import Moment, located
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Readable):
     """A recorded run and what came of playing it again.
 
     Attributes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ LOST_WINDOWS = "lost_windows"
 """Name, among what was recovered from, of listening windows that gave nothing."""
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+_LOG = logging.getLogger(__name__)
 
 _SIGMAS = 3.0  # by which a pose must lie outside what is allowed before it is believed
 _EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one heard is earlier by a whole shot
@@ -123,6 +126,7 @@ class Safety:
             recording = None if late else recording
         if recording is None:
             self._missing += 1
+            _LOG.warning("%.3f s: a listening window was lost%s", now, f": {late}" if late else "")
             if self._missing >= self.rules.stale_shots:
                 why = late or f"the shot at {shot.start:.3f} s listened and gave no recording"
                 self._stop(
