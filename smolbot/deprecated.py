@@ -135,7 +135,7 @@ class _Finder(MetaPathFinder):
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         is_parent = any(module.startswith(f"{fullname}.") for module in _MODULES)
-        if fullname not in _MODULES and not is_parent:
+        if "." not in fullname or not (fullname in _MODULES or is_parent):
             return None
         there = PathFinder.find_spec(fullname, path)
         if there is None:
