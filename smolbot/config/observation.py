@@ -59,7 +59,15 @@ class ObservationFile(MissionBaseFile):
 
 
 class Observation(MissionBase):
-    """A mission that only localizes: nothing here knows where the device is, or where it will go."""
+    """A mission that only localizes: nothing here knows where the device is, or where it will go.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> mission = smolbot.load_mission("brain_marker")
+    >>> mission.sections.observe.measurements, mission.motion
+    (10, None)
+    """
 
     def __init__(self, document: Document, sections: ObservationFile, rig: RigConfig, robot: RobotConfig) -> None:
         super().__init__(document, sections, rig, robot)

@@ -45,6 +45,13 @@ class Limits:
         Of the rotating magnet; 0 without one.
     max_steering_rate : float, in rad/s
         Of the stage that turns the magnet's axis about the vertical, while the magnet is near.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> limits = smolbot.Limits(coils=("+x", "-y"), max_current=8.0)
+    >>> limits.faults(smolbot.Shot((smolbot.Actuate((9.0, 0.0), 0.03),)))
+    ["Coil '+x' current must lie within 0 to 8 A; got 9.00 A."]
     """
 
     coils: tuple[str, ...]

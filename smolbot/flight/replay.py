@@ -119,6 +119,13 @@ def replay(
     ------
     InputError
         Where the record holds no windows, or less of them than is asked for.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.replay("runs/monday", estimator="paper")
+    Traceback (most recent call last):
+    smolbot.errors.InputError: runs/monday: no such run.
     """
     record = run if isinstance(run, RecordedRun) else read_run(run)
     require_windows(record, half_periods)

@@ -85,6 +85,13 @@ def run(
     ------
     ConfigError, InputError
         For every fault of the files, before anything moves.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> run = smolbot.run("line", seed=2, localization__quiet_s=0.0, stop__max_duration_s=0.5)
+    >>> run.status, len(run.cycles) == len(run.table()["time"])
+    ('timeout', True)
     """
     settings = {name.replace("__", "."): _spell(value) for name, value in overrides.items()}
     if isinstance(mission, str):

@@ -65,6 +65,12 @@ class Run(Readable):
 
     `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only. `report` says where the report
     is, or why there is none.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.Run("timeout", "max_duration_s reached after 300 s", duration=300.0).status
+    'timeout'
     """
 
     status: Status = "stopped"

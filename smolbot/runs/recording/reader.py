@@ -196,6 +196,13 @@ def read_run(run: str | Path) -> RecordedRun:
     ------
     InputError
         Where there is no record, or it is none of smolbot's.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.read_run("runs/monday")
+    Traceback (most recent call last):
+    smolbot.errors.InputError: runs/monday: no such run.
     """
     path = record_path(run)
     scan = Scan(path)
