@@ -43,7 +43,7 @@ class UnreachableForceError(SmolbotError, ValueError):
         The strongest force in that direction; 0 where none points there.
     """
 
-    def __init__(self, message: str, most: float) -> None:
+    def __init__(self, message: str = "", /, *, most: float = 0.0) -> None:
         super().__init__(message)
         self.most = most
 
@@ -273,7 +273,9 @@ class ForceAllocator:
         most = 0.0 if force is None else self._most(field, gradient, way)
         if most > 0.0 and force is not None:
             possible = f"{most * 1e6:.0f} µN at most"
-            return UnreachableForceError(f"A force of {force * 1e6:.0f} µN {where} is out of reach: {possible}.", most)
+            return UnreachableForceError(
+                f"A force of {force * 1e6:.0f} µN {where} is out of reach: {possible}.", most=most
+            )
         ends = "head first" if self.head_first else "with either end first"
         hint = " Allowing the tail first may help." if self.head_first else ""
-        return UnreachableForceError(f"No currents pull {where}, {ends}.{hint}", 0.0)
+        return UnreachableForceError(f"No currents pull {where}, {ends}.{hint}")

@@ -145,7 +145,7 @@ class FieldTable:
         held = np.array(points) if not self._single.any() else np.where(self._single, self.bounds[0], points)
         outside = self._kernel(*self.spline, self._limits, held, field, gradient)
         if outside >= 0:
-            raise OutsideTableError(self._outside(points[outside]))
+            raise self._outside(points[outside])
         return field, gradient
 
     @classmethod
@@ -220,12 +220,15 @@ class FieldTable:
             )
         return np.asarray(residual)
 
-    def _outside(self, point: FloatArray) -> str:
+    def _outside(self, point: FloatArray) -> OutsideTableError:
         ranges = [
             f"any {name}" if single else f"{name} {1e3 * low:.6g} to {1e3 * high:.6g}"
             for name, single, low, high in zip("xyz", self._single, *self.bounds, strict=True)
         ]
-        return f"Point {_millimetres(point)} is outside the table, which covers {', '.join(ranges)} mm."
+        return OutsideTableError(
+            f"Point {_millimetres(point)} is outside the table, which covers {', '.join(ranges)} mm.",
+            point=tuple(point.tolist()), low=tuple(self.bounds[0].tolist()), high=tuple(self.bounds[1].tolist()),
+        )  # fmt: skip
 
 
 def _millimetres(point: FloatArray) -> str:

@@ -135,7 +135,7 @@ class _Finder(MetaPathFinder):
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         is_parent = any(module.startswith(f"{fullname}.") for module in _MODULES)
-        if fullname not in _MODULES and not is_parent:
+        if "." not in fullname or not (fullname in _MODULES or is_parent):
             return None
         others = [finder for finder in sys.meta_path if finder is not self]  # an editable install has one of its own
         there = next((spec for finder in others if (spec := finder.find_spec(fullname, path, target))), None)

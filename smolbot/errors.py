@@ -3,40 +3,210 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+
+_LINE = re.compile(r"(?P<file>.+?):(?P<line>\d+): (?:(?P<key>[\w.+-]+): )?(?P<fault>.+)")
+_SETTING = re.compile(r"--set (?P<key>[^=\s]+)=.*?: (?P<fault>.+)")
 
 
 class SmolbotError(Exception):
-    """Base of all errors raised on purpose."""
+    """Base of all errors raised on purpose: the message is for people, the fields are for programs.
+
+    Fields are given by keyword where they are known where the error is raised; they survive pickling.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> try:
+    ...     smolbot.load_mission("lime")
+    ... except smolbot.SmolbotError as error:
+    ...     print(type(error).__name__)
+    MissingFileError
+    """
 
 
 class InputError(SmolbotError, ValueError):
-    """A value, shape or unit that cannot be used; the message says which, and what is possible."""
+    """A value, shape or unit that cannot be used; the message says which, and what is possible.
+
+    Attributes
+    ----------
+    channel : str
+        Sensor, converter input or coil that it concerns; empty where it is of none.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> try:
+    ...     smolbot.read_run("runs/monday")
+    ... except smolbot.InputError as error:
+    ...     print(error)
+    runs/monday: no such run.
+    """
+
+    def __init__(self, message: str = "", /, *, channel: str = "") -> None:
+        super().__init__(message)
+        self.channel = channel
+
+
+@dataclass(frozen=True)
+class FileFault:
+    """One fault of a file: `line` and `key` where they are known; `file` is empty for a setting laid over one."""
+
+    file: str
+    line: int | None
+    key: str
+    fault: str
 
 
 class ConfigError(SmolbotError, ValueError):
-    """One or more faults of a user's file; the message has one ``file:line: key: fault`` line for each."""
+    """One or more faults of a user's file; the message has one ``file:line: key: fault`` line for each.
+
+    Attributes
+    ----------
+    faults : tuple of FileFault
+        Every fault: file, line, key and what is wrong.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> try:
+    ...     smolbot.load_mission("line", settings={"controller.tolerence_mm": "0.5"})
+    ... except smolbot.ConfigError as error:
+    ...     print(error.key)
+    controller.tolerence_mm
+    """
+
+    @property
+    def faults(self) -> tuple[FileFault, ...]:
+        """Every line of the message, taken apart."""
+        return tuple(_taken_apart(line) for line in str(self).splitlines())
+
+    @property
+    def file(self) -> str:
+        """File of the first fault."""
+        return self.faults[0].file if self.faults else ""
+
+    @property
+    def line(self) -> int | None:
+        """Line of the first fault."""
+        return self.faults[0].line if self.faults else None
+
+    @property
+    def key(self) -> str:
+        """Key of the first fault, with dots."""
+        return self.faults[0].key if self.faults else ""
+
+
+def _taken_apart(line: str) -> FileFault:
+    if found := _SETTING.fullmatch(line):
+        return FileFault("", None, found["key"], found["fault"])
+    if found := _LINE.fullmatch(line):
+        return FileFault(found["file"], int(found["line"]), found["key"] or "", found["fault"])
+    return FileFault("", None, "", line)
 
 
 class MissingFileError(SmolbotError, FileNotFoundError):
-    """A named file, mission, rig or robot does not exist; the message lists what does."""
+    """A named file, mission, rig or robot does not exist; the message lists what does.
+
+    Attributes
+    ----------
+    name : str
+        What was asked for.
+    known : tuple of str
+        Shipped ones of its kind; empty where there is no kind.
+    """
+
+    def __init__(self, message: str = "", /, *, name: str = "", known: Iterable[str] = ()) -> None:
+        super().__init__(message)
+        self.name, self.known = name, tuple(known)
 
     def __str__(self) -> str:
         return str(self.args[0]) if self.args else ""
 
 
 class InterlockError(SmolbotError, ValueError):
-    """A shot that breaks a limit of the rig. Nothing of it was played."""
+    """A shot that breaks a limit of the rig. Nothing of it was played.
+
+    Attributes
+    ----------
+    limit, value : float or None
+        Of the first limit that is broken, and what was asked for; None where it is no number.
+    unit : str
+        Of both.
+    channel : str
+        Coil or device that it concerns.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> limits = smolbot.Limits(coils=("+x",), max_current=8.0)
+    >>> try:
+    ...     limits.check(smolbot.Shot((smolbot.Actuate((9.0,), 0.03),)))
+    ... except smolbot.InterlockError as error:
+    ...     print(error.channel, error.value, error.limit, error.unit)
+    +x 9.0 8.0 A
+    """
+
+    def __init__(
+        self,
+        message: str = "",
+        /,
+        *,
+        limit: float | None = None,
+        value: float | None = None,
+        unit: str = "",
+        channel: str = "",
+    ) -> None:
+        super().__init__(message)
+        self.limit, self.value, self.unit, self.channel = limit, value, unit, channel
 
 
 class RigError(SmolbotError, RuntimeError):
-    """The world failed while it played a shot. Every output is at zero."""
+    """The world failed while it played a shot. Every output is at zero.
+
+    Attributes
+    ----------
+    device : str
+        Card, supply, stage or server that failed; empty where none is named.
+    channel : str
+        Coil or input of it; empty where it is the whole device.
+    """
+
+    def __init__(self, message: str = "", /, *, device: str = "", channel: str = "") -> None:
+        super().__init__(message)
+        self.device, self.channel = device, channel
 
 
 class SafetyError(RigError):
-    """The safety ended a run; the message names device or quantity, value and limit. Nothing more is played."""
+    """The safety ended a run; the message names device or quantity, value and limit. Nothing more is played.
+
+    Attributes
+    ----------
+    limit, value : float or None
+        Of the quantity that the message names, where it is a number.
+    unit : str
+        Of both.
+    channel : str
+        Coil, sensors or axis that it concerns.
+    """
+
+    def __init__(
+        self,
+        message: str = "",
+        /,
+        *,
+        limit: float | None = None,
+        value: float | None = None,
+        unit: str = "",
+        channel: str = "",
+        device: str = "",
+    ) -> None:
+        super().__init__(message, device=device, channel=channel)
+        self.limit, self.value, self.unit = limit, value, unit
 
 
 class OperatorStopError(RigError):
@@ -44,11 +214,35 @@ class OperatorStopError(RigError):
 
 
 class SignalLostError(SmolbotError, RuntimeError):
-    """No signal that can be trusted, after every means of finding it was tried."""
+    """No signal that can be trusted, after every means of finding it was tried.
+
+    Attributes
+    ----------
+    signal_to_noise, needed : float or None
+        The best that was heard, and the least that would do.
+    """
+
+    def __init__(
+        self, message: str = "", /, *, signal_to_noise: float | None = None, needed: float | None = None
+    ) -> None:
+        super().__init__(message)
+        self.signal_to_noise, self.needed = signal_to_noise, needed
 
 
 class PluginError(SmolbotError, ImportError):
-    """A controller, rig or command that is not installed, or is shadowed by a foreign package."""
+    """A controller, rig or command that is not installed, breaks its protocol, or is shadowed by a foreign package.
+
+    Attributes
+    ----------
+    group : str
+        Kind of plug-in: ``controllers``, ``rigs``, …; empty where it is a package that is missing.
+    name : str
+        Of the entry point, or of the package.
+    """
+
+    def __init__(self, message: str = "", /, *, group: str = "", name: str = "") -> None:
+        super().__init__(message, name=name)
+        self.group = group
 
 
 @contextmanager

@@ -1,3 +1,4 @@
+from .command import carry_out as carry_out
 from .study import Chunk as Chunk
 from .study import Columns as Columns
 from .study import Options as Options

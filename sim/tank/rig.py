@@ -118,7 +118,9 @@ class TankRig(Closing):
         step = Step(HELD, self._driven.index(coil), current)
         played = tank.advance((Rest(BEFORE), step, Rest(AFTER), Rest(max(self._turnaround, 1e-3))))
         if self._stopped or not played:
-            raise RigError(f"Stopped at {tank.time:.3f} s, while {coil} was probed; every output is at zero.")
+            raise RigError(
+                f"Stopped at {tank.time:.3f} s, while {coil} was probed; every output is at zero.", channel=coil
+            )
         field, saturated = tank.listen(begin, round((BEFORE + HELD + AFTER) * self._rate))
         heard = Recording(field / self._gains, self._rate, math.inf, saturated, None, begin)
         return Probe(heard, BEFORE, BEFORE + HELD)

@@ -54,7 +54,7 @@ def build(source: Path | None = None) -> Built:
         If a tool is missing, or a compiler objects.
     """
     if (lack := missing_tools()) is not None:
-        raise RigError(f"simulated magnet stage: {lack}.")
+        raise RigError(f"simulated magnet stage: {lack}.", device="magnet stage")
     source = sketch() if source is None else source
     harness = Path(str(files("sim.twin"))) / "avr" / "uno.c"
     digest = hashlib.sha256(repr((FLAGS, BOARD_FLAGS, LIBRARIES)).encode())
@@ -83,5 +83,8 @@ def _compile(command: list[str], result: Path, libraries: tuple[str, ...] = ()) 
         made = Path(aside) / result.name
         done = subprocess.run([*command, "-o", str(made), *libraries], capture_output=True, text=True)
         if done.returncode:
-            raise RigError(f"simulated magnet stage: {command[0]} could not build {result.name}:\n{done.stderr}")
+            raise RigError(
+                f"simulated magnet stage: {command[0]} could not build {result.name}:\n{done.stderr}",
+                device="magnet stage",
+            )
         made.replace(result)

@@ -136,7 +136,7 @@ class SimulatedUno:
 
     def _order(self, text: str, wait: bool = True) -> None:
         if self._process is None or self._process.stdin is None:
-            raise RigError("simulated magnet stage: not running.")
+            raise RigError("simulated magnet stage: not running.", device="magnet stage")
         with self._ordering:
             self._orders += 1
             number = self._orders
@@ -154,9 +154,13 @@ class SimulatedUno:
             if self._process is None or self._process.poll() is not None:
                 self._ended(action)
             if time.monotonic() > end:
-                raise RigError(f"simulated magnet stage: '{action}' took more than {PATIENCE:g} s.")
+                raise RigError(
+                    f"simulated magnet stage: '{action}' took more than {PATIENCE:g} s.", device="magnet stage"
+                )
             time.sleep(0.0005)
 
     def _ended(self, action: str) -> None:
         code = None if self._process is None else self._process.poll()
-        raise RigError(f"simulated magnet stage: its program ended (exit code {code}) at '{action}'.")
+        raise RigError(
+            f"simulated magnet stage: its program ended (exit code {code}) at '{action}'.", device="magnet stage"
+        )

@@ -1,3 +1,4 @@
+from .device import Uncertainty as Uncertainty
 from .document import Document as Document
 from .document import Fault as Fault
 from .document import FileModel as FileModel

@@ -186,7 +186,7 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: no such file.") from error
+        raise MissingFileError(f"{path}: no such file.", name=str(path)) from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text: {error}") from error
 

@@ -53,7 +53,7 @@ def read_track(path: str | Path) -> Track:
     """
     path = Path(path)
     if not path.is_file():
-        raise MissingFileError(f"{path}: no such file.")
+        raise MissingFileError(f"{path}: no such file.", name=str(path))
     table = read_table(path, named=True)
     if not table.rows:
         raise InputError(

@@ -33,10 +33,12 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
         for path in [Path(name)] if beside is None else [beside / name, Path(name)]:
             if path.is_file():
                 return path
-        raise MissingFileError(f"{name}: no such file. Shipped {kind}: {', '.join(ours)}.")
+        raise MissingFileError(f"{name}: no such file. Shipped {kind}: {', '.join(ours)}.", name=name, known=ours)
     raise MissingFileError(
         f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{did_you_mean(name, ours)} "
-        f"Your own is given by its path, such as ./{name}.toml."
+        f"Your own is given by its path, such as ./{name}.toml.",
+        name=name,
+        known=ours,
     )
 
 

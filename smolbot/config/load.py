@@ -27,6 +27,12 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     ------
     ConfigError
         With a line for every fault of the files, before anything moves.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.load_mission("line", settings={"controller.tolerance_mm": "0.5"}).tolerance
+    0.0005
     """
     settings = settings or {}
     if observes(open_document(name, settings)):

@@ -58,7 +58,15 @@ class MissionFile(MissionBaseFile):
 
 
 class Mission(MissionBase):
-    """A mission that steers, whose files hold together: path, rig, robot and law fit each other."""
+    """A mission that steers, whose files hold together: path, rig, robot and law fit each other.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> mission = smolbot.load_mission("line")
+    >>> mission.law, mission.rig.name, f"{1e3 * mission.path.length:.1f} mm"
+    ('current_ratio', 'tank', '8.0 mm')
+    """
 
     def __init__(
         self,

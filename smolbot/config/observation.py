@@ -59,7 +59,15 @@ class ObservationFile(MissionBaseFile):
 
 
 class Observation(MissionBase):
-    """A mission that only localizes: nothing here knows where the device is, or where it will go; it has no path."""
+    """A mission that only localizes: nothing here knows where the device is, or where it will go; it has no path.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> mission = smolbot.load_mission("brain_marker")
+    >>> mission.sections.observe.measurements, mission.motion
+    (10, None)
+    """
 
     path: None = None
 

@@ -53,7 +53,8 @@ def load(group: str, name: str) -> Any:
     if found is None:
         known = names(group)
         hint = did_you_mean(name, known)
-        raise PluginError(f"No {kind} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}")
+        message = f"No {kind} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}"
+        raise PluginError(message, group=group, name=name)
     plugin, what = _load(found), f"{kind.capitalize()} '{name}' ({found.value})"
     if group in PROTOCOLS:
         module, _, protocol = PROTOCOLS[group].partition(":")
@@ -172,7 +173,8 @@ def _load(point: EntryPoint) -> Any:
         return point.load()
     except Exception as error:  # whatever a foreign module does when it is imported
         package = point.value.split(":")[0].split(".")[0]
-        raise PluginError(_explain(package, point, error)) from error
+        group = point.group.removeprefix("smolbot.")
+        raise PluginError(_explain(package, point, error), group=group, name=point.name) from error
 
 
 def _explain(package: str, point: EntryPoint, error: Exception) -> str:

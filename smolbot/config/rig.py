@@ -234,7 +234,15 @@ def mesh_axis(span_mm: Range, mesh_mm: float) -> FloatArray:
 
 
 def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
-    """Read a shipped rig by name, or a user's by path. Every fault of the file is reported at once."""
+    """Read a shipped rig by name, or a user's by path. Every fault of the file is reported at once.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> rig = smolbot.load_rig("tank", {"turnaround_ms": "5.0"})
+    >>> len(rig.sensors), rig.turnaround
+    (10, 0.005)
+    """
     document = open_file(name, "rigs")
     if settings:
         document = document.override(settings, "rig.")

@@ -195,6 +195,13 @@ class RobotConfig:
 
 
 def load_robot(name: str, beside: Path | None = None) -> RobotConfig:
-    """Read a shipped robot by name, or a user's by path."""
+    """Read a shipped robot by name, or a user's by path.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.load_robot("gradient").device.frequency
+    103.5
+    """
     document = open_file(name, "robots", beside)
     return RobotConfig(document, document.validated(RobotFile))

@@ -51,18 +51,20 @@ def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
         raise InputError(
             f"{told}: at most {free.max()} of {largest.shape[1]} channels are not saturated; channel {typical} reaches "
             f"{largest[:, typical].min():.4g}, the range is {full / FULL:.4g}. "
-            "Are they in mV, nT or counts, or is the constant field not nulled?"
+            "Are they in mV, nT or counts, or is the constant field not nulled?",
+            channel=str(typical),
         )
     if volts.shape[2] < 2:
         return
     if not swing.any():
-        raise InputError(f"{path}: every channel is dead: constant, channel 0 at {volts[0, 0, 0]:g} V.")
+        raise InputError(f"{path}: every channel is dead: constant, channel 0 at {volts[0, 0, 0]:g} V.", channel="0")
     step = 2.0 * section.adc_range_v / 2.0**section.adc_bits
     if swing.max() < FAINT * step:
         channel = int(np.argmax(swing.max(axis=0)))
         raise InputError(
             f"{told}: channel {channel} moves most, by {swing.max():.2g}, less than a step of the converter, "
-            f"{step:.2g} V. Are they in T?"
+            f"{step:.2g} V. Are they in T?",
+            channel=str(channel),
         )
 
 

@@ -86,7 +86,7 @@ def read_samples(path: str | Path, *, quiet: bool = False) -> Samples:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file of samples.")
     if not path.is_file():
-        raise MissingFileError(f"{path}: no such file.")
+        raise MissingFileError(f"{path}: no such file.", name=str(path))
     suffix = path.suffix.lower()
     reader = {".npz": _read_npz, ".mat": _read_mat, ".csv": _read_csv}.get(suffix, _read_hdf5)
     values = reader(path)

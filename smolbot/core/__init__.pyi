@@ -1,4 +1,5 @@
 from .arrays import BoolArray as BoolArray
 from .arrays import FloatArray as FloatArray
 from .coil_heat import Coil as Coil
+from .limits import BrokenLimit as BrokenLimit
 from .operator import Operator as Operator

@@ -10,6 +10,17 @@ from smolbot.errors import InterlockError
 
 
 @dataclass(frozen=True)
+class BrokenLimit:
+    """One limit that a shot breaks: a sentence, and the fields of an `InterlockError`."""
+
+    said: str
+    limit: float | None = None
+    value: float | None = None
+    unit: str = ""
+    channel: str = ""
+
+
+@dataclass(frozen=True)
 class Limits:
     """What a rig may be asked to do. SI units.
 
@@ -34,6 +45,13 @@ class Limits:
         Of the rotating magnet; 0 without one.
     max_steering_rate : float, in rad/s
         Of the stage that turns the magnet's axis about the vertical, while the magnet is near.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> limits = smolbot.Limits(coils=("+x", "-y"), max_current=8.0)
+    >>> limits.faults(smolbot.Shot((smolbot.Actuate((9.0, 0.0), 0.03),)))
+    ["Coil '+x' current must lie within 0 to 8 A; got 9.00 A."]
     """
 
     coils: tuple[str, ...]
@@ -52,14 +70,20 @@ class Limits:
 
         `magnet_near` says where the actuation magnet stands when the shot begins.
         """
-        found: list[str] = []
+        return [one.said for one in self.broken(shot, magnet_near=magnet_near)]
+
+    def broken(self, shot: Shot, *, magnet_near: bool = False) -> list[BrokenLimit]:
+        """As `faults`, with what is known of each limit."""
+        found: list[BrokenLimit] = []
         quiet_since = float("inf")
         axis: tuple[float, float, float] | None = None
         for at, window in shot.timed():
             if magnet_near and isinstance(window, Actuate | Excite | Listen):
                 found.append(
-                    f"{type(window).__name__} at {at * 1e3:.1f} ms needs the actuation magnet away: near, it saturates "
-                    "the sensors and holds the swing; move it away first."
+                    BrokenLimit(
+                        f"{type(window).__name__} at {at * 1e3:.1f} ms needs the actuation magnet away: near, it "
+                        "saturates the sensors and holds the swing; move it away first."
+                    )
                 )
             if isinstance(window, Actuate):
                 found += self._actuation_faults(window)
@@ -69,12 +93,14 @@ class Limits:
                 quiet_since = 0.0
             elif isinstance(window, Listen):
                 if quiet_since < self.min_ring_down - 1e-9:
-                    found.append(
+                    said = (
                         f"Listening at {at * 1e3:.1f} ms follows a drive after {quiet_since * 1e3:.1f} ms; "
                         f"the coils need {self.min_ring_down * 1e3:.1f} ms of ring-down."
                     )
+                    found.append(BrokenLimit(said, self.min_ring_down, quiet_since, "s"))
                 if window.duration > self.max_listen + 1e-9:
-                    found.append(f"Listen window must last at most {self.max_listen:g} s; got {window.duration:.3f} s.")
+                    said = f"Listen window must last at most {self.max_listen:g} s; got {window.duration:.3f} s."
+                    found.append(BrokenLimit(said, self.max_listen, window.duration, "s"))
             elif isinstance(window, Rotate | MoveMagnet):
                 found += self._mechanical_faults(window, axis, near=magnet_near)
                 axis = window.axis if isinstance(window, Rotate) else None
@@ -85,61 +111,79 @@ class Limits:
 
     def check(self, shot: Shot, *, magnet_near: bool = False) -> None:
         """Raise `InterlockError`, naming every broken limit, unless the shot may be played."""
-        found = self.faults(shot, magnet_near=magnet_near)
+        found = self.broken(shot, magnet_near=magnet_near)
         if found:
-            raise InterlockError(" ".join([*found, "Nothing was played."]))
+            one = found[0]
+            raise InterlockError(
+                " ".join([*(each.said for each in found), "Nothing was played."]),
+                limit=one.limit, value=one.value, unit=one.unit, channel=one.channel,
+            )  # fmt: skip
 
-    def _actuation_faults(self, window: Actuate) -> list[str]:
+    def _actuation_faults(self, window: Actuate) -> list[BrokenLimit]:
         if len(window.currents) != len(self.coils):
             coils = f"{len(self.coils)} coils ({', '.join(self.coils)})"
-            return [f"Actuate has {len(window.currents)} currents; this rig has {coils}."]
+            return [BrokenLimit(f"Actuate has {len(window.currents)} currents; this rig has {coils}.")]
         low = 0.0 if self.unipolar else -self.max_current
         found = [
-            f"Coil '{name}' current must lie within {low:g} to {self.max_current:g} A; got {current:.2f} A."
+            BrokenLimit(
+                f"Coil '{name}' current must lie within {low:g} to {self.max_current:g} A; got {current:.2f} A.",
+                self.max_current if current > low else low,
+                current,
+                "A",
+                name,
+            )
             for name, current in zip(self.coils, window.currents, strict=True)
             if not low - 1e-9 <= current <= self.max_current + 1e-9
         ]
         if window.duration > self.max_actuation + 1e-9:
-            found.append(
-                f"Actuate must last at most {self.max_actuation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
-            )
+            said = f"Actuate must last at most {self.max_actuation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
+            found.append(BrokenLimit(said, self.max_actuation, window.duration, "s"))
         return found
 
-    def _excitation_faults(self, window: Excite) -> list[str]:
+    def _excitation_faults(self, window: Excite) -> list[BrokenLimit]:
+        most = self.max_excitation_current
         found = [
-            f"Excitation coil '{name}' current must lie within ±{self.max_excitation_current:g} A; got {current:.2f} A."
+            BrokenLimit(
+                f"Excitation coil '{name}' current must lie within ±{most:g} A; got {current:.2f} A.",
+                most,
+                current,
+                "A",
+                f"excitation {name}",
+            )
             for name, current in zip("xy", window.currents, strict=True)
-            if not abs(current) <= self.max_excitation_current + 1e-9
+            if not abs(current) <= most + 1e-9
         ]
         if window.duration > self.max_excitation + 1e-9:
-            found.append(
-                f"Excite must last at most {self.max_excitation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
-            )
+            said = f"Excite must last at most {self.max_excitation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
+            found.append(BrokenLimit(said, self.max_excitation, window.duration, "s"))
         return found
 
     def _mechanical_faults(
         self, window: Rotate | MoveMagnet, before: tuple[float, float, float] | None, *, near: bool
-    ) -> list[str]:
+    ) -> list[BrokenLimit]:
         """Faults of a move of the magnet; `before` is the axis about which it turned just now, near the sample."""
         if self.max_rotation_frequency <= 0:
-            return ["This rig has no rotating magnet; Rotate and MoveMagnet cannot be played."]
+            return [BrokenLimit("This rig has no rotating magnet; Rotate and MoveMagnet cannot be played.")]
         if isinstance(window, MoveMagnet):
             return []
         found = []
         if not near:
-            found.append("Rotate needs the actuation magnet near; it is away.")
-        if not 0 < window.frequency <= self.max_rotation_frequency + 1e-9:
-            found.append(f"Rotate must stay within {self.max_rotation_frequency:g} Hz; got {window.frequency:g} Hz.")
+            found.append(BrokenLimit("Rotate needs the actuation magnet near; it is away."))
+        fastest = self.max_rotation_frequency
+        if not 0 < window.frequency <= fastest + 1e-9:
+            said = f"Rotate must stay within {fastest:g} Hz; got {window.frequency:g} Hz."
+            found.append(BrokenLimit(said, fastest, window.frequency, "Hz"))
         length = math.sqrt(sum(a * a for a in window.axis))
         if not length > 0 or abs(window.axis[2]) > 1e-6 * length:
-            found.append(f"The stage's axis lies in the horizontal plane; got {window.axis}.")
+            found.append(BrokenLimit(f"The stage's axis lies in the horizontal plane; got {window.axis}."))
         elif before is not None:
             along = abs(sum(a * b for a, b in zip(window.axis, before, strict=True)))
             change = math.acos(min(along / length / math.sqrt(sum(a * a for a in before)), 1.0))
             most = self.max_steering_rate * window.duration
             if change > most + 1e-6:
-                found.append(
+                said = (
                     f"The stage steers at most {math.degrees(most):.1f}° within {window.duration:g} s; "
                     f"got {math.degrees(change):.1f}°."
                 )
+                found.append(BrokenLimit(said, most, change, "rad"))
         return found

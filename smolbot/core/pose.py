@@ -31,6 +31,14 @@ class Pose:
         Residual of the worse over that of the better member of the two-fold ambiguity, at least 1.
     trusted : bool
         False means: do not act on this pose.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import smolbot
+    >>> pose = smolbot.Pose(0.1, [0.004, -0.006, 0.06], [1, 0, 0, 0], 1e-8 * np.eye(6))
+    >>> print(pose.body_axis("z"), np.sqrt(np.diag(pose.covariance)[:3]))
+    [0. 0. 1.] [0.0001 0.0001 0.0001]
     """
 
     time: float

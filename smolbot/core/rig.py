@@ -15,7 +15,18 @@ from smolbot.core.shots import Shot
 
 @runtime_checkable
 class Witness(Protocol):
-    """Knows where the device truly is. Held by recorder and report, never by the loop's estimators."""
+    """Knows where the device truly is. Held by recorder and report, never by the loop's estimators.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import smolbot
+    >>> class Resting:
+    ...     def truth(self, time):
+    ...         return smolbot.Pose(time, [0, 0, 0.06], [1, 0, 0, 0], np.zeros((6, 6)))
+    >>> isinstance(Resting(), smolbot.Witness)
+    True
+    """
 
     def truth(self, time: float) -> Pose:
         """True pose at `time` s on the rig's clock; only times already played can be asked."""
@@ -34,6 +45,13 @@ class Rig(Protocol):
 
     It may also keep the protocols below, which nothing depends on: `RecoveryCounter`, `StatusReporter`,
     `ProvenanceReporter`, `Checkable`.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> def noise_of(rig: smolbot.Rig, seconds: int) -> smolbot.NoiseModel:
+    ...     shot = smolbot.Shot((smolbot.Listen(200, 100.0),), "quiet")
+    ...     return smolbot.NoiseModel.learn([rig.play(shot) for _ in range(seconds)])
     """
 
     sensors: SensorArray

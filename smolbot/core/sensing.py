@@ -28,6 +28,13 @@ class SensorArray:
         Corner of the first-order low pass that each sensor is; ``inf`` for an ideal one.
     gains : ndarray, shape (n,), optional
         What each sensor says over what it should, where that was learned; ones without it.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> array = smolbot.SensorArray([[0.03, 0, 0], [-0.03, 0, 0]], [[0, 0, 1], [1, 0, 0]])
+    >>> len(array), array.axes.shape
+    (2, (2, 3))
     """
 
     positions: FloatArray
@@ -83,6 +90,13 @@ class Device:
         Envelope of the free oscillation: Eq. S3 or Eq. S4.
     amplitude, amplitude_std : float or None, in rad
         What is known of the amplitude at the end of a drive; without it, anything up to the stop is likely.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> device = smolbot.Device(1e-3, [0, 0, 1], 0.0035, 0.31, frequency=103.5, damping=31.7)
+    >>> device.along_cantilever
+    True
     """
 
     moment: float
@@ -147,6 +161,14 @@ class Recording:
         The excitation that preceded it; None for a quiet recording.
     clock : float, in s
         Time of the first sample on the rig's clock.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import smolbot
+    >>> heard = smolbot.Recording(np.zeros((10, 500)), 50e3, time_since_drive=0.02, clock=1.0)
+    >>> print(f"{heard.duration:.3f} s long, middle at {heard.middle:.3f} s")
+    0.010 s long, middle at 1.005 s
     """
 
     field: FloatArray

@@ -19,7 +19,15 @@ Mode = Literal["quiet", "search", "track", "lost", "hold"]
 
 @dataclass(frozen=True)
 class Actuate:
-    """Hold the actuation coils at constant currents (n_coils, in A, in the rig's coil order) for `duration` s."""
+    """Hold the actuation coils at constant currents (n_coils, in A, in the rig's coil order) for `duration` s.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> window = smolbot.Actuate((6.2, 0.0), 0.030)
+    >>> window.describe(("+x", "-y")), window.duration
+    ('actuate +x 6.2 A', 0.03)
+    """
 
     currents: tuple[float, ...]
     duration: float
@@ -32,7 +40,15 @@ class Actuate:
 
 @dataclass(frozen=True)
 class Excite:
-    """A burst of a sine through the excitation coils: signed peak A along (x, y), Hz, number of cycles."""
+    """A burst of a sine through the excitation coils: signed peak A along (x, y), Hz, number of cycles.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> drive = smolbot.Excite((10.0, -2.0), 103.5, cycles=5)
+    >>> print(f"{drive.describe()}: {1e3 * drive.duration:.1f} ms")
+    excite x +10.0 A, y -2.0 A, 5 cycles of 103.5 Hz: 48.3 ms
+    """
 
     currents: tuple[float, float]
     frequency: float
@@ -49,7 +65,14 @@ class Excite:
 
 @dataclass(frozen=True)
 class RingDown:
-    """Wait until the excitation coils' field has died away."""
+    """Wait until the excitation coils' field has died away.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.RingDown(0.020)
+    RingDown(duration=0.02)
+    """
 
     duration: float
 
@@ -59,7 +82,14 @@ class RingDown:
 
 @dataclass(frozen=True)
 class Listen:
-    """Record all sensors for a whole number of half-periods of `frequency` Hz."""
+    """Record all sensors for a whole number of half-periods of `frequency` Hz.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> round(smolbot.Listen(half_periods=2, frequency=100.0).duration, 3)
+    0.01
+    """
 
     half_periods: int
     frequency: float
@@ -74,7 +104,14 @@ class Listen:
 
 @dataclass(frozen=True)
 class Rest:
-    """Everything off for `duration` s."""
+    """Everything off for `duration` s.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.Shot((smolbot.Rest(2.0),)).duration
+    2.0
+    """
 
     duration: float
 
@@ -88,6 +125,12 @@ class Rotate:
 
     The stage steers its axis to `axis`, or to the opposite direction where that is nearer and then turns the magnet the
     other way, while it turns; an axis that is set while the magnet is away is there from the start.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.Rotate((1.0, 0.0, 0.0), frequency=2.0, turns=5.0).duration
+    2.5
     """
 
     axis: tuple[float, float, float]
@@ -106,7 +149,14 @@ class Rotate:
 
 @dataclass(frozen=True)
 class MoveMagnet:
-    """Bring the actuation magnet near, or away."""
+    """Bring the actuation magnet near, or away.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.MoveMagnet("away", expected_duration=4.0).describe()
+    'move magnet away'
+    """
 
     to: Literal["near", "away"]
     expected_duration: float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -30,6 +31,7 @@ from smolbot.localization.noise.actuation_tails import CoilTails
 from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, Run, Status, Tape
 
+_LOG = logging.getLogger(__name__)
 _FORESEEN = (InterlockError, RigError, OutsideTableError)
 
 LEARN_EVERY = 5
@@ -206,6 +208,7 @@ class Loop:
             run.status, run.stop_reason = self._outcome(error)
         finally:
             self._silence(run)
+        run.error = error if isinstance(error, _FORESEEN) else None
         run.duration = self.rig.now()
         run.events = self.events
         run.safety = self.safety.figures()
@@ -254,6 +257,7 @@ class Loop:
     def _happened(self, time: float, what: str, detail: dict[str, object]) -> None:
         event = Event(time, what, detail)
         self.events.append(event)
+        _LOG.info("%.3f s: %s %s", time, what, detail)
         if self._tape is not None:
             self._tape.happened(event)
 

@@ -13,6 +13,7 @@ from smolbot.config.load import AnyMission
 from smolbot.config.mission_base import MissionBase
 from smolbot.core.blas_threads import kernel
 from smolbot.core.pose import Pose
+from smolbot.core.results import Readable, as_columns
 from smolbot.core.version import __version__
 from smolbot.flight.assembly import make_loop
 from smolbot.flight.loop import Loop, StopRules
@@ -25,8 +26,8 @@ from smolbot.runs.summary import against_truth
 from smolbot.runs.trace import Moment, located
 
 
-@dataclass(frozen=True)
-class Replay:
+@dataclass(frozen=True, repr=False)
+class Replay(Readable):
     """A recorded run and what came of playing it again.
 
     Attributes
@@ -56,6 +57,24 @@ class Replay:
         difference of the two, in which a robot hardly moves.
         """
         return [replace(m, cycle=c) for m, c in zip(self.record.moments, self.cycles, strict=False)]
+
+    def table(self) -> dict[str, np.ndarray[Any, Any]]:
+        """Trusted places of each cycle as arrays: recorded, replayed and true.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n_cycles,)
+            ``time`` in s, and ``recorded_x`` to ``true_z`` in m in the world frame; nan where there is none.
+        """
+        rows: list[dict[str, float]] = []
+        for moment, cycle in zip(self.record.moments, self.cycles, strict=False):
+            rows.append({"time": cycle.shot.start})
+            poses = {"recorded": moment.cycle.trusted, "replayed": cycle.trusted, "true": moment.truth}
+            for name, pose in poses.items():
+                if pose is not None:
+                    rows[-1] |= {f"{name}_{axis}": float(v) for axis, v in zip("xyz", pose.position, strict=True)}
+        names = [f"{name}_{axis}" for name in ("recorded", "replayed", "true") for axis in "xyz"]
+        return as_columns(rows, ["time", *names])
 
     def first_difference(self) -> str | None:
         """Where a replay first differs from the record, in words; None if it is the same, bit for bit."""
@@ -100,6 +119,13 @@ def replay(
     ------
     InputError
         Where the record holds no windows, or less of them than is asked for.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.replay("runs/monday", estimator="paper")
+    Traceback (most recent call last):
+    smolbot.errors.InputError: runs/monday: no such run.
     """
     record = run if isinstance(run, RecordedRun) else read_run(run)
     require_windows(record, half_periods)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import re
 from collections.abc import Callable, Mapping
 from datetime import datetime
@@ -33,6 +34,8 @@ from smolbot.runs.recording.pump import Pump, Tapes
 from smolbot.runs.recording.recorder import Recorder, begin_message, end_message
 from smolbot.runs.run import CycleRecord, Listener, Run
 from smolbot.runs.trace import Trace
+
+_LOG = logging.getLogger(__name__)
 
 LEARNED = "sensors_learned.toml"
 """File of a run folder with the sensors as the flight learned them."""
@@ -82,6 +85,13 @@ def run(
     ------
     ConfigError, InputError
         For every fault of the files, before anything moves.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> run = smolbot.run("line", seed=2, localization__quiet_s=0.0, stop__max_duration_s=0.5)
+    >>> run.status, len(run.cycles) == len(run.table()["time"])
+    ('timeout', True)
     """
     settings = {name.replace("__", "."): _spell(value) for name, value in overrides.items()}
     if isinstance(mission, str):
@@ -177,6 +187,7 @@ def _report(mission: AnyMission, folder: Path) -> str:
     try:
         return str(save_report(Flight.read(folder, mission)))
     except Exception as error:
+        _LOG.warning("%s: the report could not be written", folder, exc_info=error)
         return f"could not be written: {type(error).__name__}: {error}"
 
 
@@ -247,6 +258,9 @@ class _Flight:
         return tapes
 
     def _hear(self, record: CycleRecord) -> None:
+        before = self.trace.moments[-1].cycle.shot.mode if self.trace.moments else ""
+        if record.shot.mode == "lost" != before:
+            _LOG.warning("%.3f s: the signal is lost; searching", record.shot.start)
         self.trace(record)
         moment = self.trace.moments[-1]
         if self.folder is not None:
@@ -265,6 +279,8 @@ class _Flight:
                     folder.record(moment)
             for number in range(self.told, len(trace.moments)):
                 self.tapes.cycle(number, trace.moments[number])
+        level = logging.INFO if flown.status == "completed" else logging.WARNING
+        _LOG.log(level, "%.3f s: %s: %s", flown.duration, flown.status, flown.stop_reason)
         flown.true_trail = trace.true_positions() if trace.knows_truth else None
         flown.folder = str(folder.path) if folder is not None else None
         self.tapes.tell("/run/end", flown.duration, end_message(flown), wait=True)

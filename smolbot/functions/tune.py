@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 from smolbot.config.plugins import load
 from smolbot.core.results import Readable, as_columns
 from smolbot.functions.settings import merge_settings
 from smolbot.functions.simulate import PlantName
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 @dataclass(frozen=True, repr=False)

@@ -25,7 +25,14 @@ FINALS = 10
 
 @dataclass(frozen=True)
 class SearchVolume:
-    """Box in the world frame in which a cold start looks for the magnet, in m."""
+    """Box in the world frame in which a cold start looks for the magnet, in m.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.SearchVolume(low=(-0.02, -0.02, 0.05), high=(0.02, 0.02, 0.07), spacing=0.01).grid().shape
+    (75, 3)
+    """
 
     low: tuple[float, float, float] = (-0.05, -0.05, 0.03)
     high: tuple[float, float, float] = (0.05, 0.05, 0.12)

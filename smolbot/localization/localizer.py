@@ -130,6 +130,14 @@ class Localizer(PoseEstimatorBase):
     -----
     `locate` depends on its arguments alone, so that a replay is exact. Adding a constant to a
     channel does not change a pose.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> device = smolbot.load_robot("gradient").device
+    >>> localizer = smolbot.Localizer(smolbot.load_rig("tank").sensors, device, estimator="paper")
+    >>> len(localizer.sensors), localizer.estimator
+    (10, 'paper')
     """
 
     learns: ClassVar[frozenset[str]] = frozenset({"noise", "transients", "sensors"})

@@ -25,7 +25,14 @@ Phase = Literal["approach", "follow"]
 
 @dataclass(frozen=True)
 class Gain:
-    """A number that a user may tune: its default, its range, and whether the range is logarithmic."""
+    """A number that a user may tune: its default, its range, and whether the range is logarithmic.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.Gain(150.0, 20.0, 300.0, log=True, meaning="the strongest pull, in µN").default
+    150.0
+    """
 
     default: float
     low: float
@@ -77,6 +84,13 @@ class Setup:
     cycle : Cycle
     tolerance : float, in m
         Distance within which a goal counts as reached (Eq. S16).
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> setup = smolbot.load_mission("line").setup()
+    >>> setup.limits.coils, setup.tolerance
+    (('+x', '-x', '+y', '-y'), 0.0008)
     """
 
     table: FieldTable
@@ -133,6 +147,13 @@ class Command:
         True where the controller gives up; its note says why.
     event : str
         Something that a reader of the record should find, such as a step-out.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> command = smolbot.Command(smolbot.Actuate((6.2, 0.0), 0.030), saturated=True, note="cut short")
+    >>> command.window.duration, command.done
+    (0.03, False)
     """
 
     window: Actuate | Rotate | tuple[Mechanical, ...] | None
@@ -180,6 +201,19 @@ class Controller(Protocol):
     ----------
     gains : mapping of str to Gain
         What a user may tune, by name; an attribute of the class.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> class Resting:
+    ...     gains = {"patience_s": smolbot.Gain(1.0, 0.1, 10.0)}
+    ...     def __init__(self, setup, gains):
+    ...         self.setup = setup
+    ...     def reset(self, path, pose):
+    ...         self.path = path
+    ...     def command(self, pose):
+    ...         return smolbot.Command(None, note="resting")
+    >>> controller: smolbot.Controller = Resting(None, {})
     """
 
     gains: ClassVar[Mapping[str, Gain]]

@@ -21,6 +21,13 @@ class Curve:
 
     Arc length `s` runs from 0 to `length`, in m. `speed` is what is wanted along it, listening included; without one a
     controller goes as fast as it can.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> path = smolbot.Curve([[0, 0, 0.06], [0.003, 0, 0.06], [0.003, 0.004, 0.06]])
+    >>> path.length, path.at(0.005).tolist()
+    (0.007, [0.003, 0.002, 0.06])
     """
 
     points: FloatArray

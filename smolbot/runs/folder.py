@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import logging
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -20,6 +21,8 @@ from smolbot.runs.trace import Moment, row
 
 SUMMARY, PROVENANCE, CYCLES, PICTURE = "summary.json", "provenance.json", "cycles.csv", "path.png"
 """Files of a run folder, besides those that the run started from and its record."""
+
+_LOG = logging.getLogger(__name__)
 
 _PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
 
@@ -61,6 +64,7 @@ class RunFolder:
                 self._append(row(self.rows, moment))
         except OSError as error:
             self.error = f"{CYCLES}: {error.strerror or error}"
+            _LOG.warning("%s/%s", self.path, self.error)
         self.rows += 1
 
     def _append(self, line: dict[str, Any]) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
+
+import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
+from smolbot.core.results import Readable, as_columns
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Shot
 from smolbot.motion.controller import Command
@@ -51,15 +54,23 @@ def trusted_poses(cycles: Iterable[CycleRecord]) -> list[Pose]:
     return [pose for cycle in cycles if (pose := cycle.trusted) is not None]
 
 
-@dataclass
-class Run:
+@dataclass(repr=False)
+class Run(Readable):
     """A flown mission: how it ended, every cycle and event, and (once summarised) its figures and folder.
 
     `begun` is when the first cycle started, after the noise was learned; `duration` counts from the start.
     `recovered` counts what went wrong and ended nothing, by kind; `safety` has duty and heat of the coils.
 
+    `error` is what ended it, with its fields (limit, value, channel, …), where an error did.
+
     `true_trail` (n, 3), in m, is where the robot truly went, known with a witness only. `report` says where the report
     is, or why there is none.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.Run("timeout", "max_duration_s reached after 300 s", duration=300.0).status
+    'timeout'
     """
 
     status: Status = "stopped"
@@ -75,6 +86,26 @@ class Run:
     report: str = ""
     recovered: dict[str, int] = field(default_factory=dict)
     safety: dict[str, object] = field(default_factory=dict)
+    error: Exception | None = None
+
+    def table(self) -> dict[str, np.ndarray[Any, Any]]:
+        """Every cycle as arrays: begin of its shot, mode, place as located and as tracked, computing time.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n_cycles,)
+            Times in s, places in m in the world frame; nan where there is no pose.
+        """
+        places = {"x": 0, "y": 1, "z": 2}
+        return as_columns(
+            (
+                {"time": cycle.shot.start, "mode": cycle.shot.mode, "compute": cycle.compute}
+                | {name: cycle.pose.position[i] for name, i in places.items() if cycle.pose is not None}
+                | {f"tracked_{n}": cycle.tracked.position[i] for n, i in places.items() if cycle.tracked is not None}
+                for cycle in self.cycles
+            ),
+            ["time", "mode", "x", "y", "z", "tracked_x", "tracked_y", "tracked_z", "compute"],
+        )
 
 
 class Listener(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +27,20 @@ commandline, filekeys, mathml = (importlib.import_module(name) for name in ("com
 def test_every_public_name_is_in_the_reference(package):
     listed = {line.strip() for line in (DOCS / "reference" / "api.rst").read_text().splitlines()}
     assert not {name for name in package.__all__ if not name.startswith("__")} - listed
+
+
+def test_the_top_has_few_names_and_an_example_for_each():
+    assert len(smolbot.__all__) <= 45
+    without = [name for name in smolbot.__all__ if ">>>" not in str(getattr(smolbot, name).__doc__)]
+    assert without == ["__version__"]
+
+
+def test_no_path_in_the_reference_or_the_tutorials_is_deeper_than_one_package():
+    pages = [DOCS / "reference" / "api.rst", *(DOCS / "tutorials").glob("*.md"), DOCS.parent / "README.md"]
+    pages += (DOCS.parent / "examples").glob("*.py")
+    package = r"(smolbot|sim|controllers|lookup_tables)"
+    deep = rf"(?:from|import|currentmodule::|py:\w+::)\s+({package}(?:\.[a-z_]+){{2,}})\b"
+    assert [found[1] for page in pages for found in re.finditer(deep, page.read_text(encoding="utf-8"))] == []
 
 
 class Inner(FileModel):

@@ -253,7 +253,9 @@ class _Calibrator:
             raise SignalLostError(
                 f"No excitation direction makes the device ring: signal to noise {level:.1f}, at least {HEARD:g} is "
                 f"needed, with up to {self.max_current:g} A at {self.device.frequency:g} Hz. Is it near the coils, and "
-                f"within {2.0 * self.plan.sweep_span:g} Hz of that frequency?"
+                f"within {2.0 * self.plan.sweep_span:g} Hz of that frequency?",
+                signal_to_noise=level,
+                needed=HEARD,
             )
         _, heard, fit = best
         self.device = replace(self.device, frequency=fit.frequency, damping=fit.damping)

@@ -92,7 +92,9 @@ class Card:
         device = self._driver.device(name)
         self.product, self.serial = device.product_type, f"{device.serial_num:08X}"
         if self.product != section.product:
-            raise RigError(f"{name} is a {self.product}; the rig file's bench.product says {section.product}.")
+            raise RigError(
+                f"{name} is a {self.product}; the rig file's bench.product says {section.product}.", device=name
+            )
         device.reset_device()  # whatever another program left: outputs at zero, lines low, watchdog off
         self.inputs = self._task()
         terminal = {
@@ -282,5 +284,6 @@ class Card:
             if self._driver.is_lost_read(error):
                 raise LostWindow(self._driver.explain(error)) from error
             raise RigError(
-                f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}"
+                f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}",
+                device=name,
             ) from error

@@ -65,7 +65,9 @@ class Guard:
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
             self._watchdog.cfg_watchdog_do_expir_states(states)
         except self._driver.errors as error:
-            raise RigError(f"The watchdog of {name} cannot be set up: {self._driver.explain(error)}") from error
+            raise RigError(
+                f"The watchdog of {name} cannot be set up: {self._driver.explain(error)}", device=name
+            ) from error
         pressed = self.pressed()
         if pressed:
             raise RigError(pressed)
@@ -115,7 +117,8 @@ class Guard:
         if not self.lines[line]:
             raise RigError(
                 f"{self._section.device}: a relay did not open after a shot ({line} is low). Amplifiers are off and "
-                "outputs at zero; switch off the supply and look for the relay whose contacts stick."
+                "outputs at zero; switch off the supply and look for the relay whose contacts stick.",
+                device=self._section.device,
             )
 
     def checks(self, card: str) -> Iterator[CheckItem]:
@@ -163,7 +166,8 @@ class Guard:
                     self._trip(
                         RigError(
                             f"{self._section.device} did not answer to its watchdog's feeding: "
-                            f"{self._driver.explain(error)} {self._driver.remedy(error)}"
+                            f"{self._driver.explain(error)} {self._driver.remedy(error)}",
+                            device=self._section.device,
                         )
                     )
                 return

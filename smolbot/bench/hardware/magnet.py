@@ -58,7 +58,8 @@ class Magnet:
             if self.near:
                 raise RigError(
                     f"the magnet is not away (its switches say {self._stage.at or 'neither near nor away'}); "
-                    "take it away before a mission."
+                    "take it away before a mission.",
+                    device="magnet stage",
                 )
             self._stage.arm()
         except BaseException:
@@ -121,7 +122,10 @@ class Magnet:
             proceed()
             if time.monotonic() > end:
                 self._stage.stop()
-                raise RigError(f"The magnet stage did not come to rest within {longest:.1f} s; its motors are off.")
+                raise RigError(
+                    f"The magnet stage did not come to rest within {longest:.1f} s; its motors are off.",
+                    device="magnet stage",
+                )
 
     @staticmethod
     def _pause(duration: float, proceed: Callable[[], None]) -> None:

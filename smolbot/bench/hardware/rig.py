@@ -173,7 +173,11 @@ class BenchRig(Closing):
                 self._magnet.must_rest()
             volts, began = self._card.play(waveform, self._guard)
         except (RigError, LostWindow) as error:
-            reason = error if isinstance(error, RigError) else RigError(f"The probe of {coil} was lost: {error}")
+            reason = (
+                error
+                if isinstance(error, RigError)
+                else RigError(f"The probe of {coil} was lost: {error}", channel=coil)
+            )
             self._halt(reason)
             raise self._latched or reason from error
         heard = self._recording(Shot((Rest(BEFORE),)), waveform, volts, began - self._epoch)
@@ -253,7 +257,9 @@ class BenchRig(Closing):
         self._refuse_if_stopped()
         self._lost += 1
         if self._lost >= LOST_IN_A_ROW:
-            raise RigError(f"{self._section.device}: {self._lost} windows in a row were lost: {what}")
+            raise RigError(
+                f"{self._section.device}: {self._lost} windows in a row were lost: {what}", device=self._section.device
+            )
         self.recovered["lost windows"] += 1
 
     def _recording(self, shot: Shot, waveform: Waveform, volts: FloatArray | None, began: float) -> Recording | None:

@@ -70,7 +70,9 @@ class ScpiSocket:
             for command in commands:
                 found = self._errors(command, action)
                 if found:
-                    raise RigError(f"{self._name}: cannot {action}: it refused '{command}': {'; '.join(found)}.")
+                    raise RigError(
+                        f"{self._name}: cannot {action}: it refused '{command}': {'; '.join(found)}.", device=self._name
+                    )
             return "" if then is None else self._exchange(then, action)
 
     def forget_errors(self, action: str) -> None:
@@ -86,7 +88,9 @@ class ScpiSocket:
     @contextmanager
     def _held(self, action: str) -> Iterator[None]:
         if not self._lock.acquire(timeout=PATIENCE * self._timeout):
-            raise RigError(f"{self._name}: cannot {action}: another thread's exchange with it does not end.")
+            raise RigError(
+                f"{self._name}: cannot {action}: another thread's exchange with it does not end.", device=self._name
+            )
         try:
             yield
         finally:
@@ -105,7 +109,8 @@ class ScpiSocket:
             except ValueError:
                 self._drop()
                 raise RigError(
-                    f"{self._name}: cannot {action}: it answers SYST:ERR? with '{answer}', which is no error's number."
+                    f"{self._name}: cannot {action}: it answers SYST:ERR? with '{answer}', which is no error's number.",
+                    device=self._name,
                 ) from None
             if number == 0:
                 break
@@ -121,7 +126,7 @@ class ScpiSocket:
             return self._opened().query(query if before is None else f"{before}\n{query}").strip()
         except (VisaError, OSError, UnicodeError, EOFError) as error:
             self._drop()
-            raise RigError(f"{self._name}: cannot {action}: {self._reason(error)}") from error
+            raise RigError(f"{self._name}: cannot {action}: {self._reason(error)}", device=self._name) from error
 
     def _reason(self, error: Exception) -> str:
         from pyvisa.constants import StatusCode

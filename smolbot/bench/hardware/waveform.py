@@ -171,8 +171,9 @@ class WaveformCompiler:
         if abs(level) > self._range * (1 + 1e-9):
             raise InterlockError(
                 f"{self._names[drive.load]}: {drive.current:.2f} A needs {level:.2f} V; the output gives "
-                f"±{self._range:g} V. Nothing was played."
-            )
+                f"±{self._range:g} V. Nothing was played.",
+                limit=self._range, value=abs(level), unit="V", channel=self._names[drive.load],
+            )  # fmt: skip
         if not drive.frequency:
             return np.full(max(end - first, 0), level)
         time = np.arange(first, end) / self.output_rate - (lead + drive.start)

@@ -11,6 +11,7 @@ from smolbot.config.mission import Mission
 from smolbot.config.plugins import load
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
+from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Actuate, Shot
 from smolbot.motion.controller import Controller, ForceForecast, Reach
@@ -22,8 +23,8 @@ STALL_CYCLES = 150
 """Cycles without progress after which a rolled-out mission counts as stalled."""
 
 
-@dataclass(frozen=True)
-class Preview:
+@dataclass(frozen=True, repr=False)
+class Preview(Readable):
     """What can be said of a mission before it is flown. SI units.
 
     Attributes

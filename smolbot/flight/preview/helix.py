@@ -12,6 +12,7 @@ from smolbot.config.mission import Mission
 from smolbot.config.plugins import load
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
+from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Rotate, Shot, magnet_near_after
 from smolbot.motion.controller import BendForecast, Controller, HelixSetup
@@ -27,8 +28,8 @@ KNOWN = np.diag([1e-4] * 3 + [math.radians(1.0)] * 3) ** 2
 """Covariance of a pose after a pause."""
 
 
-@dataclass(frozen=True)
-class HelixPreview:
+@dataclass(frozen=True, repr=False)
+class HelixPreview(Readable):
     """What can be said of a helical robot's mission before it is flown. SI units.
 
     Attributes

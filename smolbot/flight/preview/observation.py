@@ -9,6 +9,7 @@ import numpy as np
 from smolbot.config.feasibility import expected_covariances
 from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
+from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Shot
 
@@ -18,8 +19,8 @@ SEARCHES = 2.0
 PER_AXIS = 3
 
 
-@dataclass(frozen=True)
-class ObservationPreview:
+@dataclass(frozen=True, repr=False)
+class ObservationPreview(Readable):
     """What can be said of an observation beforehand. SI units.
 
     Attributes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ LOST_WINDOWS = "lost_windows"
 """Name, among what was recovered from, of listening windows that gave nothing."""
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+_LOG = logging.getLogger(__name__)
 
 _SIGMAS = 3.0  # by which a pose must lie outside what is allowed before it is believed
 _EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one heard is earlier by a whole shot
@@ -98,9 +101,10 @@ class Safety:
             raise SafetyError(self.latch.reason)
         if self.latch.over:
             raise SafetyError("This run is over; nothing was played. Begin a new one.")
-        faults = self.limits.faults(shot, magnet_near=self._near)
-        if faults:
-            self._stop(" ".join([*faults, "Nothing was played."]))
+        broken = self.limits.broken(shot, magnet_near=self._near)
+        if broken:
+            told = " ".join([*(one.said for one in broken), "Nothing was played."])
+            self._stop(told, broken[0].value, broken[0].limit, broken[0].unit, broken[0].channel)
         self._near = magnet_near_after(shot, near=self._near)
         self._watch_pose(shot, pose)
         self._reckon(shot, now)
@@ -122,11 +126,15 @@ class Safety:
             recording = None if late else recording
         if recording is None:
             self._missing += 1
+            _LOG.warning("%.3f s: a listening window was lost%s", now, f": {late}" if late else "")
             if self._missing >= self.rules.stale_shots:
                 why = late or f"the shot at {shot.start:.3f} s listened and gave no recording"
                 self._stop(
                     f"Stale data: {self._missing} listening windows in a row were lost (stale_shots = "
-                    f"{self.rules.stale_shots}); of the last one, {why}."
+                    f"{self.rules.stale_shots}); of the last one, {why}.",
+                    self._missing,
+                    self.rules.stale_shots,
+                    "windows",
                 )
             return None
         self.recovered[LOST_WINDOWS] += self._missing
@@ -140,7 +148,11 @@ class Safety:
                 what = "constant (dead, or a broken wire)" if kind == "dead" else "saturated"
                 self._stop(
                     f"{sensors} (counted from 0) {'were' if len(which) > 1 else 'was'} {what} in {windows} listening "
-                    f"windows in a row (sensor_shots = {self._sound.patience})."
+                    f"windows in a row (sensor_shots = {self._sound.patience}).",
+                    windows,
+                    self._sound.patience,
+                    "windows",
+                    ", ".join(map(str, which)),
                 )
         return recording
 
@@ -160,9 +172,12 @@ class Safety:
             "coil_temperature_limit_c": {c.name: c.limit for _, c in known},
         }
 
-    def _stop(self, reason: str) -> None:
-        self.latch.shut(reason)
-        raise SafetyError(self.latch.reason)
+    def _stop(
+        self, reason: str, value: float | None = None, limit: float | None = None, unit: str = "", channel: str = ""
+    ) -> None:
+        if not self.latch.shut(reason):  # for another reason, before
+            raise SafetyError(self.latch.reason)
+        raise SafetyError(reason, value=value, limit=limit, unit=unit, channel=channel)
 
     def _watch_pose(self, shot: Shot, pose: Pose | None) -> None:
         """The robot must be where it may be, and be known to be there before it is driven."""
@@ -179,7 +194,10 @@ class Safety:
         if self._unsure >= rules.uncertain_shots:
             self._stop(
                 f"Uncertain pose: its standard deviation was above {1e3 * rules.max_sigma:g} mm (max_sigma_mm) in "
-                f"{self._unsure} shots in a row that drive the robot; now {1e3 * sigma:.1f} mm. Nothing was played."
+                f"{self._unsure} shots in a row that drive the robot; now {1e3 * sigma:.1f} mm. Nothing was played.",
+                sigma,
+                rules.max_sigma,
+                "m",
             )
 
     def _watch_reach(self, pose: Pose, reach: Box) -> None:
@@ -188,7 +206,11 @@ class Safety:
             if at + sure < low or at - sure > high:
                 self._stop(
                     f"Out of reach: the robot's {'xyz'[axis]} is {1e3 * at:.1f} ± {1e3 * sure:.1f} mm; it may be from "
-                    f"{1e3 * low:.1f} to {1e3 * high:.1f} mm (container and reach_margin_mm). Nothing was played."
+                    f"{1e3 * low:.1f} to {1e3 * high:.1f} mm (container and reach_margin_mm). Nothing was played.",
+                    at,
+                    high if at > high else low,
+                    "m",
+                    "xyz"[axis],
                 )
 
     def _reckon(self, shot: Shot, now: float) -> None:
@@ -214,7 +236,11 @@ class Safety:
         if share > self.rules.max_duty:
             self._stop(
                 f"Coil '{self.duty.names[coil]}' would be driven for {100 * share:.0f} % of {self.duty.window:g} s; "
-                f"at most {100 * self.rules.max_duty:.0f} % (max_duty). Nothing was played."
+                f"at most {100 * self.rules.max_duty:.0f} % (max_duty). Nothing was played.",
+                share,
+                self.rules.max_duty,
+                "",
+                self.duty.names[coil],
             )
 
     def _watch_heat(self) -> None:
@@ -223,7 +249,11 @@ class Safety:
             coil, temperature = hot
             self._stop(
                 f"Coil '{coil.name}' would reach {temperature:.1f} °C by the end of the next shot; at most "
-                f"{coil.limit:g} °C (max_temperature_c). Nothing was played."
+                f"{coil.limit:g} °C (max_temperature_c). Nothing was played.",
+                temperature,
+                coil.limit,
+                "°C",
+                coil.name,
             )
 
     def _late(self, shot: Shot, recording: Recording, now: float) -> str:

@@ -96,6 +96,13 @@ class Tracker:
     ----------
     motion : tuple of ndarray, or None
         What the last shot is thought to have caused: step (3,) in m, turn (3,) in rad, and their variances (6,).
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> tracker = smolbot.Tracker(None, smolbot.load_robot("marker").device, None)
+    >>> tracker.pose is None  # before the first window was heard
+    True
     """
 
     def __init__(self, robot: Robot | Helix | None, device: Device, table: FieldTable | None) -> None:

@@ -35,6 +35,15 @@ class NoiseModel:
         One-sided cross-spectral density of what is left.
     block : float, in s
         Length of the blocks over which the quiet samples were averaged.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import smolbot
+    >>> rng = np.random.default_rng(1)
+    >>> quiet = [smolbot.Recording(1e-9 * rng.normal(size=(3, 10000)), 10e3, np.inf) for _ in range(4)]
+    >>> smolbot.NoiseModel.learn(quiet).n_sensors
+    3
     """
 
     line_frequencies: FloatArray

@@ -119,7 +119,7 @@ def read_optical_track(path: str | Path) -> OpticalTrack:
     """
     path = Path(path)
     if not path.is_file():
-        raise MissingFileError(f"{path}: no such file.")
+        raise MissingFileError(f"{path}: no such file.", name=str(path))
     found = read_table(path, named=True)
     missing = [name for name in NEEDED if name not in found.names]
     if missing:

@@ -50,7 +50,7 @@ class Video:
 
     def __init__(self, path: Path, fps: float | None = None) -> None:
         if not path.is_file():
-            raise MissingFileError(f"{path}: no such file.")
+            raise MissingFileError(f"{path}: no such file.", name=str(path))
         if fps is not None and not 0 < fps < FASTEST:
             raise InputError(f"--fps must be a positive number of frames per second; got {fps:g}.")
         self.path = path
@@ -133,7 +133,7 @@ def read_picture(path: Path, size: tuple[int, int]) -> Image:
     """
     cv2 = _opencv()
     if not path.is_file():
-        raise MissingFileError(f"{path}: no such file.")
+        raise MissingFileError(f"{path}: no such file.", name=str(path))
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture.")
@@ -148,5 +148,5 @@ def _opencv() -> Any:
     try:
         import cv2
     except ImportError as error:
-        raise PluginError(f"Videos need OpenCV: pip install 'smolbot[track]' ({error}).") from error
+        raise PluginError(f"Videos need OpenCV: pip install 'smolbot[track]' ({error}).", name="cv2") from error
     return cv2

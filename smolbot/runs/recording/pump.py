@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 import time
 from collections import deque
@@ -15,6 +16,8 @@ from smolbot.runs.recording.converter import Converter
 from smolbot.runs.recording.jobs import Cycle, Happened, Job, Message, Played, Told, is_heard
 from smolbot.runs.run import Event
 from smolbot.runs.trace import Moment
+
+_LOG = logging.getLogger(__name__)
 
 CAPACITY = 4096
 """Shots, cycles and events that may wait: minutes of them."""
@@ -154,7 +157,7 @@ class Pump:
             self._serve()
             self._sink.close()
         except Exception as error:
-            self.error = self.error or _said(error)
+            self._fail(error)
             self._over.set()  # what comes now is refused
             self._drain()
             with contextlib.suppress(Exception):  # the first error is the one that matters
@@ -185,12 +188,17 @@ class Pump:
         try:
             made = tuple(job.messages(self._converter))
         except Exception as error:  # one that cannot be told must not cost those that can
-            self.error = self.error or _said(error)
+            self._fail(error)
             self._lost += job.count
             return
         for message in made:
             self._now = message.time
             self._sink.write(message)
+
+    def _fail(self, error: Exception) -> None:
+        """Keep the first error, and tell whoever listens of each."""
+        self.error = self.error or _said(error)
+        _LOG.warning("the record, or what is shown live, is incomplete: %s", _said(error))
 
     def _drain(self) -> None:
         while self._queue:
@@ -200,6 +208,7 @@ class Pump:
         dropped = self.dropped
         if dropped != self._told:
             self._told = dropped
+            _LOG.warning("%d messages were dropped so far: the disk or the page is too slow", dropped)
             self._sink.write(Message("/run/dropped", self._now, pb.Dropped(messages=dropped)))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from smolbot.config.load import AnyMission
 from smolbot.core.pose import Pose
+from smolbot.core.results import Readable
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Shot
 from smolbot.errors import ConfigError, InputError
@@ -43,8 +44,8 @@ class Played:
         return None if self.samples is None else messages.recording_of(self.samples, converter, self.shot)
 
 
-@dataclass
-class RecordedRun:
+@dataclass(repr=False)
+class RecordedRun(Readable):
     """A run as it was recorded.
 
     Attributes
@@ -195,6 +196,13 @@ def read_run(run: str | Path) -> RecordedRun:
     ------
     InputError
         Where there is no record, or it is none of smolbot's.
+
+    Examples
+    --------
+    >>> import smolbot
+    >>> smolbot.read_run("runs/monday")
+    Traceback (most recent call last):
+    smolbot.errors.InputError: runs/monday: no such run.
     """
     path = record_path(run)
     scan = Scan(path)

@@ -43,9 +43,10 @@ def register(app: typer.Typer) -> None:
 def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = None, json: JsonOption = False) -> None:
     """Time a mission on paper: a cycle's timeline, rate, duration, reach of force; go or no-go with reasons."""
     from smolbot.config.load import load_mission
-    from smolbot.config.observation import Observation
-    from smolbot.flight.preview.gradient import preview as look
-    from smolbot.flight.preview.observation import preview_observation
+    from smolbot.config.mission import Mission
+    from smolbot.flight.preview.helix import HelixPreview
+    from smolbot.flight.preview.observation import ObservationPreview
+    from smolbot.functions.preview import preview as look
 
     try:
         loaded = load_mission(mission, rig, settings_from(set_))
@@ -54,14 +55,15 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
             echo_json({"mission": mission, "go": False, "reasons": str(error).splitlines()})
         typer.echo("no-go", err=True)
         raise
-    if isinstance(loaded, Observation):
-        show_observation_preview(loaded, preview_observation(loaded), json)
-    elif loaded.robot.kind == "helical":
-        from smolbot.flight.preview.helix import preview_helix
-
-        _show_helix_preview(loaded, preview_helix(loaded), json)
+    seen = look(loaded)
+    if isinstance(seen, ObservationPreview):
+        show_observation_preview(loaded, seen, json)
+        return
+    assert isinstance(loaded, Mission)
+    if isinstance(seen, HelixPreview):
+        _show_helix_preview(loaded, seen, json)
     else:
-        _show_preview(loaded, look(loaded), json)
+        _show_preview(loaded, seen, json)
 
 
 def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:

@@ -11,7 +11,6 @@ from smolbot.ui.cli.show import echo_json, table
 
 if TYPE_CHECKING:
     from smolbot.config.load import AnyMission
-    from smolbot.config.observation import Observation
     from smolbot.flight.preview.gradient import Preview
     from smolbot.flight.preview.helix import HelixPreview
     from smolbot.flight.preview.observation import ObservationPreview
@@ -47,7 +46,7 @@ def observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def show_observation_preview(mission: Observation, seen: ObservationPreview, json: bool) -> None:
+def show_observation_preview(mission: AnyMission, seen: ObservationPreview, json: bool) -> None:
     """The table or JSON of ``smolbot preview``; exits with 0 for go, 1 for no-go."""
     error = 1e3 * seen.noise_error
     rows = [

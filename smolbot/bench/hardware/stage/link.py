@@ -91,7 +91,7 @@ class Link:
 
     def error(self, action: str, why: str) -> RigError:
         """What is raised when `action` fails."""
-        return RigError(f"magnet stage on {self.port}: {action}: {why}.")
+        return RigError(f"magnet stage on {self.port}: {action}: {why}.", device="magnet stage")
 
     def close(self) -> None:
         """Let go of the port."""

@@ -41,10 +41,14 @@ def _find(baud: int) -> Link:
     if found:
         raise RigError(
             f"magnet stage: {len(found)} ports answer as one: {', '.join(link.port for link in found)}; "
-            "name one in bench.stage.port."
+            "name one in bench.stage.port.",
+            device="magnet stage",
         )
     if not candidates:
         raise RigError(
-            "magnet stage: no Arduino Uno on any USB port; plug it in, or name its port in bench.stage.port."
+            "magnet stage: no Arduino Uno on any USB port; plug it in, or name its port in bench.stage.port.",
+            device="magnet stage",
         )
-    raise RigError(f"magnet stage: none of {len(candidates)} USB ports answers as one. {' '.join(said)}")
+    raise RigError(
+        f"magnet stage: none of {len(candidates)} USB ports answers as one. {' '.join(said)}", device="magnet stage"
+    )

@@ -161,7 +161,7 @@ class MagnetStage:
 
     def _open_link(self) -> Link:
         if self._link is None:
-            raise RigError("magnet stage: not open.")
+            raise RigError("magnet stage: not open.", device="magnet stage")
         return self._link
 
     def _known(self) -> State:
@@ -171,7 +171,7 @@ class MagnetStage:
     def _known_locked(self) -> State:
         self._open_link()
         if self._failure is not None:
-            raise RigError(str(self._failure)) from self._failure
+            raise RigError(str(self._failure), device="magnet stage") from self._failure
         assert self._state is not None
         return self._state
 
