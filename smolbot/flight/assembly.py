@@ -76,7 +76,7 @@ def make_loop(
     tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission, controller)
     scheduler = Scheduler(cycle, rig.limits, DeviceBelief(device), rig.excitation_field, rig.now)
     listening = mission.base.localization
-    localizer = load("estimators", listening.estimator)(rig.sensors, device, search_volume(mission))
+    localizer = load("estimators", listening.estimator)(rig.sensors, device, volume=search_volume(mission))
     quiet = Quiet(listening.quiet, mission.rig.sample_rate, listening.learns_ring_down)
     stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)

@@ -180,7 +180,7 @@ class HalfWorld:
 BROKEN = [
     ("rigs", UnboundWorld, "unfit() needs 'robot', which it is not given; it is called as unfit(rig, robot)"),
     ("controllers", WithoutCommand, "it has no method command(pose)"),
-    ("controllers", Ungained, "it has no class attribute 'gains' (ClassVar[Mapping[str, Gain]])"),
+    ("controllers", Ungained, "it has no attribute 'gains', ClassVar[Mapping[str, Gain]]"),
     ("controllers", ShortReset, "reset() lacks the parameter 'pose'; it is called as reset(path, pose)"),
     ("controllers", Turned, "reset() takes them in another order, (pose, path); it is called as reset(path, pose)"),
     ("controllers", Greedy, "command() needs 'speed', which it is not given; it is called as command(pose)"),
@@ -239,6 +239,50 @@ def test_whatever_a_foreign_module_does_when_imported_is_one_clear_error(plug_in
     plug_in("controllers", "bad", None)
     with pytest.raises(PluginError, match=r"'bad' \(plugged_in_bad:made\) cannot be loaded: ZeroDivisionError: by me"):
         plugins.load("controllers", "bad")
+
+
+def test_a_world_that_opens_what_is_no_rig_is_refused_before_anything_is_played(monkeypatch):
+    played = []
+
+    class Half:
+        sensors = limits = None
+
+        def play(self, shot, slowly):
+            played.append(shot)
+
+        def now(self): ...
+
+        def stop(self): ...
+
+        def close(self): ...
+
+    class HalfWorld(TankWorld):
+        @staticmethod
+        def open(rig, robot, start, seed, **options):
+            return Half()
+
+    monkeypatch.setattr("smolbot.flight.session.load_world", lambda name, document: HalfWorld)
+    mission = load_mission("line", settings=SHORT)
+    with pytest.raises(PluginError) as refused:
+        smolbot.run(mission)
+    said = str(refused.value)
+    assert said.startswith("What world 'tank' opens breaks its protocol, smolbot.core.rig.Rig: it has no attribute")
+    for fault in (
+        "it has no attribute 'witness', Witness | None",
+        "play() needs 'slowly', which it is not given; it is called as play(shot)",
+        "it has no method excitation_field(position)",
+    ):
+        assert fault in said
+    assert not played
+
+
+def test_gains_that_are_none_are_refused(plug_in):
+    class Numbers(Bare):
+        gains: ClassVar = {"patience": 1.0}
+
+    plug_in("controllers", "bad", Numbers)
+    with pytest.raises(PluginError, match=r"Controller 'bad'.*gains\['patience'\] must be a Gain; got 1.0"):
+        load_mission("line", settings={"controller.law": "bad"})
 
 
 def test_an_object_keeps_a_protocol_as_a_class_does():
