@@ -53,7 +53,8 @@ def tune(
     settings = settings_from(set_)
     loaded = load_mission(mission, rig, settings)
     problem = _problem(loaded, mission, rig, settings, only, worlds, seed, plant)
-    loaded.rig.table()  # built once, before the workers need it
+    if loaded.robot.kind == "gradient":
+        loaded.rig.table()  # built once, before the workers need it
     if resume and out is None:
         raise InputError("--resume needs --out, the folder of the search to go on with.")
     folder = out or dated(f"tune-{loaded.name}")

@@ -103,11 +103,7 @@ class Law:
     ],
 )
 def test_preview_says_what_it_cannot_show_of_an_installed_law(tmp_path, mission, law, kind, says):
-    module = {"ForcePursuit": "force_pursuit", "Helical": "helical"}[law]
-    (tmp_path / "lab.py").write_text(LAW.format(module=module, law=law, kinds=(kind,)))
-    (tmp_path / "lab-0.1.dist-info").mkdir()
-    (tmp_path / "lab-0.1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: lab\nVersion: 0.1\n")
-    (tmp_path / "lab-0.1.dist-info/entry_points.txt").write_text("[smolbot.controllers]\nlab = lab:Law\n")
+    _install(tmp_path, law, kind)
     asked = ["preview", mission, "--set", "controller.law=lab"]
     shown = _smolbot(tmp_path, *asked)
     assert shown.returncode == 0, shown.stderr
@@ -116,6 +112,31 @@ def test_preview_says_what_it_cannot_show_of_an_installed_law(tmp_path, mission,
     assert told["go"]
     unknown = told["force_un"] if kind == "gradient" else told["bend_radius_mm"]["robot"]
     assert unknown is None
+
+
+@pytest.mark.parametrize(
+    ("mission", "law", "kind", "gain", "plant"),
+    [("line", "ForcePursuit", "gradient", "force_un", "reduced"), ("s_path", "Helical", "helical", "listens", "full")],
+)
+def test_an_installed_law_is_tuned(tmp_path, mission, law, kind, gain, plant):
+    """Short flights, of which none arrives: what counts is that they are flown and come to a verdict."""
+    _install(tmp_path, law, kind)
+    brief = ["--set", "controller.law=lab", "--set", "stop.max_duration_s=40", "--set", "localization.quiet_s=2"]
+    few = ["--trials", "2", "--worlds", "1", "--held-out", "1", "--jobs", "1", "--only", gain, "--plant", plant]
+    done = _smolbot(tmp_path, "tune", mission, *brief, *few, "--out", str(tmp_path / "tuned"), "--json")
+    assert done.returncode in (0, 1), done.stderr
+    found = json.loads(done.stdout)
+    assert found["law"] == "lab"
+    assert found["verdict"] in ("better", "not better")
+
+
+def _install(path: Path, law: str, kind: str) -> None:
+    """A distribution ``lab`` with one law that hands on to one of ours what the protocol asks for."""
+    module = {"ForcePursuit": "force_pursuit", "Helical": "helical"}[law]
+    (path / "lab.py").write_text(LAW.format(module=module, law=law, kinds=(kind,)))
+    (path / "lab-0.1.dist-info").mkdir()
+    (path / "lab-0.1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: lab\nVersion: 0.1\n")
+    (path / "lab-0.1.dist-info/entry_points.txt").write_text("[smolbot.controllers]\nlab = lab:Law\n")
 
 
 def _smolbot(path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
