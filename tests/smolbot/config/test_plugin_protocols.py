@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,7 +20,7 @@ from smolbot import Command, Gain, load_mission
 from smolbot.config import plugins
 from smolbot.core.rig import Witness
 from smolbot.errors import PluginError
-from smolbot.flight.preview.gradient import preview
+from smolbot.flight.preview.gradient import STALL_CYCLES, preview
 from smolbot.flight.preview.helix import preview_helix
 from smolbot.motion.controller import Controller, robot_kinds
 
@@ -71,6 +72,21 @@ def test_what_a_law_may_leave_out_is_looked_for_by_nobody(plug_in):
     assert seen.reach is None
     assert robot_kinds(Wrapping) == ("gradient",)
     assert smolbot.run(mission, seed=3).status == "completed"
+
+
+class Untold(Wrapping):
+    """Says neither where on the path it is nor whether it is on it."""
+
+    def command(self, pose):
+        return replace(self._law.command(pose), progress=0.0, phase="follow")
+
+
+def test_a_slow_law_that_tells_no_progress_is_not_taken_for_one_that_stalls(plug_in):
+    plug_in("controllers", "untold", Untold)
+    settings = {"controller.law": "untold", "controller.gains.force_un": "12", "stop.max_duration_s": "600"}
+    seen = preview(load_mission("line", settings=settings))
+    assert seen.cycles > STALL_CYCLES
+    assert seen.go, seen.reasons
 
 
 def test_a_helical_law_that_does_not_tell_its_bend_is_previewed_all_the_same(plug_in):
