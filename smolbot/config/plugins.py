@@ -141,7 +141,8 @@ def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterato
         if theirs.default is not Parameter.empty and mine.default is Parameter.empty:
             yield f"cannot do without '{mine.name}'"
     by_name = {p.name for p in asked if p.kind is Parameter.KEYWORD_ONLY}
-    for p in (*places[len(given) :], *(p for p in found if p.kind is Parameter.KEYWORD_ONLY)):
+    options = any(p.kind is Parameter.VAR_KEYWORD for p in asked)  # whatever is asked for by name may be among them
+    for p in (*places[len(given) :], *(p for p in found if p.kind is Parameter.KEYWORD_ONLY and not options)):
         if p.default is Parameter.empty and p.name not in by_name:
             yield f"needs '{p.name}', which it is not given"
     if Parameter.VAR_KEYWORD not in kinds:
