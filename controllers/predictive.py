@@ -65,13 +65,33 @@ class _Plan:
 class Predictive:
     """Model predictive control along the path.
 
-    Currents of the next window, and in turns and at corners of the one after, minimise a sum of squares: distance from
-    the path half way and at the end, arc length that is missing to the wanted speed, heading against the path's a
-    little ahead, push at the tail, and heat. The model turns the robot against viscous drag, bends the cantilever up
-    to its stop, and pulls it by the true force on its moment. So it turns before it pulls, without a rule that says so.
+    Currents I (n_coils,) of the next window, and in turns and at corners of the one after, minimise over windows w
 
-    Of the pose's covariance it takes how firmly to correct, and how fast to go. Mobility, agility and drift are learned
-    from what the windows did (`controllers.adaptation`).
+        J = sum_w  n^2 (d(t_w / 2)^2 / 4 + d(t_w)^2)            distance from the path, half way and at the end
+                 + f^2 (s_w* - s_w)^2                           arc length that is missing to the wanted one
+                 + h^2 rho(psi_w - psi_path(s_w + a))           heading against the path's, a little ahead
+                 + p^2 tail_w^2                                 way that the robot is pushed tail first
+                 + c^2 max(0, 1 - |B_w| / B_least)^2            weakness of the field, which coils' errors then turn
+                 + q^2 sum_k (I_wk / I_max)^2                   heat
+
+        subject to  I_min <= I_wk <= I_max,
+
+    lengths in mm, angles in rad. rho(x) = x^2 up to `HUBER`, and grows linearly beyond. By the gains:
+
+    ===========  =============================================================================================
+    n            1 / (1 + (sigma / confidence_mm)^2), sigma of the pose in the plane: how firmly to correct
+    s_w*         s_0 + w n stride, up to the leg's end; stride: what speed_mm_s, or the path's speed, asks of a window
+    f            forward, times (full stride / stride) and the hurry, which grows while plans go nowhere
+    h, a         heading_mm times the hurry, ahead_mm
+    p            1, or 0 with tail_first
+    c, B_least   firm_mm, least_field_mt
+    q            heat_mm
+    ===========  =============================================================================================
+
+    d, s, psi, tail and B follow from I by a model that turns the robot against viscous drag, bends the cantilever up
+    to its stop, and pulls it by the true force on its moment (`smolbot.motion.kernels`). So it turns before it pulls,
+    without a rule that says so. Mobility, agility and drift of the model are learned from what the windows did
+    (`controllers.adaptation`).
     """
 
     gains: ClassVar[Mapping[str, Gain]] = {
@@ -149,18 +169,22 @@ class Predictive:
         course = self._course
         if course is None:
             raise InputError("predictive has no path yet: call reset first.")
+        # 1. What the last window did, against what was planned
         heading = self._heading(pose)
         self._learn(pose, heading)
+        # 2. Where on the path; a leg's end that is hard to reach counts as reached from farther away
         eased = 3.0 if self._hurry >= EASED_HURRY else 1.0
         course.locate(pose.position, min(eased * self._handover, self.setup.tolerance))
         if course.done:
             return Command(None, note="path's end reached", progress=course.progress, done=True)
         phase: Phase = "approach" if course.leg < 0 else "follow"
+        # 3. How far to go in this window, by the law's speed and the path's
         stride = self._speed * self._window
         if self._pace is not None and phase == "follow":
             stride = min(stride, self._pace.stride(pose.time, course.arc_length))
             if stride <= 0.0:
                 return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
+        # 4. The best currents, and what must be said of them
         duration, currents, gone, turning = self._plan(pose, heading, course, stride)
         sent = currents.tolist()
         limits = zip(sent, self._low.tolist(), self._high.tolist(), strict=True)
@@ -204,6 +228,7 @@ class Predictive:
         """Duration, currents, progress that is expected in m, and whether it is a turn."""
         place = pose.position[:2]
         c, v = math.cos(heading), math.sin(heading)
+        # 1. Field and gradient of each coil at the magnet, or at the rotation centre where the table ends between them
         at = np.array(pose.position)
         at[0] += self.setup.robot.magnet_ahead * c
         at[1] += self.setup.robot.magnet_ahead * v
@@ -215,10 +240,12 @@ class Predictive:
         origin = at[:2]
         b = np.ascontiguousarray(field[:, 0, :2])
         g = np.ascontiguousarray(gradient[:, 0, :2, :2])
+        # 2. The leg, and whether a window more is looked ahead: in turns, before a corner, and after idle plans
         points, arc, first, last, guess, headings = self._route(pose, heading, course)
         index = min(int((guess - float(arc[first])) / SPACING), len(headings) - 2)
         turning = abs(_wrapped(heading - headings[index])) > HUBER
         windows = 2 if turning or self._hurry > 1.0 or arc[last] - guess < LOOK_ON else 1
+        # 3. Weights of the cost: n by the pose's covariance, f and h by the hurry
         sigma = math.sqrt(max(float(pose.covariance[0, 0] + pose.covariance[1, 1]), 0.0))
         doubt = 1.0 / (1.0 + (sigma / self._confidence) ** 2)
         weights = self._weights.copy()
@@ -226,12 +253,14 @@ class Predictive:
         weights[FORWARD] *= self._hurry
         weights[HEADING] *= self._hurry
         weights[FORWARD] *= self._speed * self._window / stride  # a part of a short stride weighs as that of a long one
+        # 4. The model as it was learned, in places relative to `origin`
         body = body_of(self.setup.robot)
         body[DRAG] /= self._adaptation.mobility
         body[ROTATIONAL_DRAG] /= self._adaptation.agility
         state = np.array([place[0] - origin[0], place[1] - origin[1], heading])
         route = (points - origin, arc, headings, SPACING)
         leg = (first, last, guess, stride * doubt, self._ahead, 0.5 * self._handover)
+        # 5. Minimise J; near a leg's end a shorter window may serve better
         starts = self._with_last(windows)
         drift = self._adaptation.drift
         best = None
@@ -247,12 +276,14 @@ class Predictive:
             starts = currents[None]  # the other duration asks for much the same
         assert best is not None
         _, duration, currents, ends = best
+        # 6. Keep the plan for `_learn`: what a mobility of 1 moves, without drift and without the centre's own swing
         x, y, after = ends[0].tolist()
         center = self.setup.robot.center_ahead
         swung = -center * np.array([math.cos(after) - c, math.sin(after) - v])
         step = np.array([x - state[0], y - state[1]])
         moved = (step - drift * duration - swung) / self._adaptation.mobility
         self._planned = _Plan(pose, heading, moved, swung, after - heading, currents[0])
+        # 7. Progress along the path; plans that go nowhere and turn nothing are hurried, at last by a plain pull
         goal = points[min(int(np.searchsorted(arc, guess, side="right")), last)]
         here = goal[0] - place[0], goal[1] - place[1]
         gone = float(step[0] * here[0] + step[1] * here[1]) / max(math.hypot(*here), 1e-9)

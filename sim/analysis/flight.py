@@ -179,6 +179,11 @@ def fly(
         What is heard of a state; without it, the truth.
     keep : callable
         Whether to copy tracker and law in the cycle of that number.
+
+    Raises
+    ------
+    InputError
+        If the law arrives and has told no progress on the way; if the robot leaves the field table.
     """
     mission, setup = model.mission, model.setup
     position = np.array([*mission.start, mission.rig.surface_z])
@@ -210,6 +215,10 @@ def fly(
         window, progress = command.window, command.progress
         duration = window.duration if window is not None else 0.0
         yield Instant(cycle, kept, before, shot, heard, state, pose, command, duration + model.rest, wait)
+        if command.done and progress == 0.0:
+            raise InputError(
+                f"The law '{mission.law}' tells no progress in its commands, so its cycles have no place on the path."
+            )
         if command.done:
             return
 

@@ -15,7 +15,8 @@ from smolbot.config.plugins import load, names
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.config.units import Point, Positive
-from smolbot.motion.controller import HelixSetup, Setup, gain_fault, robot_kinds
+from smolbot.errors import PluginError
+from smolbot.motion.controller import Gain, HelixSetup, Setup, gain_fault, robot_kinds
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths.curve import Curve
@@ -226,6 +227,9 @@ def _law_faults(document: Document) -> list[Fault]:
     if law not in known:
         return [Fault(("controller", "law"), f"no controller is named '{law}'; installed: {', '.join(known)}.")]
     gains = load("controllers", law).gains
+    for name, gain in gains.items():
+        if not isinstance(gain, Gain):
+            raise PluginError(f"Controller '{law}' breaks its protocol: gains['{name}'] must be a Gain; got {gain!r}.")
     given = section.get("gains", {}) if isinstance(section, dict) else {}
     faults = [
         (name, gain_fault(gains, name, value, law))

@@ -65,9 +65,9 @@ def load(group: str, name: str) -> Any:
 
 
 def check_protocol(plugin: object, protocol: type, what: str) -> None:
-    """Check that a plug-in has every method and class attribute of a protocol, and that its methods can be called so.
+    """Check that a plug-in has every method and attribute of a protocol, and that its methods can be called so.
 
-    Attributes that a class may set when it is made (those of a protocol without ``ClassVar``) are not looked for.
+    Of a class, only its own attributes are looked for: those that a protocol names ``ClassVar``.
 
     Parameters
     ----------
@@ -104,8 +104,8 @@ def _protocol_faults(plugin: object, protocol: type) -> Iterator[str]:
     """What a plug-in lacks of a protocol, in the order in which the protocol names it."""
     for base in reversed([b for b in protocol.__mro__ if vars(b).get("_is_protocol")]):
         for name, annotation in vars(base).get("__annotations__", {}).items():
-            if "ClassVar" in str(annotation) and not hasattr(plugin, name):
-                yield f"it has no class attribute '{name}' ({annotation})"
+            if ("ClassVar" in annotation or not isinstance(plugin, type)) and not hasattr(plugin, name):
+                yield f"it has no attribute '{name}', {annotation}"
         for name, member in vars(base).items():
             if (name.startswith("_") and name != "__init__") or not callable(getattr(base, name)):
                 continue
@@ -114,7 +114,7 @@ def _protocol_faults(plugin: object, protocol: type) -> Iterator[str]:
             static = isinstance(member, staticmethod | classmethod)
             asked = _parameters(base, name, of_class=static)
             call = f"{name}({', '.join(map(_spelled, asked))})"
-            found = inspect.getattr_static(plugin, name, None)
+            found = inspect.getattr_static(plugin, name, getattr(plugin, name, None))
             if found is None or not callable(getattr(plugin, name)):
                 yield f"it has no method {call}"
                 continue
@@ -148,7 +148,8 @@ def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterato
         if theirs.default is not Parameter.empty and mine.default is Parameter.empty:
             yield f"cannot do without '{mine.name}'"
     by_name = {p.name for p in asked if p.kind is Parameter.KEYWORD_ONLY}
-    for p in (*places[len(given) :], *(p for p in found if p.kind is Parameter.KEYWORD_ONLY)):
+    options = any(p.kind is Parameter.VAR_KEYWORD for p in asked)  # whatever is asked for by name may be among them
+    for p in (*places[len(given) :], *(p for p in found if p.kind is Parameter.KEYWORD_ONLY and not options)):
         if p.default is Parameter.empty and p.name not in by_name:
             yield f"needs '{p.name}', which it is not given"
     if Parameter.VAR_KEYWORD not in kinds:

@@ -32,6 +32,7 @@ from smolbot.localization.array.terms import OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.synthetic import SightingRig
+from smolbot.motion.controller import Controller
 from smolbot.runs.run import Listener, Tape
 
 
@@ -43,13 +44,39 @@ def make_loop(
     memory: HeatMemory | None = None,
     tape: Tape | None = None,
     pause: Pause | None = None,
+    *,
+    controller: Controller | None = None,
 ) -> Loop:
-    """The loop of a mission on an open rig, every part made from the mission's files."""
+    """Make the loop of a mission on an open rig, every part from the mission's files.
+
+    Parameters
+    ----------
+    rig : Rig
+        As `open_rig` gives it.
+    mission : Mission or Observation
+    listeners : tuple of callable
+        Called with the record of every cycle.
+    latch : Latch, optional
+        Whoever holds it may stop the run, from any thread.
+    memory : HeatMemory, optional
+        How hot the coils were left.
+    tape : Tape, optional
+        What records everything that is played.
+    pause : Pause, optional
+        Whoever holds it may pause the run.
+    controller : Controller, optional
+        A law to fly in place of the one that the mission names.
+
+    Returns
+    -------
+    Loop
+        To be flown with `Loop.fly`, or stepped in a ``with`` block.
+    """
     device, cycle = mission.robot.device, mission.cycle
-    tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission)
+    tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission, controller)
     scheduler = Scheduler(cycle, rig.limits, DeviceBelief(device), rig.excitation_field, rig.now)
     listening = mission.base.localization
-    localizer = load("estimators", listening.estimator)(rig.sensors, device, search_volume(mission))
+    localizer = load("estimators", listening.estimator)(rig.sensors, device, volume=search_volume(mission))
     quiet = Quiet(listening.quiet, mission.rig.sample_rate, listening.learns_ring_down)
     stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
@@ -123,15 +150,16 @@ def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
     )
 
 
-def _steer(mission: Mission) -> tuple[Tracker, Pilot]:
+def _steer(mission: Mission, controller: Controller | None = None) -> tuple[Tracker, Pilot]:
     """Who believes and who decides where a robot is steered along a path."""
     make = load("controllers", mission.law)
     if mission.robot.kind == "helical":
         screwed = mission.helix_setup()
-        return Tracker(screwed.helix, screwed.device, None), Follower(mission.path, make(screwed, mission.gains))
+        tracker = Tracker(screwed.helix, screwed.device, None)
+        return tracker, Follower(mission.path, controller or make(screwed, mission.gains))
     setup = mission.setup()
-    controller = make(setup, mission.gains)
-    return Tracker(setup.robot, setup.device, setup.table), Follower(mission.path, controller)
+    tracker = Tracker(setup.robot, setup.device, setup.table)
+    return tracker, Follower(mission.path, controller or make(setup, mission.gains))
 
 
 def _watch(mission: Observation) -> tuple[Tracker, Pilot]:

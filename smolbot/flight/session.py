@@ -13,7 +13,7 @@ from typing import Any
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.observation import Observation
-from smolbot.config.plugins import load_world
+from smolbot.config.plugins import check_protocol, load_world
 from smolbot.config.sensors import write_sensors
 from smolbot.config.world import World
 from smolbot.core.operator import Operator, SilentOperator, TerminalOperator
@@ -173,10 +173,14 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
     ------
     RigError
         If a device cannot be opened; nothing was energised.
+    PluginError
+        If what the world opens breaks the protocol of a `Rig`.
     """
     world: World = load_world(mission.rig.world, mission.rig.document)
     place = mission.start if isinstance(mission, Observation) else mission.put_down
-    return world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
+    rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
+    check_protocol(rig, Rig, f"What world '{mission.rig.world}' opens")
+    return rig
 
 
 def _report(mission: AnyMission, folder: Path) -> str:

@@ -81,7 +81,7 @@ class PoseEstimator(Protocol):
     noise: NoiseModel | None
     transients: tuple[float, ...]
 
-    def __init__(self, sensors: SensorArray, device: Device, volume: SearchVolume) -> None:
+    def __init__(self, sensors: SensorArray, device: Device, *, volume: SearchVolume) -> None:
         """Make the estimator that a flight begins with."""
 
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, Oscillation | None]:
@@ -185,7 +185,7 @@ class PoseEstimatorBase:
         self, sensors: SensorArray, device: Device, noise: NoiseModel | None, transients: tuple[float, ...]
     ) -> Self:
         """Make an estimator like this one from what it is told."""
-        other = type(self)(sensors, device, self.volume)
+        other = type(self)(sensors, device, volume=self.volume)
         other.noise, other.transients = noise, transients
         return other
 

@@ -337,19 +337,12 @@ class Localizer(PoseEstimatorBase):
         return all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
 
 
-class Whitened(Localizer):
-    """The ``whitened`` estimator, as missions name it."""
-
-    def __init__(self, sensors: SensorArray, device: Device, volume: SearchVolume | None = None) -> None:
-        super().__init__(sensors, device, estimator="whitened", volume=volume)
-
-
 class Paper(Localizer):
-    """The ``paper`` estimator, as missions name it."""
+    """The ``paper`` estimator, as missions name it; ``whitened`` is `Localizer` itself."""
 
     learns: ClassVar[frozenset[str]] = frozenset()
 
-    def __init__(self, sensors: SensorArray, device: Device, volume: SearchVolume | None = None) -> None:
+    def __init__(self, sensors: SensorArray, device: Device, *, volume: SearchVolume | None = None) -> None:
         super().__init__(sensors, device, estimator="paper", volume=volume)
 
 

@@ -138,7 +138,7 @@ class Command:
     note : str
         For people, and for the record.
     progress : float, in m
-        Arc length of the path that lies behind.
+        Arc length of the path that lies behind. A law need not tell it; analyses of its margins need it.
     phase : {"approach", "follow"}
         On the way to the path's start, or on the path.
     done : bool

@@ -289,6 +289,10 @@ def _place_on_leg(points, i, offsets, dx, dy):
 def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, work):
     """Fill the residuals of a plan of one or more windows, and the states at their ends; return the cost.
 
+    The cost is the sum of their squares, J of `controllers.predictive`. Of each window, in mm: half the distance across
+    and along half way, both at the end, the missing arc length, then the heading, the push at the tail and the weakness
+    of the field; after those of all windows, each coil's share of its highest current.
+
     `work`: Jacobian (total, windows * n_coils) of the residuals, or (0, 0) where it is not wanted; and room for
     the derivatives of the coils' field (6, ...) and of the state (7, ...), as `_rolled` takes them.
     """
@@ -321,7 +325,7 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
         ch, sh = body[MAGNET] * math.cos(heading), body[MAGNET] * math.sin(heading)
         bx = field[0] + gradient[0, 0] * (x + ch) + gradient[0, 1] * (y + sh)
         by = field[1] + gradient[1, 0] * (x + ch) + gradient[1, 1] * (y + sh)
-        # where the coils nearly cancel, a robot goes where their errors send it
+        # c^2 max(0, 1 - |B| / B_least)^2: where the coils nearly cancel, a robot goes where their errors send it
         strength = math.sqrt(bx * bx + by * by)
         out[row + 7] = weights[FIRM] * max(1.0 - strength / weights[WEAK], 0.0)
         if out[row + 7] > 0.0 and strength > 0.0:
@@ -336,17 +340,20 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
             body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count
         )
         x, y = x + drift[0] * duration, y + drift[1] * duration
+        # n^2 d^2 / 4 half way
         s, along, across, i = _nearest(points, arc, first, last, guess, mx, my, BACK, AHEAD)
         half = 0.5e3 * weights[NEAR]
         out[row], out[row + 1] = half * across, half * along
         for j in range(count):
             beside, beyond, _ = _place_on_leg(points, i, along, slopes[3, j], slopes[4, j])
             jacobian[row, j], jacobian[row + 1, j] = half * beside, half * beyond
+        # n^2 d^2 and f^2 (s* - s)^2 at the end
         s, along, across, i = _nearest(points, arc, first, last, guess, x, y, BACK, AHEAD)
         full = 1e3 * weights[NEAR]
         out[row + 2], out[row + 3] = full * across, full * along
         goal = min(goal + stride, arc[last])
         out[row + 4] = 1e3 * weights[FORWARD] * (goal - s - along)
+        # h^2 rho(psi - psi_path), the path's heading interpolated a little ahead
         on, moves = s + ahead, 1.0
         if s < arc[last] - near and on > arc[last]:
             on, moves = arc[last], 0.0  # no turning into the next leg before this one is done
@@ -360,6 +367,7 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
         out[row + 5] = weights[HEADING] * (size if size < knee else math.sqrt(knee * (2.0 * size - knee)))
         steep = weights[HEADING] * (1.0 if size < knee else knee / math.sqrt(knee * (2.0 * size - knee)))
         steep = -steep if off < 0.0 else steep
+        # p^2 tail^2
         out[row + 6] = 1e3 * weights[TAIL] * tail
         for j in range(count):
             beside, beyond, further = _place_on_leg(points, i, along, slopes[0, j], slopes[1, j])
@@ -370,6 +378,7 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
         row += RESIDUALS
         ends[w, 0], ends[w, 1], ends[w, 2] = x, y, heading
         x, y = x + drift[0] * rest, y + drift[1] * rest
+    # q^2 (I / I_max)^2
     for w in range(windows):
         for c in range(n):
             out[row] = weights[HEAT] * currents[w, c] / high[c]

@@ -100,7 +100,7 @@ class _Rollout:
     def fly(self) -> str | None:
         """Go on until the path's end; otherwise the reason why it is not reached."""
         self.controller.reset(self.mission.path, self._pose())
-        best, nearest, since = 0.0, np.inf, 0
+        best, nearest, farthest, since = 0.0, np.inf, 0.0, 0
         while True:
             if not self.setup.table.contains(self.position[None, :])[0]:
                 return f"the robot would leave the field table near {_mm(self.position)}."
@@ -117,8 +117,11 @@ class _Rollout:
             goal = self.mission.path.at(command.progress)
             away = float(np.linalg.norm(goal[:2] - self.position[:2]))
             approached = command.phase == "approach" and away < nearest - 1e-5
-            if command.progress > best + 1e-6 or approached:
+            passed = float(self.mission.path.project(self.position[None, :])[0][0])
+            untold = best == 0.0 and command.phase == "follow" and passed > farthest + 1e-5  # a law need not tell it
+            if command.progress > best + 1e-6 or approached or untold:
                 best, nearest, since = max(best, command.progress), away, 0
+                farthest = max(farthest, passed)
             else:
                 since += 1
             done = f"{best * 1e3:.1f} of {self.mission.path.length * 1e3:.1f} mm"

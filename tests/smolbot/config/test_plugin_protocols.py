@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,7 +20,7 @@ from smolbot import Command, Gain, load_mission
 from smolbot.config import plugins
 from smolbot.core.rig import Witness
 from smolbot.errors import PluginError
-from smolbot.flight.preview.gradient import preview
+from smolbot.flight.preview.gradient import STALL_CYCLES, preview
 from smolbot.flight.preview.helix import preview_helix
 from smolbot.motion.controller import Controller, robot_kinds
 
@@ -73,6 +74,21 @@ def test_what_a_law_may_leave_out_is_looked_for_by_nobody(plug_in):
     assert smolbot.run(mission, seed=3).status == "completed"
 
 
+class Untold(Wrapping):
+    """Says neither where on the path it is nor whether it is on it."""
+
+    def command(self, pose):
+        return replace(self._law.command(pose), progress=0.0, phase="follow")
+
+
+def test_a_slow_law_that_tells_no_progress_is_not_taken_for_one_that_stalls(plug_in):
+    plug_in("controllers", "untold", Untold)
+    settings = {"controller.law": "untold", "controller.gains.force_un": "12", "stop.max_duration_s": "600"}
+    seen = preview(load_mission("line", settings=settings))
+    assert seen.cycles > STALL_CYCLES
+    assert seen.go, seen.reasons
+
+
 def test_a_helical_law_that_does_not_tell_its_bend_is_previewed_all_the_same(plug_in):
     plug_in("controllers", "screw", Screw)
     mission, theirs = (load_mission("s_path", settings={"controller.law": law}) for law in ("screw", "helical"))
@@ -103,11 +119,7 @@ class Law:
     ],
 )
 def test_preview_says_what_it_cannot_show_of_an_installed_law(tmp_path, mission, law, kind, says):
-    module = {"ForcePursuit": "force_pursuit", "Helical": "helical"}[law]
-    (tmp_path / "lab.py").write_text(LAW.format(module=module, law=law, kinds=(kind,)))
-    (tmp_path / "lab-0.1.dist-info").mkdir()
-    (tmp_path / "lab-0.1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: lab\nVersion: 0.1\n")
-    (tmp_path / "lab-0.1.dist-info/entry_points.txt").write_text("[smolbot.controllers]\nlab = lab:Law\n")
+    _install(tmp_path, law, kind)
     asked = ["preview", mission, "--set", "controller.law=lab"]
     shown = _smolbot(tmp_path, *asked)
     assert shown.returncode == 0, shown.stderr
@@ -116,6 +128,31 @@ def test_preview_says_what_it_cannot_show_of_an_installed_law(tmp_path, mission,
     assert told["go"]
     unknown = told["force_un"] if kind == "gradient" else told["bend_radius_mm"]["robot"]
     assert unknown is None
+
+
+@pytest.mark.parametrize(
+    ("mission", "law", "kind", "gain", "plant"),
+    [("line", "ForcePursuit", "gradient", "force_un", "reduced"), ("s_path", "Helical", "helical", "listens", "full")],
+)
+def test_an_installed_law_is_tuned(tmp_path, mission, law, kind, gain, plant):
+    """Short flights, of which none arrives: what counts is that they are flown and come to a verdict."""
+    _install(tmp_path, law, kind)
+    brief = ["--set", "controller.law=lab", "--set", "stop.max_duration_s=40", "--set", "localization.quiet_s=2"]
+    few = ["--trials", "2", "--worlds", "1", "--held-out", "1", "--jobs", "1", "--only", gain, "--plant", plant]
+    done = _smolbot(tmp_path, "tune", mission, *brief, *few, "--out", str(tmp_path / "tuned"), "--json")
+    assert done.returncode in (0, 1), done.stderr
+    found = json.loads(done.stdout)
+    assert found["law"] == "lab"
+    assert found["verdict"] in ("better", "not better")
+
+
+def _install(path: Path, law: str, kind: str) -> None:
+    """A distribution ``lab`` with one law that hands on to one of ours what the protocol asks for."""
+    module = {"ForcePursuit": "force_pursuit", "Helical": "helical"}[law]
+    (path / "lab.py").write_text(LAW.format(module=module, law=law, kinds=(kind,)))
+    (path / "lab-0.1.dist-info").mkdir()
+    (path / "lab-0.1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: lab\nVersion: 0.1\n")
+    (path / "lab-0.1.dist-info/entry_points.txt").write_text("[smolbot.controllers]\nlab = lab:Law\n")
 
 
 def _smolbot(path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -180,7 +217,7 @@ class HalfWorld:
 BROKEN = [
     ("rigs", UnboundWorld, "unfit() needs 'robot', which it is not given; it is called as unfit(rig, robot)"),
     ("controllers", WithoutCommand, "it has no method command(pose)"),
-    ("controllers", Ungained, "it has no class attribute 'gains' (ClassVar[Mapping[str, Gain]])"),
+    ("controllers", Ungained, "it has no attribute 'gains', ClassVar[Mapping[str, Gain]]"),
     ("controllers", ShortReset, "reset() lacks the parameter 'pose'; it is called as reset(path, pose)"),
     ("controllers", Turned, "reset() takes them in another order, (pose, path); it is called as reset(path, pose)"),
     ("controllers", Greedy, "command() needs 'speed', which it is not given; it is called as command(pose)"),
@@ -239,6 +276,50 @@ def test_whatever_a_foreign_module_does_when_imported_is_one_clear_error(plug_in
     plug_in("controllers", "bad", None)
     with pytest.raises(PluginError, match=r"'bad' \(plugged_in_bad:made\) cannot be loaded: ZeroDivisionError: by me"):
         plugins.load("controllers", "bad")
+
+
+def test_a_world_that_opens_what_is_no_rig_is_refused_before_anything_is_played(monkeypatch):
+    played = []
+
+    class Half:
+        sensors = limits = None
+
+        def play(self, shot, slowly):
+            played.append(shot)
+
+        def now(self): ...
+
+        def stop(self): ...
+
+        def close(self): ...
+
+    class HalfWorld(TankWorld):
+        @staticmethod
+        def open(rig, robot, start, seed, **options):
+            return Half()
+
+    monkeypatch.setattr("smolbot.flight.session.load_world", lambda name, document: HalfWorld)
+    mission = load_mission("line", settings=SHORT)
+    with pytest.raises(PluginError) as refused:
+        smolbot.run(mission)
+    said = str(refused.value)
+    assert said.startswith("What world 'tank' opens breaks its protocol, smolbot.core.rig.Rig: it has no attribute")
+    for fault in (
+        "it has no attribute 'witness', Witness | None",
+        "play() needs 'slowly', which it is not given; it is called as play(shot)",
+        "it has no method excitation_field(position)",
+    ):
+        assert fault in said
+    assert not played
+
+
+def test_gains_that_are_none_are_refused(plug_in):
+    class Numbers(Bare):
+        gains: ClassVar = {"patience": 1.0}
+
+    plug_in("controllers", "bad", Numbers)
+    with pytest.raises(PluginError, match=r"Controller 'bad'.*gains\['patience'\] must be a Gain; got 1.0"):
+        load_mission("line", settings={"controller.law": "bad"})
 
 
 def test_an_object_keeps_a_protocol_as_a_class_does():

@@ -13,7 +13,7 @@ from smolbot.config import plugins
 from smolbot.errors import ConfigError, InputError, PluginError
 from smolbot.flight.replay import replay
 from smolbot.localization.estimator import PoseEstimatorBase
-from smolbot.localization.localizer import Paper, Whitened
+from smolbot.localization.localizer import Paper
 
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "localization.quiet_s": "2.0"}
 
@@ -36,7 +36,7 @@ class Learning(Plain):
         return super().with_noise(noise)
 
 
-class Handed(Whitened):
+class Handed(Localizer):
     """One of ours, under another name."""
 
 
@@ -132,7 +132,7 @@ def test_the_reduced_plant_refuses_an_estimator_whose_errors_it_does_not_know(pl
         fly(load_mission("line", settings={"localization.estimator": "plain"}), 1, opener=open_reduced)
 
 
-@pytest.mark.parametrize(("made", "name"), [(Whitened, "whitened"), (Paper, "paper")])
+@pytest.mark.parametrize(("made", "name"), [(Localizer, "whitened"), (Paper, "paper")])
 def test_ours_by_their_entry_points_are_the_public_localizer(made, name, array, along_device):
     assert plugins.load("estimators", name) is made
     mine, public = made(array, along_device), Localizer(array, along_device, estimator=name)

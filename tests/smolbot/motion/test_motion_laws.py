@@ -173,6 +173,32 @@ def test_jacobian_of_a_plan_matches_finite_differences(heading, windows):
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.4, -1.0, 2.0])
+@pytest.mark.parametrize("scale", [0.03, 1.0])
+def test_the_cost_of_a_plan_is_the_formula_of_the_law(heading, scale):
+    """J of `controllers.predictive.Predictive`, term by term, along a straight path; with little current, of a weak
+    field too."""
+    b, g, _, *rest_of = problem(heading)
+    i_max, body, (x, y, psi), _, _, duration, steps, _, (_, _, s, stride, *_), weights = rest_of
+    n, f, h, p, q, c, b_least, knee = weights
+    currents = scale * np.random.default_rng(4).uniform(0.5, 7.5, (2, 4))
+    wanted = 0.0
+    for i in currents:
+        field, gradient = i @ b, np.einsum("k,kij->ij", i, g)
+        at_magnet = field + gradient @ [x + body[MAGNET] * np.cos(psi), y + body[MAGNET] * np.sin(psi)]
+        x, y, psi, _, half_way, tail = kernels.roll(body, field, gradient, x, y, psi, duration, steps)
+        s += stride
+        off = abs(kernels.wrapped(psi))
+        wanted += n**2 * ((1e3 * half_way) ** 2 / 4 + (1e3 * y) ** 2)
+        wanted += f**2 * (1e3 * (s - (x + 5e-3))) ** 2
+        wanted += h**2 * (off**2 if off < knee else knee * (2 * off - knee))
+        wanted += p**2 * (1e3 * tail) ** 2
+        wanted += c**2 * max(0.0, 1.0 - np.linalg.norm(at_magnet) / b_least) ** 2
+        wanted += q**2 * np.sum((i / i_max) ** 2)
+    found = kernels._residuals(currents, b, g, *rest_of, np.empty(24), np.empty((2, 3)), room(0, 8))
+    assert found == pytest.approx(wanted, rel=1e-12)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.4, -1.0, 2.0])
 def test_a_plan_is_nearly_as_good_as_any_that_scipy_finds(heading):
     b, g, _, high, body, state, drift, rest, duration, steps, route, leg, weights = given = problem(heading)
     corners = np.array(np.meshgrid(*[[0.0, 8.0]] * 4)).reshape(4, -1).T
