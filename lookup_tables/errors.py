@@ -40,13 +40,8 @@ class OutsideTableError(ValueError):
     """
 
     def __init__(
-        self,
-        message: str = "",
-        /,
-        *,
-        point: tuple[float, ...] | None = None,
-        low: tuple[float, ...] | None = None,
+        self, message: str = "", /, *, point: tuple[float, ...] | None = None, low: tuple[float, ...] | None = None,
         high: tuple[float, ...] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(message)
         self.point, self.low, self.high = point, low, high

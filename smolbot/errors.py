@@ -152,15 +152,9 @@ class InterlockError(SmolbotError, ValueError):
     """
 
     def __init__(
-        self,
-        message: str = "",
-        /,
-        *,
-        limit: float | None = None,
-        value: float | None = None,
-        unit: str = "",
+        self, message: str = "", /, *, limit: float | None = None, value: float | None = None, unit: str = "",
         channel: str = "",
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(message)
         self.limit, self.value, self.unit, self.channel = limit, value, unit, channel
 
@@ -195,16 +189,9 @@ class SafetyError(RigError):
     """
 
     def __init__(
-        self,
-        message: str = "",
-        /,
-        *,
-        limit: float | None = None,
-        value: float | None = None,
-        unit: str = "",
-        channel: str = "",
-        device: str = "",
-    ) -> None:
+        self, message: str = "", /, *, limit: float | None = None, value: float | None = None, unit: str = "",
+        channel: str = "", device: str = "",
+    ) -> None:  # fmt: skip
         super().__init__(message, device=device, channel=channel)
         self.limit, self.value, self.unit = limit, value, unit
 

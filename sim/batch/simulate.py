@@ -19,19 +19,11 @@ from smolbot.runs.recording.files import RunFiles
 
 
 def simulate(
-    mission: str,
-    seeds: Iterable[int],
-    *,
-    rig: str | None = None,
-    plant: PlantName = "full",
-    jobs: int = 1,
-    scheduler: str | None = None,
-    out: Path | None = None,
-    settings: Mapping[str, str] | None = None,
-    progress: Callable[[Flight], None] | None = None,
-) -> Simulation:
+    mission: str, seeds: Iterable[int], *, rig: str | None, plant: PlantName, jobs: int, scheduler: str | None,
+    out: Path | None, settings: Mapping[str, str], progress: Callable[[Flight], None] | None,
+) -> Simulation:  # fmt: skip
     """Fly a mission once per seed; parameters and errors as `smolbot.simulate` has them."""
-    wanted, laid = sorted(seeds), dict(settings or {})
+    wanted, laid = sorted(seeds), dict(settings)
     if not wanted:
         raise InputError("simulate needs one seed at least; got none.")
     loaded = load_mission(mission, rig, laid)

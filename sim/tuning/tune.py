@@ -25,24 +25,12 @@ JOURNAL = "trials.journal"
 
 
 def tune(
-    mission: str,
-    *,
-    trials: int = 100,
-    worlds: int = 9,
-    held_out: int = 20,
-    plant: PlantName = "reduced",
-    only: Sequence[str] | None = None,
-    seed: int = 1,
-    rig: str | None = None,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    out: Path | None = None,
-    resume: bool = False,
-    settings: Mapping[str, str] | None = None,
-    progress: Callable[[int, float | None], None] | None = None,
-) -> Tuning:
+    mission: str, *, trials: int, worlds: int, held_out: int, plant: PlantName, only: Sequence[str] | None, seed: int,
+    rig: str | None, jobs: int, scheduler: str | None, out: Path | None, resume: bool, settings: Mapping[str, str],
+    progress: Callable[[int, float | None], None] | None,
+) -> Tuning:  # fmt: skip
     """Tune a mission's gains; parameters and errors as `smolbot.tune` has them."""
-    laid = dict(settings or {})
+    laid = dict(settings)
     loaded = load_mission(mission, rig, laid)
     problem = _problem(loaded, mission, rig, laid, only, worlds, seed, Plant(plant))
     loaded.rig.table()  # built once, before the workers need it

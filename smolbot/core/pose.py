@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.core.results import Readable
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.errors import InputError
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
+@dataclass(frozen=True, eq=False, repr=False)
+class Pose(Readable):
     """One estimate of the device's position and orientation.
 
     Attributes

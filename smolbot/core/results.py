@@ -21,7 +21,8 @@ class _Brief(reprlib.Repr):
         self.maxtuple = self.maxlist = self.maxdict = 4
 
     def repr_ndarray(self, array: Any, level: int) -> str:
-        return repr(array.tolist()) if array.size <= 4 else f"<array {array.shape}>"
+        short = array.ndim == 1 and array.size <= 4
+        return f"[{', '.join(self.repr1(v, level) for v in array.tolist())}]" if short else f"<array {array.shape}>"
 
     def repr_float(self, value: float, level: int) -> str:
         return f"{value:.6g}"

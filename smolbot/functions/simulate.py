@@ -165,18 +165,10 @@ class Simulate(Protocol):
     """What the entry point ``simulate`` of ``smolbot.functions`` keeps; see `simulate` for the parameters."""
 
     def __call__(
-        self,
-        mission: str,
-        seeds: Iterable[int],
-        *,
-        rig: str | None,
-        plant: PlantName,
-        jobs: int,
-        scheduler: str | None,
-        out: Path | None,
-        settings: Mapping[str, str],
+        self, mission: str, seeds: Iterable[int], *, rig: str | None, plant: PlantName, jobs: int,
+        scheduler: str | None, out: Path | None, settings: Mapping[str, str],
         progress: Callable[[Flight], None] | None,
-    ) -> Simulation:
+    ) -> Simulation:  # fmt: skip
         """Fly the mission once per seed."""
 
 

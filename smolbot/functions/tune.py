@@ -112,23 +112,10 @@ class Tune(Protocol):
     """What the entry point ``tune`` of ``smolbot.functions`` keeps; see `tune` for the parameters."""
 
     def __call__(
-        self,
-        mission: str,
-        *,
-        trials: int,
-        worlds: int,
-        held_out: int,
-        plant: PlantName,
-        only: Sequence[str] | None,
-        seed: int,
-        rig: str | None,
-        jobs: int,
-        scheduler: str | None,
-        out: Path | None,
-        resume: bool,
-        settings: Mapping[str, str],
-        progress: Callable[[int, float | None], None] | None,
-    ) -> Tuning:
+        self, mission: str, *, trials: int, worlds: int, held_out: int, plant: PlantName, only: Sequence[str] | None,
+        seed: int, rig: str | None, jobs: int, scheduler: str | None, out: Path | None, resume: bool,
+        settings: Mapping[str, str], progress: Callable[[int, float | None], None] | None,
+    ) -> Tuning:  # fmt: skip
         """Search gains for the mission."""
 
 

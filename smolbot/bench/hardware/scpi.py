@@ -70,9 +70,7 @@ class ScpiSocket:
             for command in commands:
                 found = self._errors(command, action)
                 if found:
-                    raise RigError(
-                        f"{self._name}: cannot {action}: it refused '{command}': {'; '.join(found)}.", device=self._name
-                    )
+                    raise self._fault(f"cannot {action}: it refused '{command}': {'; '.join(found)}.")
             return "" if then is None else self._exchange(then, action)
 
     def forget_errors(self, action: str) -> None:
@@ -88,9 +86,7 @@ class ScpiSocket:
     @contextmanager
     def _held(self, action: str) -> Iterator[None]:
         if not self._lock.acquire(timeout=PATIENCE * self._timeout):
-            raise RigError(
-                f"{self._name}: cannot {action}: another thread's exchange with it does not end.", device=self._name
-            )
+            raise self._fault(f"cannot {action}: another thread's exchange with it does not end.")
         try:
             yield
         finally:
@@ -108,9 +104,8 @@ class ScpiSocket:
                 number = int(code)
             except ValueError:
                 self._drop()
-                raise RigError(
-                    f"{self._name}: cannot {action}: it answers SYST:ERR? with '{answer}', which is no error's number.",
-                    device=self._name,
+                raise self._fault(
+                    f"cannot {action}: it answers SYST:ERR? with '{answer}', which is no error's number."
                 ) from None
             if number == 0:
                 break
@@ -126,7 +121,10 @@ class ScpiSocket:
             return self._opened().query(query if before is None else f"{before}\n{query}").strip()
         except (VisaError, OSError, UnicodeError, EOFError) as error:
             self._drop()
-            raise RigError(f"{self._name}: cannot {action}: {self._reason(error)}", device=self._name) from error
+            raise self._fault(f"cannot {action}: {self._reason(error)}") from error
+
+    def _fault(self, what: str) -> RigError:
+        return RigError(f"{self._name}: {what}", device=self._name)
 
     def _reason(self, error: Exception) -> str:
         from pyvisa.constants import StatusCode

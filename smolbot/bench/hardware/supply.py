@@ -89,7 +89,7 @@ class Supply:
                 self._tell_channel(number, "OUTP:SEL 0", action=f"leave channel {number} off")
         faults = self.differences()
         if faults:
-            raise RigError(f"{self._name}: does not read back as set: {' '.join(faults)}", device=self._name)
+            raise self._fault(f"does not read back as set: {' '.join(faults)}")
         self._set_after = offs
 
     def on(self) -> None:
@@ -101,9 +101,7 @@ class Supply:
             If that is so, or if the supply does not say that it is on.
         """
         if not self._switch("OUTP:GEN 1", "switch the outputs on", self._refuse_unless_set):
-            raise RigError(
-                f"{self._name}: was told to switch the outputs on; it says that they are off.", device=self._name
-            )
+            raise self._fault("was told to switch the outputs on; it says that they are off.")
 
     def off(self) -> None:
         """Switch every output off, until it is configured anew. Safe from any thread, any number of times.
@@ -121,9 +119,7 @@ class Supply:
         except RigError:  # the connection may be what failed: once more, over a new one
             still_on = self._switch("OUTP:GEN 0", "switch the outputs off (they may be on)")
         if still_on:
-            raise RigError(
-                f"{self._name}: was told to switch the outputs off; it says that they are on.", device=self._name
-            )
+            raise self._fault("was told to switch the outputs off; it says that they are on.")
 
     @property
     def is_on(self) -> bool:
@@ -164,22 +160,16 @@ class Supply:
         action = "identify it"
         parts = [part.strip() for part in self._scpi.ask("*IDN?", action).split(",")]
         if len(parts) != 4:
-            raise RigError(
-                f"{self._name}: cannot {action}: it answers *IDN? with '{','.join(parts)}'.", device=self._name
-            )
+            raise self._fault(f"cannot {action}: it answers *IDN? with '{','.join(parts)}'.")
         found = Identity(*parts)
         if not found.model.upper().startswith(self._section.model.upper()) or not found.model[-1:].isdigit():
-            raise RigError(
-                f"{self._name}: is a {found.maker} {found.model}; the rig file says bench.supply.model = "
-                f"'{self._section.model}'. Nothing was switched on.",
-                device=self._name,
+            raise self._fault(
+                f"is a {found.maker} {found.model}; the rig file says bench.supply.model = "
+                f"'{self._section.model}'. Nothing was switched on."
             )
         highest = max(channel.channel for channel in self._section.channels)
         if highest > int(found.model[-1]):
-            raise RigError(
-                f"{self._name}: is a {found.model} with {found.model[-1]} channels; the rig file sets {highest}.",
-                device=self._name,
-            )
+            raise self._fault(f"is a {found.model} with {found.model[-1]} channels; the rig file sets {highest}.")
         return found
 
     def _set(self, channel: SupplyChannelSection) -> None:
@@ -202,7 +192,10 @@ class Supply:
                 if self._set_after < 0
                 else "it was switched off since its channels were set"
             )
-            raise RigError(f"{self._name}: cannot switch the outputs on: {why}.", device=self._name)
+            raise self._fault(f"cannot switch the outputs on: {why}.")
+
+    def _fault(self, what: str) -> RigError:
+        return RigError(f"{self._name}: {what}", device=self._name)
 
     def _switch(self, command: str, action: str, permit: Permit | None = None) -> bool:
         """Turn the outputs' common switch; what it says of it right afterwards."""
@@ -232,19 +225,14 @@ class Supply:
         try:
             return float(answer)
         except ValueError:
-            raise RigError(
-                f"{self._name}: cannot {action}: it answers {query} with '{answer}', not a number.",
-                device=self._name,
-            ) from None
+            raise self._fault(f"cannot {action}: it answers {query} with '{answer}', not a number.") from None
 
     def _flag(self, query: str, action: str) -> bool:
         return self._truth(self._scpi.ask(query, action), query, action)
 
     def _truth(self, answer: str, query: str, action: str) -> bool:
         if answer.upper() not in ("0", "1", "ON", "OFF"):
-            raise RigError(
-                f"{self._name}: cannot {action}: it answers {query} with '{answer}', not 0 or 1.", device=self._name
-            )
+            raise self._fault(f"cannot {action}: it answers {query} with '{answer}', not 0 or 1.")
         return answer.upper() in ("1", "ON")
 
     @staticmethod
