@@ -13,7 +13,7 @@ from smolbot.runs.pictures.style import COILS, PLANNED, dots, nothing
 from smolbot.runs.report.comparison import Comparison, series_of
 from smolbot.runs.report.figures_of_merit import number
 from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.html import Section, badge, page, table, text
+from smolbot.runs.report.html import ELEMENTS, Section, render_page
 from smolbot.runs.report.intervals import METHOD, Estimate
 from smolbot.runs.report.svg import page_style, svg_of, wide_figure
 from smolbot.runs.summary import tracking_distance
@@ -47,11 +47,9 @@ def comparison_page(found: Comparison) -> str:
     with page_style():
         sections = [_figures(found), _settings(found), _paths(found), _errors(found), _runs(found)]
     title = " and ".join(found.labels) if len(found.labels) == 2 else f"{len(found.labels)} runs compared"
-    lead = [f"<p>{text(note)}</p>" for note in found.notes]
     robot = found.flights[0].mission.robot
     told = f"Robot {robot.name} ({robot.kind}). Changes and differences are against the first run."
-    lead.insert(0, f"<p>{text(told)}</p>")
-    return page(title, text(title), lead, sections)
+    return render_page(title, title, [ELEMENTS.paragraph(line) for line in (told, *found.notes)], sections)
 
 
 def _figures(found: Comparison) -> Section:
@@ -69,8 +67,8 @@ def _figures(found: Comparison) -> Section:
     rows = []
     for figure in found.figures:
         rows.append([figure.name, *map(said, figure.of_run), *(said(e, signed=True) for e in figure.over_first[1:])])
-    section.add(table(rows, header, wide=True))
-    return section.say(text(METHOD) + " A difference marked with a star is one whose interval does not hold zero.")
+    section.add(ELEMENTS.table(rows, header, wide=True))
+    return section.say(METHOD + " A difference marked with a star is one whose interval does not hold zero.")
 
 
 def _settings(found: Comparison) -> Section:
@@ -78,7 +76,7 @@ def _settings(found: Comparison) -> Section:
     if not found.settings:
         return section.missing("Nothing: mission, rig, robot, gains, seed and versions are the same.")
     rows = [[name, *("-" if v is None else v for v in values)] for name, values in found.settings]
-    return section.add(table(rows, ["setting", *found.labels], wide=True))
+    return section.add(ELEMENTS.table(rows, ["setting", *found.labels], wide=True))
 
 
 def _paths(found: Comparison) -> Section:
@@ -108,10 +106,8 @@ def _runs(found: Comparison) -> Section:
     section = Section("runs", "Runs")
     for flight, label in zip(found.flights, found.labels, strict=True):
         s = flight.summary
-        section.say(
-            f"<b>{text(label)}</b> {badge(s['verdict'])} {text(flight.title)}, {text(s['status'])}: "
-            f"{text(s['stop_reason'])}. {text(flight.record.path)}"
-        )
+        words = f"{flight.title}, {s['status']}: {s['stop_reason']}. {flight.record.path}"
+        section.add(ELEMENTS.run_line(label, s["verdict"], words))
     return section
 
 

@@ -16,7 +16,7 @@ from smolbot.runs.report.coil_load import strain_of
 from smolbot.runs.report.error_budget_section import budget_section
 from smolbot.runs.report.figures_of_merit import figures_table, number, verdict_table
 from smolbot.runs.report.flight import NO_SIGNALS, Flight
-from smolbot.runs.report.html import Section, badge, page, table, text, tiles
+from smolbot.runs.report.html import ELEMENTS, Section, render_page
 from smolbot.runs.report.optical_section import optical_sections
 from smolbot.runs.report.provenance_section import events_section, provenance_section
 from smolbot.runs.report.quiet_noise import QuietNoise, heard_noise, quiet_recordings
@@ -58,9 +58,10 @@ def report_of(flight: Flight) -> str:
             provenance_section(flight),
         ]
     summary = flight.summary
-    heading = f"{text(flight.mission.name)} {badge(summary['verdict'])}"
-    lead = [f"<p>{text(line)}</p>" for line in _lead(flight)] + [tiles(key_figures(summary))]
-    return page(f"{flight.title}: {summary['verdict']}", heading, lead, sections, warning=_warning(flight))
+    verdict = summary["verdict"]
+    heading = ELEMENTS.heading(flight.mission.name, verdict)
+    lead = [*map(ELEMENTS.paragraph, _lead(flight)), ELEMENTS.tiles(key_figures(summary))]
+    return render_page(f"{flight.title}: {verdict}", heading, lead, sections, warning=_warning(flight))
 
 
 def _warning(flight: Flight) -> str:
@@ -120,8 +121,8 @@ def _verdict(flight: Flight) -> Section:
     section = Section("verdict", "Verdict")
     section.add(verdict_table(flight.mission, flight.summary))
     for reason in flight.summary["verdict_reasons"]:
-        section.say(text(reason), "missing")
-    return section.add(f"<details><summary>All figures of this run</summary>{figures_table(flight.summary)}</details>")
+        section.missing(reason)
+    return section.add(ELEMENTS.folded("All figures of this run", figures_table(flight.summary)))
 
 
 def _where(flight: Flight) -> list[Section]:
@@ -222,7 +223,7 @@ def _signal(flight: Flight) -> list[Section]:
             f"Heard in {heard.seconds:.0f} s before the first cycle. Dotted: lines that were learned. The dashed "
             "floor is the median between lines, from 20 Hz to 200 Hz.",
         )
-        noise.add(table(*_lines(heard), numbers=True))
+        noise.add(ELEMENTS.table(*_lines(heard), numbers=True))
     elif not quiet and not windows:
         noise.missing(NO_SIGNALS)
     elif not quiet:
