@@ -11,7 +11,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import writing
 from smolbot.runs.pictures.style import COILS, PLANNED, dots, nothing
 from smolbot.runs.report.comparison import Comparison, series_of
-from smolbot.runs.report.figures_of_merit import number
+from smolbot.runs.report.figures_of_merit import append_unit, number, unit_of
 from smolbot.runs.report.flight import Flight
 from smolbot.runs.report.html import ELEMENTS, Section, render_page
 from smolbot.runs.report.intervals import METHOD, Estimate
@@ -66,7 +66,9 @@ def _figures(found: Comparison) -> Section:
         header.append(f"{label} minus {found.labels[0]}")
     rows = []
     for figure in found.figures:
-        rows.append([figure.name, *map(said, figure.of_run), *(said(e, signed=True) for e in figure.over_first[1:])])
+        unit = unit_of(figure.key)
+        own, over = figure.of_run, figure.over_first[1:]
+        rows.append([figure.name, *(said(e, unit) for e in own), *(said(e, unit, signed=True) for e in over)])
     section.add(ELEMENTS.table(rows, header, wide=True))
     return section.say(METHOD + " A difference marked with a star is one whose interval does not hold zero.")
 
@@ -111,16 +113,16 @@ def _runs(found: Comparison) -> Section:
     return section
 
 
-def said(estimate: Estimate | None, *, signed: bool = False) -> str:
-    """An estimate with its interval, for people."""
+def said(estimate: Estimate | None, unit: str, *, signed: bool = False) -> str:
+    """An estimate with its interval and unit, for people."""
     if estimate is None:
         return "-"
     plus = "+" if signed and estimate.value > 0 else ""
     shown = f"{plus}{number(estimate.value)}"
     if estimate.low is None or estimate.high is None:
-        return shown
+        return append_unit(shown, unit)
     star = " *" if signed and estimate.low * estimate.high > 0 else ""
-    return f"{shown} ({number(estimate.low)} to {number(estimate.high)}){star}"
+    return append_unit(f"{shown} ({number(estimate.low)} to {number(estimate.high)})", unit) + star
 
 
 def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
@@ -137,7 +139,7 @@ def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
         axes.set_yticks(range(n), found.labels)
         axes.set_ylim(n - 0.5, -0.5)
         axes.set_xlim(left=0.0)
-        axes.set_title(one.name[0].upper() + one.name[1:])
+        axes.set_title(f"{one.name.capitalize()}, in {unit_of(one.key)}")
         axes.grid(axis="x")
     return figure
 

@@ -90,6 +90,17 @@ def unit_of(key: str) -> str:
     return _UNITS.get(key.split(".")[0].rsplit("_", 1)[-1], "")
 
 
+def append_unit(shown: str, unit: str) -> str:
+    """A number with its unit behind it.
+
+    Examples
+    --------
+    >>> append_unit("0.48", "mm"), append_unit("1.1", "°"), append_unit("12", "")
+    ('0.48 mm', '1.1°', '12')
+    """
+    return f"{shown}{'' if unit in ('', '°') else ' '}{unit}"
+
+
 def _cells(key: str, value: Any) -> Markup:
     """Each number of a figure that has several, with its name."""
     if isinstance(value, dict):
@@ -100,12 +111,11 @@ def _cells(key: str, value: Any) -> Markup:
 
 
 def _number(key: str, value: Any) -> Markup:
-    unit = unit_of(key)
     if value is None:
         said = "-"
     else:
         shown = f"{value:.4f}" if key.startswith("r_squared") else number(value)
-        said = f"{shown}{'' if unit in ('', '°') else ' '}{unit}"
+        said = append_unit(shown, unit_of(key))
     return ELEMENTS.figure_of_merit(key, value, said)
 
 
