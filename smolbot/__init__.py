@@ -1,4 +1,4 @@
-"""smolbot steers a magnetic millirobot along a path and sees it only through magnetism.
+"""smolbot steers a magnetic millirobot along a path and localizes it only from magnetic sensors.
 
 The names below are importable from here; each loads its own module when first used.
 """

@@ -41,7 +41,7 @@ def tune(
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Tune a mission's gains over drawn worlds: a gains file, pass rates before and after, what each gain matters."""
+    """Tune a mission's gains on random simulations and validate them on held-out ones."""
     from sim.batch.executors import open_executor
     from sim.tuning.report import draw, gains_file, importances, write_trials
     from sim.tuning.search import open_study, search

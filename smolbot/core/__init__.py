@@ -1,1 +1,1 @@
-"""The words that everything else speaks: arrays, rotations, poses, shots, sensing, limits, what a rig promises."""
+"""What all rooms share: arrays, rotations, poses, shots, sensors, limits, the protocol of a rig."""

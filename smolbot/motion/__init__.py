@@ -1,1 +1,1 @@
-"""What robots do under a command, as the controller believes it."""
+"""How robots move, by the controller's model."""

@@ -1,1 +1,1 @@
-"""What a run leaves behind: folder, figures of merit, picture."""
+"""What a run leaves: its folder, record, summary, pictures and report."""

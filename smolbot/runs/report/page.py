@@ -181,8 +181,8 @@ def _machinery(flight: Flight) -> Section:
     section = Section("coils", "Currents, duty and heat")
     return section.figure(
         svg_of(machinery.coils_figure(flight, strain_of(flight)), "coils", "Currents, duty and heat over time"),
-        "Each with the limit that would have ended the run. Heat is reckoned from commanded currents, as the safety "
-        "does it in flight: one thermal node for each coil.",
+        "Each with the limit that would have ended the run. Temperature is computed from commanded currents, as the "
+        "safety does it in flight: one thermal node for each coil.",
     )
 
 
@@ -209,11 +209,11 @@ def _signal(flight: Flight) -> list[Section]:
     if windows:
         fit.figure(
             svg_of(signals.fit_figure(flight, windows, lines), "fit", "R², a window, and the spectrum of residuals"),
-            "R² is the flight's own. The rest is reckoned anew: the forward model at each recorded pose, with sensors "
-            "and device as believed then, taken off the raw samples. Where the orange line lies on the broad one, a "
-            "fit leaves nothing but noise; where it stands above, the model misses something. A constant, and "
-            "whatever slope or decay the flight left free in each channel, is taken off all of them, "
-            "which is why the lowest frequencies fall.",
+            "R² is the flight's own. The rest is computed again: the raw samples minus the forward model at each "
+            "recorded pose, with sensors and device as they were believed then. Where the orange line lies on the "
+            "broad one, the residuals are noise alone; where it lies above, the model misses something. A constant, "
+            "and the slope or decay that the flight left free in each channel, are subtracted from all of them: that "
+            "is why the lowest frequencies fall.",
         )
     else:
         fit.missing(NO_SIGNALS)

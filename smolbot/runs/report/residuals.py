@@ -1,4 +1,4 @@
-"""What the fit leaves of every window: the forward model at the recorded pose, taken off what was heard."""
+"""Fit residuals of every window: the recorded field minus the forward model at the recorded pose."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Window:
 
     @property
     def left(self) -> FloatArray:
-        """What the fit leaves, shape (n_used, n), in T."""
+        """Fit residuals, shape (n_used, n), in T."""
         return (self.heard - self.model)[self.used]
 
     @property

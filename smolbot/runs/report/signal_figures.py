@@ -28,7 +28,7 @@ HIGHEST = 2000.0
 
 
 def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figure:
-    """R² over the run, one window with its model, and the spectrum of what fits leave, against quiet ones."""
+    """R² over the run, one window with its model, and the spectrum of the fit residuals, against quiet windows."""
     figure = wide_figure(6.4)
     panels: Any = figure.subplot_mosaic([["r", "window"], ["spectrum", "spectrum"]], height_ratios=[1.0, 1.1])
     _draw_r_squared(panels["r"], flight)
@@ -113,10 +113,11 @@ def _draw_spectrum(axes: Axes, flight: Flight, windows: list[Window], lines: Flo
     if quiet:
         axes.plot(grid[shown], 1e12 * density(quiet, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
                   label="quiet windows of the same length")  # fmt: skip
-    axes.plot(grid[shown], 1e12 * left[shown], color=LOCATED, lw=1.4, label="what the fit leaves")
+    axes.plot(grid[shown], 1e12 * left[shown], color=LOCATED, lw=1.4, label="fit residuals")
     _mark_lines(axes, lines)
     axes.set_title(
-        f"Spectrum of what fits leave, mean over {len(windows)} windows and all channels, in pT per root of Hz", pad=16
+        f"Spectrum of the fit residuals, mean over {len(windows)} windows and all channels, in pT per root of Hz",
+        pad=16,
     )
     axes.set_xlabel(f"frequency in Hz (resolution {grid[1]:.0f} Hz)")
     axes.set_xlim(0.0, 6.0 * max(flight.mission.robot.device.frequency, 100.0))
