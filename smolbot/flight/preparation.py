@@ -135,7 +135,7 @@ class Preparation:
                 "time_constants_ms": [None if t is None else 1e3 * t.time_constant for t in self.tails.tails],
                 "sizes_t_per_a": [None if t is None else t.size.tolist() for t in self.tails.tails],
             }
-            self._happened(self._now(), "coil current decay identified", detail)
+            self._happened(self._now(), "coil tails learned", detail)
 
     def _tail(self, coil: int) -> Tail | None:
         for shot in self.scheduler.tail_shots(coil):

@@ -44,7 +44,7 @@ class Beliefs:
             return replace(self, device=device)
         if event.what == "ring-down learned":
             return replace(self, transients=tuple(1e-3 * t for t in told["time_constants_ms"]))
-        if event.what in ("coil current decay identified", "coil tails learned"):  # the latter in older records
+        if event.what == "coil tails learned":
             sizes = iter(told["sizes_t_per_a"])
             tails = tuple(
                 None if t is None else Tail(1e-3 * t, np.array(next(sizes))) for t in told["time_constants_ms"]

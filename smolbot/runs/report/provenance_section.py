@@ -9,6 +9,15 @@ from smolbot.runs.report.setting_differences import flattened
 _LONG = 160  # characters of an event's detail that are shown
 
 
+LABELS = {
+    "array learned": "sensor positions estimated",
+    "coil tails learned": "coil current decay identified",
+    "ring-down learned": "excitation ring-down identified",
+    "noise learned": "noise model identified",
+}
+"""How events are called in a report, where their name in the record says too little."""
+
+
 def events_section(flight: Flight) -> Section:
     """What changed beliefs, or was done to the flight; runs of the same event as one line."""
     section = Section("events", "Events")
@@ -24,7 +33,7 @@ def events_section(flight: Flight) -> Section:
     for event in events:
         count = count + 1 if event.what == last else 1
         which = f" (number {count} in a row)" if count > 1 else ""
-        row = [f"{event.time:.2f} s", event.what + which, _detail(event.detail)]
+        row = [f"{event.time:.2f} s", LABELS.get(event.what, event.what) + which, _detail(event.detail)]
         if count > 2:
             rows[-1] = row
         else:

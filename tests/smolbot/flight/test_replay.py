@@ -63,7 +63,7 @@ def test_the_same_settings_give_the_same_poses_bit_for_bit(flown):
 def test_what_was_learned_in_flight_is_learned_again(flown):
     run, folder = flown
     learned = {event.what for event in run.events}
-    assert {"noise learned", "ring-down learned", "coil current decay identified", "array learned"} <= learned
+    assert {"noise learned", "ring-down learned", "coil tails learned", "array learned"} <= learned
     recorded = read_run(folder).events
     assert [(e.time, e.what) for e in recorded] == [(e.time, e.what) for e in run.events]
     assert [json.loads(json.dumps(e.detail)) for e in run.events] == [e.detail for e in recorded]

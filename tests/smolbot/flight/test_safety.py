@@ -300,7 +300,7 @@ def test_one_lost_window_at_any_moment_ends_no_mission_and_is_counted(brief, mom
     assert run.cycles[-1].tracked.trusted
     assert {c.rig for c in run.cycles} == {"supply 12.1 V"}
     assert run.summary["recovered"] == {"lost_windows": 1, "read_timeouts": 2}
-    assert {e.what for e in run.events} >= {"noise learned", "ring-down learned", "coil current decay identified"}
+    assert {e.what for e in run.events} >= {"noise learned", "ring-down learned", "coil tails learned"}
 
 
 @pytest.mark.parametrize("moment", [is_quiet, is_tail, is_track])
