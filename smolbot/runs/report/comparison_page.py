@@ -85,8 +85,8 @@ def _paths(found: Comparison) -> Section:
     section = Section("paths", "Paths")
     return section.figure(
         svg_of(_path_figure(found), "paths", "Paths of all runs"),
-        "From above: grey is what was planned, coloured where each robot truly went; where no witness knew that, "
-        "where it was tracked.",
+        "From above: grey is what was planned, coloured the true path of each robot; without "
+        "ground truth, the tracked one.",
     )
 
 

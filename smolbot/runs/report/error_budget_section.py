@@ -147,9 +147,9 @@ def pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None:
 
 def _pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]]:
     said = {
-        "bias": "the same in every pose: sensors out of place, a model that is off everywhere alike",
-        "predicted": "noise, as the covariance of each pose foretells it",
-        "rest": "what is left: sensors out of place that act differently in every place, motion within a window, mains",
+        "bias": "the same in every pose: misplaced sensors, a model error that is the same everywhere",
+        "predicted": "noise, as the covariance of each pose predicts it",
+        "rest": "the remainder: misplaced sensors whose effect depends on the position, motion within a window, mains",
         "total": "localization error of each trusted pose, in space",
     }
     rows = []

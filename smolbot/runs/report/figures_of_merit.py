@@ -28,8 +28,8 @@ NAMES = {
     "r_squared_median": "R² (median)",
     "loop_rate_hz": "loop rate",
     "timeline_limit_hz": "loop rate that the timeline allows",
-    "compute_ms": "computing per cycle",
-    "turnaround_ms": "time that the rig sets aside for it",
+    "compute_ms": "compute time per cycle",
+    "turnaround_ms": "budget for it",
     "pose_rate_hz": "trusted poses",
     "gaps": "gaps between trusted poses",
     "measurements": "independent measurements",
@@ -63,7 +63,7 @@ def verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
         value = _at(summary, key)
         wanted = f"at {'most' if is_maximum else 'least'} {limit:g} {unit_of(key)}"
         if value is None:
-            rows.append((name, "not known: no witness", wanted, None))
+            rows.append((name, "not known: no ground truth", wanted, None))
         else:
             rows.append((name, _number(key, value), wanted, value <= limit if is_maximum else value >= limit))
     return ELEMENTS.verdict(rows)

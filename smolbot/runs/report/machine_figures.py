@@ -63,7 +63,7 @@ def coils_figure(flight: Flight, strain: Strain) -> Figure:
         heat.set_ylim(top=1.06 * max(limits))
     else:
         nothing(heat, "thermal constants of these coils are not known")
-    heat.set_title("Temperature reckoned from commanded currents, in °C")
+    heat.set_title("Temperature computed from commanded currents, in °C")
     heat.set_xlabel("time in s")
     for axes in (currents, duty, heat):
         axes.grid(axis="y")

@@ -190,8 +190,8 @@ def _cycle(flight: Flight) -> Section:
     section = Section("cycle", "One cycle")
     return section.figure(
         svg_of(machinery.cycle_figure(flight), "cycle", "Timeline of a typical cycle"),
-        "Windows of a typical shot, to scale, then what the cycle's computing took: bar for the median, line to the "
-        "99th percentile, dotted box for the time that the rig sets aside for it.",
+        "Windows of a typical shot, to scale, then the compute time: bar for the median, line to the 99th "
+        "percentile, dotted box for the budget (turnaround_ms).",
     )
 
 
@@ -204,13 +204,13 @@ def _signal(flight: Flight) -> list[Section]:
     try:
         heard = heard_noise(quiet)
     except InputError as error:
-        noise.missing(f"Nothing can be learned from the quiet recordings: {error}")
+        noise.missing(f"No noise model can be estimated from the quiet recordings: {error}")
     lines = np.zeros(0) if heard is None else heard.line_frequencies
     if windows:
         fit.figure(
             svg_of(signals.fit_figure(flight, windows, lines), "fit", "R², a window, and the spectrum of residuals"),
             "R² is the flight's own. The rest is computed again: the raw samples minus the forward model at each "
-            "recorded pose, with sensors and device as they were believed then. Where the orange line lies on the "
+            "recorded pose, with the sensors and device parameters assumed then. Where the orange line lies on the "
             "broad one, the residuals are noise alone; where it lies above, the model misses something. A constant, "
             "and the slope or decay that the flight left free in each channel, are subtracted from all of them: that "
             "is why the lowest frequencies fall.",
@@ -220,14 +220,14 @@ def _signal(flight: Flight) -> list[Section]:
     if heard is not None:
         noise.figure(
             svg_of(signals.noise_figure(heard), "noise", "Spectral density of the noise of every channel"),
-            f"Heard in {heard.seconds:.0f} s before the first cycle. Dotted: lines that were learned. The dashed "
+            f"Recorded in {heard.seconds:.0f} s before the first cycle. Dotted: identified spectral lines. The dashed "
             "floor is the median between lines, from 20 Hz to 200 Hz.",
         )
         noise.add(ELEMENTS.table(*_lines(heard), numbers=True))
     elif not quiet and not windows:
         noise.missing(NO_SIGNALS)
     elif not quiet:
-        noise.missing("Nothing was listened to before the first cycle (quiet_s, or an estimator that learns no noise).")
+        noise.missing("Nothing was recorded before the first cycle (quiet_s, or an estimator without a noise model).")
     return [fit, noise]
 
 

@@ -90,10 +90,12 @@ def _draw_window(axes: Axes, windows: list[Window]) -> None:
     for row, channel in enumerate(loud):
         low = -row * gap
         axes.plot(ms, low + 1e9 * chosen.model[channel], color=TRUE, lw=1.6, label="model" if row == 0 else None)
-        dots(axes, ms, low + 1e9 * chosen.heard[channel], 2.0, LOCATED, label="heard" if row == 0 else None, zorder=3)
+        dots(
+            axes, ms, low + 1e9 * chosen.heard[channel], 2.0, LOCATED, label="measured" if row == 0 else None, zorder=3
+        )
         place = axes.get_yaxis_transform()
         axes.text(1.01, low, f"ch. {channel}", transform=place, fontsize=8.5, color=FAINT, va="center")
-    axes.set_title(f"One window, at {chosen.time:.1f} s: its {len(loud)} loudest channels, in nT")
+    axes.set_title(f"One window, at {chosen.time:.1f} s: its {len(loud)} strongest channels, in nT")
     axes.set_xlabel("time since the first sample, in ms")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, -0.01), ncol=2, fontsize=8.5)
     axes.set_ylim(-(len(loud) - 0.4) * gap, 0.62 * gap)
@@ -109,7 +111,7 @@ def _draw_spectrum(axes: Axes, flight: Flight, windows: list[Window], lines: Flo
     _, signal = density([window.heard[window.used] for window in windows], rate)
     shown = (grid > 0) & (grid <= HIGHEST)
     axes.set_yscale("log")
-    axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="heard")
+    axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="measured")
     if quiet:
         axes.plot(grid[shown], 1e12 * density(quiet, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
                   label="quiet windows of the same length")  # fmt: skip

@@ -156,7 +156,7 @@ def test_without_a_witness_the_page_says_what_it_cannot_say(mission, tmp_path):
     page = Page(text)
     assert page.sections >= ANCHORS
     assert NO_TRUTH in text
-    assert "not known: no witness" in text
+    assert "not known: no ground truth" in text
     assert "tracking_error_mm.mean" not in {key for key, _ in page.values}
 
 
