@@ -8,13 +8,14 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Where bytecode is not kept, every worker of the tests and every process that one starts compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup mission test lint types imports docs tutorials figures slow benchmark mutants proto system-deps clean
+.PHONY: help setup mission test lint types imports docs generated tutorials figures slow benchmark mutants proto system-deps clean
 
 help:
 	@echo "make mission    set up, then fly the R-path mission in the simulated tank"
 	@echo "make test       set up, then run the tests"
 	@echo "make lint types imports    style, types, import rules"
 	@echo "make docs       the documentation, in build/docs    make tutorials [PAGE=my_own_path]    every command of it"
+	@echo "make generated  the parts of the documentation that come from the code"
 	@echo "make slow       the long checks       make benchmark    speeds, as ratios"
 	@echo "make mutants    how many small faults the tests of safety and tracking see    [SEED=1 SAMPLE=200]"
 
@@ -49,7 +50,12 @@ imports: setup
 	$(BIN)/lint-imports
 	$(BIN)/python tools/rooms.py
 
+# Tables of keys and commands, the list of decisions and the picture of the rooms, which stand in the pages.
+generated: setup
+	$(BIN)/python tools/generate_docs.py
+
 docs: setup
+	$(BIN)/python tools/generate_docs.py --check
 	@rm -rf docs/reference/generated
 	$(BIN)/sphinx-build -W --keep-going -q -b html -d build/doctrees docs build/docs
 	@echo "Open build/docs/index.html"

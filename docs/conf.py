@@ -28,8 +28,9 @@ extensions = [
     "numpydoc",
     "mathml",
     "filekeys",
-    "commandline",
+    "sphinx_external_toc",
 ]
+suppress_warnings = ["etoc.toctree"]  # the API reference lists its own pages
 exclude_patterns = ["_build", "README.md"]
 templates_path = ["_templates"]
 source_suffix = {".rst": "restructuredtext", ".md": "markdown"}

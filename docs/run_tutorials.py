@@ -8,9 +8,9 @@ What a page's fenced blocks mean:
   prints; ``…`` stands for anything within a line, a line of ``…`` for any lines, and a number with a decimal point for
   any within half of its size, as the figures of a flight differ from machine to machine. A command must exit with 0, or
   with N where ``# exits with N`` stands behind it. Without shown output only the exit code counts.
-- ``{code-block} LANGUAGE`` with ``:caption: FILE``: a file that the reader writes.
-- ``{code-block} diff`` with ``:caption: FILE``: a change to a file; its old lines must stand there exactly once.
-- ``sh``, ``text``: to read only. Any other block is an error.
+- A block under a line that holds nothing but the name of a file in bold code: a file that the reader writes.
+- ``diff`` under such a line: a change to a file; its old lines must stand there exactly once.
+- ``sh``, ``text`` without one: to read only. Any other block is an error.
 
 A page with ``slow_tutorial: true`` in its front matter is left out by ``--quick``. `pip install` reaches a layer of its
 own over the environment that runs this, so that nothing of a tutorial is left in it.
@@ -39,6 +39,7 @@ TIMEOUT = 300.0
 """Of one command, in s."""
 
 _FENCE = re.compile(r"^(`{3,})(\S.*)?$")
+_NAME = re.compile(r"^\*\*`(.+)`\*\*$")
 _EXITS = re.compile(r"#\s*exits with (\d+)\s*$")
 _DECIMAL = re.compile(r"(?<![\d.])-?\d+\.\d+(?![\d.])")
 _DONE = "\x1e--tutorial--"
@@ -87,22 +88,19 @@ def steps(page: str) -> Iterator[Step]:
         end = next((i for i in range(number + 1, len(lines)) if lines[i].rstrip() == fence[1]), None)
         if end is None:
             raise TutorialError(number + 1, "this block has no end.")
-        yield from _block(fence[2].strip(), lines[number + 1 : end], number + 1)
+        above = next((text for text in reversed(lines[:number]) if text), "")
+        named = _NAME.match(above)
+        yield from _block(fence[2].strip(), named[1] if named else "", lines[number + 1 : end], number + 1)
         number = end + 1
 
 
-def _block(info: str, body: list[str], line: int) -> Iterator[Step]:
+def _block(info: str, name: str, body: list[str], line: int) -> Iterator[Step]:
     if info == "console":
         yield from _commands(body, line)
-    elif info.startswith("{code-block}"):
-        head = next((i for i, text in enumerate(body) if not text.startswith(":")), len(body))
-        caption = [text.split(":", 2)[2].strip() for text in body[:head] if text.startswith(":caption:")]
-        if not caption:
-            raise TutorialError(line, "a code-block needs a :caption: that names the file.")
-        text = "\n".join(body[head:]).strip("\n") + "\n"
-        yield File(line, caption[0], text, info.endswith(" diff"))
-    elif info not in ("sh", "text") and not info.startswith(("{figure}", "{image}", "{note}", "{toctree}", "{math}")):
-        raise TutorialError(line, f"what to do with a block of '{info}'? See the head of run_tutorials.py.")
+    elif name:
+        yield File(line, name, "\n".join(body).strip("\n") + "\n", info == "diff")
+    elif info not in ("sh", "text"):
+        raise TutorialError(line, f"a block of '{info}' needs the name of its file above it: **`NAME`**.")
 
 
 def _commands(body: list[str], line: int) -> Iterator[Command]:

@@ -1,4 +1,4 @@
-"""smolbot steers a magnetic millirobot along a path, and localizes it only from magnetic sensors.
+"""smolbot steers a magnetic millirobot along a path and localizes it only from magnetic sensors.
 
 What a notebook and a lab's own parts need is importable from here; each name loads its own module when first used.
 The names, and where each is defined, stand in ``__init__.pyi``.

@@ -1,25 +1,17 @@
-"""Tables of the keys that a user's file may have, made from the models that check it.
+"""Tables of the keys that a user's file may have, as Markdown, made from the models that check it.
 
-    {filekeys} smolbot.config.mission:MissionFile
-    :example: missions/r_path.toml
-
-`section` puts a header in front of the names of tables. `example` is a file of the package whose values and comments
-stand beside the keys.
+As a Sphinx extension it only tells what signatures in the API reference lead to: the place of each model's table.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from docutils import nodes
-from docutils.parsers.rst import directives
 from numpydoc.docscrape import NumpyDocString
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
 
 import smolbot
 from smolbot.config.document import _inner_model
@@ -33,7 +25,6 @@ UNITS = {
 }  # fmt: skip
 
 COLUMNS = ("key", "unit", "value", "default", "meaning")
-WIDTHS = (24, 7, 24, 14, 40)
 
 
 def unit_of(key: str) -> str:
@@ -144,73 +135,60 @@ class Example:
         return f"{value}: {comment}" if comment else value
 
 
-class FileKeys(SphinxDirective):
-    """See the module."""
+def write_tables(model: str, example: str = "", section: str = "") -> str:
+    """Tables of a model's keys as Markdown: one for each section, under its name.
 
-    required_arguments = 1
-    option_spec = {"example": directives.unchanged, "section": directives.unchanged}  # noqa: RUF012
+    Parameters
+    ----------
+    model : str
+        ``"smolbot.config.mission:MissionFile"``.
+    example : str
+        A file of the package whose values and comments stand beside the keys: ``"missions/r_path.toml"``.
+    section : str
+        Where the model stands in its file, in front of the names of its sections.
+    """
+    module, name = model.split(":")
+    found = getattr(import_module(module), name)
+    homes = {inner.__name__: f"{inner.__module__}.{inner.__name__}" for inner in _models(found)}
+    path = Path(str(smolbot.__file__)).parent / example
+    shown = Example(path.read_text(encoding="utf-8")) if path.is_file() else Example("")
+    schema = Schema(found)
+    return "\n\n".join(_tables(schema, schema.root, section, False, shown, path.name, homes))
 
-    def run(self) -> list[nodes.Node]:
-        module, name = self.arguments[0].split(":")
-        model = getattr(import_module(module), name)
-        self.env.note_dependency(str(import_module(module).__file__))
-        schema = Schema(model)
-        self._homes = {found.__name__: f"{found.__module__}.{found.__name__}" for found in _models(model)}
-        path = Path(str(smolbot.__file__)).parent / self.options.get("example", "")
-        example = Example(path.read_text(encoding="utf-8")) if path.is_file() else Example("")
-        return self._tables(schema, schema.root, self.options.get("section", ""), False, example, path.name)
 
-    def _tables(
-        self, schema: Schema, part: dict[str, Any], title: str, many: bool, example: Example, source: str
-    ) -> list[nodes.Node]:
-        """The table of one section, then those of the sections in it."""
-        found: list[nodes.Node] = self._targets(part.get("title", ""))
-        told = NumpyDocString(part.get("description", ""))
-        meanings = {key.strip(): " ".join(item.desc) for item in told["Attributes"] for key in item.name.split(",")}
-        if title:
-            shown = f"[[{title}]]" if many else f"[{title}]"
-            found.append(nodes.rubric("", "", nodes.literal(text=shown), classes=["section-of-file"]))
-        summary = " ".join(told["Summary"])
-        for paragraph in [summary, *" ".join(told["Extended Summary"]).split("  ")]:
-            if paragraph.strip():
-                found.append(self._paragraph(paragraph))
-        rows, inner = [], []
-        for key, property_ in part["properties"].items():
-            section = schema.section(property_)
-            if section is not None:
-                inner.append((key, *section))
-                continue
-            needed = key in part.get("required", ())
-            default = property_.get("default")
-            shown = "needed" if needed else ("" if default is None else _toml(default))
-            said = [meanings.get(key, "")]
-            if given := example.of(title, key):
-                said.append(f"{source}: {given}")
-            rows.append(
-                (key, unit_of(key), schema.value(property_), shown, ". ".join(s.rstrip(".") for s in said if s))
-            )
-        if rows:
-            found.append(table(COLUMNS, WIDTHS, rows, literal=(0, 3)))
-        for key, section_part, several in inner:
-            below = f"{title}.{key}" if title else key
-            found += self._tables(schema, section_part, below, several, example, source)
-        return found
-
-    def _targets(self, name: str) -> list[nodes.Node]:
-        """What signatures in the API reference lead to; each model once."""
-        home = self._homes.get(name)
-        domain: Any = self.env.get_domain("py")
-        if home is None or home in domain.objects:
-            return []
-        identifier = nodes.make_id(home)
-        domain.note_object(home, "class", identifier)
-        return [nodes.target(ids=[identifier])]
-
-    def _paragraph(self, text: str) -> nodes.Node:
-        paragraph = nodes.paragraph()
-        for index, piece in enumerate(re.split(r"``?([^`]+)``?", text)):
-            paragraph += nodes.literal(text=piece) if index % 2 else nodes.Text(piece)
-        return paragraph
+def _tables(
+    schema: Schema, part: dict[str, Any], title: str, many: bool, example: Example, source: str, homes: dict[str, str]
+) -> Iterator[str]:
+    """Elements of one section, then those of the sections in it."""
+    told = NumpyDocString(part.get("description", ""))
+    meanings = {key.strip(): " ".join(item.desc) for item in told["Attributes"] for key in item.name.split(",")}
+    anchor = f'<a id="{home}"></a>' if (home := homes.get(part.get("title", ""))) else ""
+    if title:
+        yield f"{anchor}**`[[{title}]]`**" if many else f"{anchor}**`[{title}]`**"
+    elif anchor:
+        yield anchor
+    for paragraph in [" ".join(told["Summary"]), *" ".join(told["Extended Summary"]).split("  ")]:
+        if paragraph.strip():
+            yield plain(paragraph)
+    rows, inner = [], []
+    for key, property_ in part["properties"].items():
+        section = schema.section(property_)
+        if section is not None:
+            inner.append((key, *section))
+            continue
+        default = property_.get("default")
+        needed = key in part.get("required", ())
+        shown = "needed" if needed else ("" if default is None else f"`{_toml(default)}`")
+        said = [meanings.get(key, "")]
+        if given := example.of(title, key):
+            said.append(f"{source}: {given}")
+        meaning = plain(". ".join(s.rstrip(".") for s in said if s))
+        rows.append((f"`{key}`", unit_of(key), schema.value(property_), shown, meaning))
+    if rows:
+        yield write_table(COLUMNS, rows)
+    for key, section_part, several in inner:
+        below = f"{title}.{key}" if title else key
+        yield from _tables(schema, section_part, below, several, example, source, homes)
 
 
 def _toml(value: Any) -> str:
@@ -219,27 +197,25 @@ def _toml(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value}"
 
 
-def table(
-    columns: Sequence[str], widths: Sequence[int], rows: Sequence[tuple[str, ...]], literal: tuple[int, ...]
-) -> nodes.Node:
-    """A table with a header; what stands in columns `literal` is what one writes."""
-    group = nodes.tgroup(cols=len(columns))
-    for width in widths:
-        group += nodes.colspec(colwidth=width)
-    group += nodes.thead("", _row(columns, literal=()))
-    group += nodes.tbody("", *(_row(row, literal) for row in rows))
-    return nodes.table("", group, classes=["filekeys"])
+def plain(text: str) -> str:
+    """Text of a docstring or of a help as Markdown that shows it as it stands."""
+    return text.replace("``", "`").replace("<", "&lt;")
 
 
-def _row(cells: Sequence[str], literal: tuple[int, ...]) -> nodes.row:
-    made = nodes.row()
-    for index, cell in enumerate(cells):
-        plain = index not in literal or not cell or cell == "needed"
-        inner = nodes.Text(cell) if plain else nodes.literal(text=cell)
-        made += nodes.entry("", nodes.paragraph("", "", inner))
-    return made
+def write_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table; a cell may hold Markdown, but no line break."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-def setup(app: Sphinx) -> dict[str, Any]:
-    app.add_directive("filekeys", FileKeys)
-    return {"version": "1", "parallel_read_safe": True}
+def _note_models(app: Any, page: str, source: list[str]) -> None:
+    """Each model's table is where its name leads to."""
+    domain = app.env.get_domain("py")
+    for name in re.findall(r'<a id="([\w.]+\.\w+)"></a>', source[0]):
+        if name not in domain.objects:
+            domain.note_object(name, "class", name)
+
+
+def setup(app: Any) -> dict[str, Any]:
+    app.connect("source-read", _note_models)
+    return {"version": "2", "parallel_read_safe": True}

@@ -17,9 +17,9 @@ LEAST_TRIALS = 2
 def tune(
     mission: MissionArgument,
     trials: Annotated[int, typer.Option(min=LEAST_TRIALS, help="Sets of gains to try.")] = 100,
-    worlds: Annotated[int, typer.Option(min=1, help="Drawn worlds that each is flown in.")] = 9,
-    held_out: Annotated[int, typer.Option(min=1, help="Worlds of the full tank that the best is confirmed in.")] = 20,
-    plant: Annotated[Plant, typer.Option(help="What trials fly in; the best is confirmed in the full one.")] = (
+    worlds: Annotated[int, typer.Option(min=1, help="Random simulations for each set of gains.")] = 9,
+    held_out: Annotated[int, typer.Option(min=1, help="Other simulations, in the full tank, for validation.")] = 20,
+    plant: Annotated[Plant, typer.Option(help="Plant of the trials; the best gains are validated in the full one.")] = (
         Plant.REDUCED
     ),
     only: Annotated[str | None, typer.Option(help="Gains to tune, with commas between; default: all.")] = None,
@@ -32,7 +32,7 @@ def tune(
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Tune a mission's gains over drawn worlds: a gains file, pass rates before and after, what each gain matters."""
+    """Tune a mission's gains on random simulations and validate them on held-out ones."""
     from smolbot.config.mission import load_mission
     from smolbot.functions.tune import tune as search_gains
     from smolbot.runs.folder import dated
@@ -73,8 +73,8 @@ def _show(figures: dict[str, Any], json: bool) -> None:
     rows += [(name, f"{before[name]:.4g} → {value:.4g}") for name, value in figures["tuned"]["gains"].items()]
     rows += [("importance", ", ".join(f"{n} {v:.0%}" for n, v in figures["importances"].items()) or "too few trials")]
     rows += [("verdict", figures["verdict"]), ("folder", figures["folder"])]
-    title = f"{figures['mission']}: {figures['trials']} trials of {figures['law']}, {figures['worlds']} worlds each"
-    table(f"{title} ({figures['plant']} plant), confirmed in the full tank", rows, err=json)
+    title = f"{figures['mission']}: {figures['trials']} trials of {figures['law']}, {figures['worlds']} simulations"
+    table(f"{title} each ({figures['plant']} plant), validated in the full tank", rows, err=json)
     if json:
         echo_json(figures)
 

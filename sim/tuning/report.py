@@ -35,8 +35,8 @@ def gains_file(problem: Problem, law: str, tuned: Flown, before: Flown, seed: in
     """The gains as a mission file writes them, with what they were found by."""
     after, now = tuned.figures(), before.figures()
     lines = [
-        f"Gains of {law}, tuned for {problem.mission} with seed {seed} over {len(problem.worlds)} drawn worlds",
-        f"({problem.plant} plant). Full tank, {after['flown']} held-out worlds: {after['passed']} passed, cost "
+        f"Gains of {law}, tuned for {problem.mission} with seed {seed} on {len(problem.worlds)} random simulations",
+        f"({problem.plant} plant). Full tank, {after['flown']} held-out simulations: {after['passed']} passed, cost "
         f"{after['cost_mm']:.3f} mm; before: {now['passed']} passed, cost {now['cost_mm']:.3f} mm.",
     ]
     return gains_text(lines, tuned.gains)
@@ -57,7 +57,7 @@ def write_trials(study: Study, path: Path) -> None:
 
 
 def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown, headline: str, path: Path) -> None:
-    """Cost of every trial with the best so far; what each gain matters; held-out worlds, before and after."""
+    """Cost of every trial with the best so far; what each gain matters; held-out simulations, before and after."""
     from matplotlib.ticker import MaxNLocator
 
     from sim.batch.slide import LIMIT, PAPER, WHITENED, slide, titled
@@ -69,8 +69,8 @@ def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown,
     best = np.minimum.accumulate(np.where(whole, costs, np.inf))
     now, after = before.figures(), tuned.figures()
     subline = (
-        f"{len(trials)} trials; held-out worlds in the full tank: passed {now['passed']} of {now['flown']} before, "
-        f"{after['passed']} of {after['flown']} tuned"
+        f"{len(trials)} trials; held-out simulations in the full tank: passed {now['passed']} of {now['flown']} "
+        f"before, {after['passed']} of {after['flown']} tuned"
     )
     with slide(path, headline, subline, 1, 3, wspace=0.45, left=0.06) as (left, middle, right):
         left.scatter(numbers[whole], costs[whole], s=18, color=WHITENED, alpha=0.6, label="flown in every world")
@@ -95,4 +95,4 @@ def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown,
         right.set_xticks([0, 1], ["before", "tuned"])
         right.set_xlim(-0.6, 1.6)
         right.set_ylim(0.0, 1.2 * max(*before.costs, *tuned.costs))
-        titled(right, "Cost in held-out worlds, in mm")
+        titled(right, "Cost in held-out simulations, in mm")

@@ -33,7 +33,8 @@ def tune(
     laid = dict(settings)
     loaded = load_mission(mission, rig, laid)
     problem = _problem(loaded, mission, rig, laid, only, worlds, seed, Plant(plant))
-    loaded.rig.table()  # built once, before the workers need it
+    if loaded.robot.kind == "gradient":
+        loaded.rig.table()  # built once, before the workers need it
     forget_missions()
     if resume and out is None:
         raise InputError("--resume needs --out, the folder of the search to go on with.")

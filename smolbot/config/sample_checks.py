@@ -50,7 +50,7 @@ def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
         typical = int(np.argsort(largest.min(axis=0))[largest.shape[1] // 2])
         raise InputError(
             f"{told}: at most {free.max()} of {largest.shape[1]} channels are not saturated; channel {typical} reaches "
-            f"{largest[:, typical].min():.4g}, the range is {full / FULL:.4g}. "
+            f"{largest[:, typical].min():.4g} V, the range is {full / FULL:.4g} V. "
             "Are they in mV, nT or counts, or is the constant field not nulled?",
             channel=str(typical),
         )
@@ -62,7 +62,7 @@ def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
     if swing.max() < FAINT * step:
         channel = int(np.argmax(swing.max(axis=0)))
         raise InputError(
-            f"{told}: channel {channel} moves most, by {swing.max():.2g}, less than a step of the converter, "
+            f"{told}: channel {channel} moves most, by {swing.max():.2g} V, less than a step of the converter, "
             f"{step:.2g} V. Are they in T?",
             channel=str(channel),
         )

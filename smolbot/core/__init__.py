@@ -1,4 +1,4 @@
-"""Poses, windows and shots, recordings, limits, rotations: what every other room speaks of."""
+"""What all rooms share: arrays, rotations, poses, shots, sensors, limits, the protocol of a rig."""
 
 from lazy_loader import attach_stub
 

@@ -138,7 +138,8 @@ def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> F
 
 
 def mean_rotation(quaternions: FloatArray) -> FloatArray:
-    """The rotation (4,) nearest in the mean square to all of `quaternions` (n, 4) (Markley 2007)."""
-    values, vectors = np.linalg.eigh(quaternions.T @ quaternions)
-    mean = vectors[:, int(np.argmax(values))]
-    return np.asarray(mean if mean[0] >= 0 else -mean)
+    """The rotation (4,) nearest in the mean square to all of `quaternions` (n, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    mean = Rotation.from_quat(quaternions, scalar_first=True).mean()
+    return np.asarray(mean.as_quat(canonical=True, scalar_first=True))

@@ -162,15 +162,27 @@ def make_replay_loop(record: RecordedRun, mission: Any, half_periods: int | None
     return loop
 
 
+_SHOWN_IN = {
+    "time": (1e3, " ms"),
+    "position": (1e3, " mm"),
+    "orientation": (1.0, " in a component of the quaternion"),
+    "covariance": (1.0, " m², m·rad or rad²"),
+    "r_squared": (1.0, ""),
+    "flip_margin": (1.0, ""),
+    "trusted": (1.0, ""),
+}
+"""Parts of a pose, with the factor and the unit in which a difference is printed."""
+
+
 def _difference(recorded: Pose | None, found: Pose | None) -> str:
     """In what two poses differ; empty if in no bit."""
     if recorded is None or found is None:
         return "" if recorded is found else f"{'none' if recorded is None else 'one'} was recorded"
-    for name in ("time", "position", "orientation", "covariance", "r_squared", "flip_margin", "trusted"):
+    for name, (scale, unit) in _SHOWN_IN.items():
         was, now = np.asarray(getattr(recorded, name)), np.asarray(getattr(found, name))
         if not np.array_equal(was, now, equal_nan=was.dtype.kind == "f"):
             most = float(np.nanmax(np.abs(now.astype(float) - was.astype(float))))
-            return f"{name} differs by up to {most:.3g}"
+            return f"{name} differs by up to {scale * most:.3g}{unit}"
     return ""
 
 

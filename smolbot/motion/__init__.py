@@ -1,4 +1,4 @@
-"""What robots do under a command, as the controller believes it."""
+"""How robots move, by the controller's model."""
 
 from lazy_loader import attach_stub
 

@@ -24,14 +24,16 @@ NAMES = sorted(page.stem for page in (DOCS / "tutorials").glob("*.md") if page.s
 
 PAGE = """# A page
 
-```{code-block} text
-:caption: notes/list.txt
+**`notes/list.txt`**
+
+```text
 one
 two
 ```
 
-```{code-block} diff
-:caption: notes/list.txt
+**`notes/list.txt`**
+
+```diff
  one
 -two
 +three
@@ -62,13 +64,13 @@ def test_a_page_is_played_in_one_shell_and_its_files_are_written_and_changed(tmp
 @pytest.mark.parametrize(
     ("old", "new", "line", "said"),
     [
-        ("in notes: three, 0.31", "in notes: three, 0.91", 25, "and not, as the page shows"),
-        ("in notes: three, 0.31", "in notes: four, 0.31", 25, "and not, as the page shows"),
-        ("$ false   # exits with 1", "$ false", 23, "exits with 1, not 0"),
-        ("-two", "-four", 9, "stand in the file 0 times"),
-        (":caption: notes/list.txt\none", "one", 3, "needs a :caption:"),
-        ("```console", "```python", 16, "what to do with a block of 'python'"),
-        ("2\none\n…", "2\none", 18, "and not, as the page shows"),
+        ("in notes: three, 0.31", "in notes: three, 0.91", 27, "and not, as the page shows"),
+        ("in notes: three, 0.31", "in notes: four, 0.31", 27, "and not, as the page shows"),
+        ("$ false   # exits with 1", "$ false", 25, "exits with 1, not 0"),
+        ("-two", "-four", 12, "stand in the file 0 times"),
+        ("**`notes/list.txt`**\n\n```diff", "```diff", 10, "needs the name of its file"),
+        ("```console", "```python", 18, "a block of 'python' needs the name"),
+        ("2\none\n…", "2\none", 20, "and not, as the page shows"),
     ],
 )
 def test_what_does_not_hold_is_told_with_its_line(tmp_path, old, new, line, said):

@@ -163,18 +163,15 @@ def _density(
 
     The mean over the band, or, without one, a median that minds no unknown line.
     """
-    length = round(segment * rate)
-    window = np.hanning(length + 2)[1:-1]
-    grid = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
+    from scipy.signal import welch
+
+    length = min(round(segment * rate), *(piece.shape[1] for piece in pieces))
+    counts = [(piece.shape[1] - length // 2) // (length - length // 2) for piece in pieces]  # of segments
+    spectra = [welch(piece, rate, nperseg=length, detrend=False) for piece in pieces]
+    grid = spectra[0][0]
     used = (grid >= band[0]) & (grid <= band[1])
-    total, count = np.zeros((len(pieces[0]), int(used.sum()))), 0
-    for piece in pieces:
-        for start in range(0, piece.shape[1] - length + 1, max(length // 2, 1)):
-            wave = np.fft.rfft(piece[:, start : start + length] * window, axis=1)[:, used]
-            total += np.abs(wave) ** 2
-            count += 1
-    power = total * 2.0 / (rate * np.sum(window**2) * count)
+    power = np.average([power[:, used] for _, power in spectra], axis=0, weights=counts)
     if mean is not None:
         return np.sqrt(power.mean(axis=1)), grid[used]
-    averages = max(count * 0.52, 1.0)  # of independent segments among half-overlapping ones
+    averages = max(sum(counts) * 0.52, 1.0)  # of independent segments among half-overlapping ones
     return np.sqrt(np.median(power, axis=1) / (1.0 - 1.0 / (9.0 * averages)) ** 3), grid[used]

@@ -1,1 +1,1 @@
-"""The noise: learned, described, whitened, and what fits leave of it."""
+"""The sensors' noise: identified, modelled, whitened, and compared with the fit residuals."""

@@ -92,4 +92,4 @@ def _fits(axes: Any, recorded: Sequence[Moment], replayed: Sequence[Moment]) -> 
         if found:
             times, left = np.array(found).T
             axes.semilogy(times, np.maximum(left, 1e-7), ".", ms=3, color=color)
-    axes.set(xlabel="time (s)", ylabel="1 - R²", title="What the fits leave unexplained")
+    axes.set(xlabel="time (s)", ylabel="1 - R²", title="Unexplained share of the signal")

@@ -60,7 +60,7 @@ def true_way(axes: Axes, places: FloatArray, beside: tuple[float, float]) -> Non
         axes.plot(places[:, 0], places[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
         axes.plot(*places[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
         axes.annotate(
-            "put down", (places[0, 0], places[0, 1]), xytext=beside, textcoords="offset points", color=TRUE, fontsize=10
+            "start", (places[0, 0], places[0, 1]), xytext=beside, textcoords="offset points", color=TRUE, fontsize=10
         )
 
 

@@ -1,4 +1,4 @@
-"""Heat and duty of every coil over a run, reckoned from what was commanded as the safety reckoned it in flight."""
+"""Temperature and duty of every coil over a run, computed from the commands as the safety does it in flight."""
 
 from __future__ import annotations
 

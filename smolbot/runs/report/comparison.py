@@ -124,20 +124,20 @@ def _labels(flights: list[Flight]) -> list[str]:
 def _figures(flights: list[Flight]) -> list[Compared]:
     if flights[0].steered is not None:
         rows: list[tuple[str, str, str, Statistic]] = [
-            ("tracking_error_mm.mean", "mean tracking error, mm", "tracking", mean),
-            ("tracking_error_mm.p95", "tracking error, 95 % within, mm", "tracking", p95),
+            ("tracking_error_mm.mean", "mean tracking error", "tracking", mean),
+            ("tracking_error_mm.p95", "tracking error, 95th percentile", "tracking", p95),
         ]
-        single = [("path_time_s", "time on the path, s"), ("coil_energy_j", "heat in the coils, J"), ("turns", "turns")]
+        single = [("path_time_s", "time on the path"), ("coil_energy_j", "heat in the coils"), ("turns", "turns")]
     else:
-        rows, single = [], [("pose_rate_hz", "trusted poses, Hz")]
+        rows, single = [], [("pose_rate_hz", "trusted poses")]
     rows += [
-        ("localization_error_mm.mean", "mean localization error, mm", "localization", mean),
-        ("localization_error_mm.p95", "localization error, 95 % within, mm", "localization", p95),
-        ("orientation_error_deg.mean", "mean orientation error, °", "orientation", mean),
+        ("localization_error_mm.mean", "mean localization error", "localization", mean),
+        ("localization_error_mm.p95", "localization error, 95th percentile", "localization", p95),
+        ("orientation_error_deg.mean", "mean orientation error", "orientation", mean),
         ("unexplained_median", "median unexplained share, 1 - R²", "unexplained", median),
-        ("compute_ms.median", "median computing, ms", "compute", median),
+        ("compute_ms.median", "median computing time", "compute", median),
     ]
-    single += [("loop_rate_hz", "loop rate, Hz"), ("duration_s", "duration, s"), ("cycles", "cycles")]
+    single += [("loop_rate_hz", "loop rate"), ("duration_s", "duration"), ("cycles", "cycles")]
     told = [series_of(flight) for flight in flights]
     found = [_of_series(key, name, [one.get(kind) for one in told], statistic) for key, name, kind, statistic in rows]
     found += [_of_numbers(key, name, [flight.summary.get(key) for flight in flights]) for key, name in single]

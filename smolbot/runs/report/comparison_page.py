@@ -11,9 +11,9 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import writing
 from smolbot.runs.pictures.style import COILS, PLANNED, dots, nothing
 from smolbot.runs.report.comparison import Comparison, series_of
-from smolbot.runs.report.figures_of_merit import number
+from smolbot.runs.report.figures_of_merit import append_unit, number, unit_of
 from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.html import Section, badge, page, table, text
+from smolbot.runs.report.html import ELEMENTS, Section, render_page
 from smolbot.runs.report.intervals import METHOD, Estimate
 from smolbot.runs.report.svg import page_style, svg_of, wide_figure
 from smolbot.runs.summary import tracking_distance
@@ -47,11 +47,9 @@ def comparison_page(found: Comparison) -> str:
     with page_style():
         sections = [_figures(found), _settings(found), _paths(found), _errors(found), _runs(found)]
     title = " and ".join(found.labels) if len(found.labels) == 2 else f"{len(found.labels)} runs compared"
-    lead = [f"<p>{text(note)}</p>" for note in found.notes]
     robot = found.flights[0].mission.robot
     told = f"Robot {robot.name} ({robot.kind}). Changes and differences are against the first run."
-    lead.insert(0, f"<p>{text(told)}</p>")
-    return page(title, text(title), lead, sections)
+    return render_page(title, title, [ELEMENTS.paragraph(line) for line in (told, *found.notes)], sections)
 
 
 def _figures(found: Comparison) -> Section:
@@ -68,9 +66,11 @@ def _figures(found: Comparison) -> Section:
         header.append(f"{label} minus {found.labels[0]}")
     rows = []
     for figure in found.figures:
-        rows.append([figure.name, *map(said, figure.of_run), *(said(e, signed=True) for e in figure.over_first[1:])])
-    section.add(table(rows, header, wide=True))
-    return section.say(text(METHOD) + " A difference marked with a star is one whose interval does not hold zero.")
+        unit = unit_of(figure.key)
+        own, over = figure.of_run, figure.over_first[1:]
+        rows.append([figure.name, *(said(e, unit) for e in own), *(said(e, unit, signed=True) for e in over)])
+    section.add(ELEMENTS.table(rows, header, wide=True))
+    return section.say(METHOD + " A difference marked with a star is one whose interval does not hold zero.")
 
 
 def _settings(found: Comparison) -> Section:
@@ -78,15 +78,15 @@ def _settings(found: Comparison) -> Section:
     if not found.settings:
         return section.missing("Nothing: mission, rig, robot, gains, seed and versions are the same.")
     rows = [[name, *("-" if v is None else v for v in values)] for name, values in found.settings]
-    return section.add(table(rows, ["setting", *found.labels], wide=True))
+    return section.add(ELEMENTS.table(rows, ["setting", *found.labels], wide=True))
 
 
 def _paths(found: Comparison) -> Section:
     section = Section("paths", "Paths")
     return section.figure(
         svg_of(_path_figure(found), "paths", "Paths of all runs"),
-        "From above: grey is what was planned, coloured where each robot truly went; where no witness knew that, "
-        "where it was tracked.",
+        "From above: grey is what was planned, coloured the true path of each robot; without "
+        "ground truth, the tracked one.",
     )
 
 
@@ -108,23 +108,21 @@ def _runs(found: Comparison) -> Section:
     section = Section("runs", "Runs")
     for flight, label in zip(found.flights, found.labels, strict=True):
         s = flight.summary
-        section.say(
-            f"<b>{text(label)}</b> {badge(s['verdict'])} {text(flight.title)}, {text(s['status'])}: "
-            f"{text(s['stop_reason'])}. {text(flight.record.path)}"
-        )
+        words = f"{flight.title}, {s['status']}: {s['stop_reason']}. {flight.record.path}"
+        section.add(ELEMENTS.run_line(label, s["verdict"], words))
     return section
 
 
-def said(estimate: Estimate | None, *, signed: bool = False) -> str:
-    """An estimate with its interval, for people."""
+def said(estimate: Estimate | None, unit: str, *, signed: bool = False) -> str:
+    """An estimate with its interval and unit, for people."""
     if estimate is None:
         return "-"
     plus = "+" if signed and estimate.value > 0 else ""
     shown = f"{plus}{number(estimate.value)}"
     if estimate.low is None or estimate.high is None:
-        return shown
+        return append_unit(shown, unit)
     star = " *" if signed and estimate.low * estimate.high > 0 else ""
-    return f"{shown} ({number(estimate.low)} to {number(estimate.high)}){star}"
+    return append_unit(f"{shown} ({number(estimate.low)} to {number(estimate.high)})", unit) + star
 
 
 def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
@@ -141,7 +139,7 @@ def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
         axes.set_yticks(range(n), found.labels)
         axes.set_ylim(n - 0.5, -0.5)
         axes.set_xlim(left=0.0)
-        axes.set_title(one.name[0].upper() + one.name[1:])
+        axes.set_title(f"{one.name.capitalize()}, in {unit_of(one.key)}")
         axes.grid(axis="x")
     return figure
 

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from smolbot.motion.robot import Robot
 
 PARTS = {
-    "localization": "true minus tracked place, at the pose that the command was made from",
+    "localization": "true minus tracked position, at the pose that the command was made from",
     "lag": "how far the robot moved from that pose's time to the end of its shot, when the command begins to act; "
-    "the controller takes it to rest",
-    "saturation": "how far off the path the command would have left the robot by the believed model, in steps whose "
-    "command a limit cut short",
-    "aim": "the same in all other steps: what the law had not yet corrected, and corners that it cuts",
-    "mismatch": "how far the robot truly moved, minus how far the believed model moves it under the same command",
+    "the controller assumes that it rests",
+    "saturation": "distance to the path at which the command would have left the robot by the controller's model, in "
+    "steps where a limit cut the command short",
+    "aim": "the same in all other steps: errors that the controller had not yet corrected, and corners that it cuts",
+    "mismatch": "true motion of the robot minus its motion by the controller's model under the same command",
 }
 """Parts of the tracking error, and what they are."""
 

@@ -10,7 +10,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.runs.pictures.style import LOCATED, dots
 from smolbot.runs.report.error_budget import PARTS, Budget, split, steps_of
 from smolbot.runs.report.flight import NO_TRUTH, Flight
-from smolbot.runs.report.html import Section, table, text
+from smolbot.runs.report.html import ELEMENTS, Section
 from smolbot.runs.report.svg import FAINT, INK, svg_of, wide_figure
 
 if TYPE_CHECKING:
@@ -18,20 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLORS = {"localization": LOCATED, "lag": "#7b2d8b", "saturation": "#f2a541", "aim": "#5fa8d3", "mismatch": "#4c956c"}
-
-FORMULA = (
-    "x<sub>m</sub> − c = (x<sub>k</sub> − p<sub>k</sub>) + (x<sub>a</sub> − x<sub>k</sub>) + (y − c) + "
-    "[(x<sub>m</sub> − x<sub>a</sub>) − (y − p<sub>k</sub>)]"
-)
-
-TERMS = (
-    "x is the true place, p the tracked one. k is the pose that a command was made from, a the end of its shot, from "
-    "when the command acts, m the next pose. y is where the believed model of motion, begun at p<sub>k</sub> and at "
-    "rest until a, ends under the command; c is the point of the path nearest to x<sub>m</sub>. From left to right: "
-    "<b>localization</b>, <b>lag</b>, <b>saturation</b> (where a limit cut the command short) or <b>aim</b> (where "
-    "none did), <b>mismatch</b>. Each is projected on the direction from c to x<sub>m</sub>, so they add up to the "
-    "tracking error of every step exactly."
-)
 
 
 def budget_section(flight: Flight) -> Section:
@@ -51,10 +37,10 @@ def budget_section(flight: Flight) -> Section:
         "positive to the left of the way; where a coloured line goes with the black one, that part makes the error.",
     )
     header = ("part", "rms, mm", "mean, mm", "share of mean square", "what it is")
-    section.add(table(rows_of(budget), header, wide=True))
+    section.add(ELEMENTS.table(rows_of(budget), header, wide=True))
     for line in closing(budget, flight.summary, helical=flight.helical):
-        section.say(text(line))
-    return section.say(f'<span class="formula">{FORMULA}</span>').say(TERMS)
+        section.say(line)
+    return section.add(ELEMENTS.formula_of_steps())
 
 
 def rows_of(budget: Budget) -> list[tuple[str, str, str, str, str]]:
@@ -140,40 +126,34 @@ def _draw_course(axes: Axes, budget: Budget) -> None:
 
 
 def _of_poses(section: Section, flight: Flight) -> Section:
-    """Localization error of a device that is not steered: what is always the same, what is foretold, and the rest."""
+    """Localization error of a device that is not steered: what is always the same, what is predicted, and the rest."""
     found = pose_budget(flight.compared)
     if found is None:
         return section.missing("No pose could be trusted, so there is no error to take apart.")
-    section.add(table(_pose_rows(found), ("part", "rms, mm", "share of mean square", "what it is"), wide=True))
-    section.say('<span class="formula">⟨|p − x|²⟩ = |⟨p − x⟩|² + tr⟨C⟩ + rest</span>')
-    return section.say(
-        "p is each trusted pose, x the truth at its time, C the covariance of the pose that the fit foretold. The "
-        "three parts add up to the mean square of the error; a rest below zero says that poses scatter less "
-        "than their covariances claim."
-    )
+    section.add(ELEMENTS.table(_pose_rows(found), ("part", "rms, mm", "share of mean square", "what it is"), wide=True))
+    return section.add(ELEMENTS.formula_of_poses())
 
 
 def pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None:
-    """Mean squares, in m², of poses against truths: ``total``, ``bias``, ``foretold`` and ``rest``; None without "
-    "any."""
+    """Mean squares, in m², of poses against truths: ``total``, ``bias``, ``predicted``, ``rest``; None without any."""
     if not pairs:
         return None
     errors = np.array([pose.position - truth.position for pose, truth in pairs])
     total = float(np.mean(np.sum(errors**2, axis=1)))
     bias = float(np.sum(errors.mean(axis=0) ** 2))
-    foretold = float(np.mean([np.trace(pose.covariance[:3, :3]) for pose, _ in pairs]))
-    return {"total": total, "bias": bias, "foretold": foretold, "rest": total - bias - foretold}
+    predicted = float(np.mean([np.trace(pose.covariance[:3, :3]) for pose, _ in pairs]))
+    return {"total": total, "bias": bias, "predicted": predicted, "rest": total - bias - predicted}
 
 
 def _pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]]:
     said = {
-        "bias": "the same in every pose: sensors out of place, a model that is off everywhere alike",
-        "foretold": "noise, as the covariance of each pose foretells it",
-        "rest": "what is left: sensors out of place that act differently in every place, motion within a window, mains",
+        "bias": "the same in every pose: misplaced sensors, a model error that is the same everywhere",
+        "predicted": "noise, as the covariance of each pose predicts it",
+        "rest": "the remainder: misplaced sensors whose effect depends on the position, motion within a window, mains",
         "total": "localization error of each trusted pose, in space",
     }
     rows = []
-    for name in ("bias", "foretold", "rest", "total"):
+    for name in ("bias", "predicted", "rest", "total"):
         square = found[name]
         rms = np.sign(square) * np.sqrt(abs(square))
         rows.append((name, f"{1e3 * rms:.3f}", f"{100 * square / found['total']:.0f} %", said[name]))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from smolbot.config.load import AnyMission
 from smolbot.config.observation import Observation
-from smolbot.runs.report.html import text
+from smolbot.runs.report.html import ELEMENTS
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 NAMES = {
     "tracking_error_mm": "tracking error: true robot to path",
@@ -25,8 +28,8 @@ NAMES = {
     "r_squared_median": "R² (median)",
     "loop_rate_hz": "loop rate",
     "timeline_limit_hz": "loop rate that the timeline allows",
-    "compute_ms": "computing per cycle",
-    "turnaround_ms": "time that the rig sets aside for it",
+    "compute_ms": "compute time per cycle",
+    "turnaround_ms": "budget for it",
     "pose_rate_hz": "trusted poses",
     "gaps": "gaps between trusted poses",
     "measurements": "independent measurements",
@@ -40,8 +43,8 @@ NAMES = {
     "path_length_mm": "length of the path",
     "progress_mm": "of it passed",
     "cycles": "cycles",
-    "flips": "poses turned the wrong way round",
-    "poses_untrusted": "windows without a pose to trust",
+    "flips": "180° orientation flips",
+    "poses_untrusted": "measurements rejected",
     "wall_s": "wall time",
     "realtime_factor": "times faster than real time",
 }
@@ -50,29 +53,27 @@ NAMES = {
 _UNITS = {"mm": "mm", "deg": "°", "s": "s", "hz": "Hz", "ms": "ms", "j": "J"}
 
 
-def verdict_table(mission: AnyMission, summary: dict[str, Any]) -> str:
+def verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
     """What the mission file asks of a run, what it got, and whether that is enough."""
-    rows = [_criterion("ended as it should", summary, "status", "completed", summary["status"] == "completed")]
-    for key, name, limit, most in _wanted(mission):
+    ended = summary["status"]
+    rows: list[tuple[str, object, str, bool | None]] = [
+        ("ended as it should", _number("status", ended), "completed", ended == "completed")
+    ]
+    for key, name, limit, is_maximum in _wanted(mission):
         value = _at(summary, key)
+        wanted = f"at {'most' if is_maximum else 'least'} {limit:g} {unit_of(key)}"
         if value is None:
-            rows.append(_line(name, "<td>not known: no witness</td>", _told(limit, most, key), "-"))
+            rows.append((name, "not known: no ground truth", wanted, None))
         else:
-            met = value <= limit if most else value >= limit
-            rows.append(_criterion(name, summary, key, _told(limit, most, key), met))
-    head = "<thead><tr><th>criterion</th><th>this run</th><th>asked for</th><th></th></tr></thead>"
-    return f'<table id="verdict-table">{head}<tbody>{"".join(rows)}</tbody></table>'
+            rows.append((name, _number(key, value), wanted, value <= limit if is_maximum else value >= limit))
+    return ELEMENTS.verdict(rows)
 
 
-def figures_table(summary: dict[str, Any]) -> str:
+def figures_table(summary: dict[str, Any]) -> Markup:
     """Every figure of merit that this run has."""
-    rows = []
-    for key, name in NAMES.items():
-        value = summary.get(key)
-        if value is None:
-            continue
-        rows.append(f"<tr><th>{text(name)}</th><td>{_cells(key, value)}</td></tr>")
-    return f'<div class="scroll"><table id="figures-table"><tbody>{"".join(rows)}</tbody></table></div>'
+    return ELEMENTS.table(
+        [(name, _cells(key, summary[key])) for key, name in NAMES.items() if summary.get(key) is not None]
+    )
 
 
 def number(value: float) -> str:
@@ -89,35 +90,37 @@ def unit_of(key: str) -> str:
     return _UNITS.get(key.split(".")[0].rsplit("_", 1)[-1], "")
 
 
-def _cells(key: str, value: Any) -> str:
+def append_unit(shown: str, unit: str) -> str:
+    """A number with its unit behind it.
+
+    Examples
+    --------
+    >>> append_unit("0.48", "mm"), append_unit("1.1", "°"), append_unit("12", "")
+    ('0.48 mm', '1.1°', '12')
+    """
+    return f"{shown}{'' if unit in ('', '°') else ' '}{unit}"
+
+
+def _cells(key: str, value: Any) -> Markup:
+    """Each number of a figure that has several, with its name."""
     if isinstance(value, dict):
-        return " &nbsp; ".join(f"{text(name)} {_number(f'{key}.{name}', inner)}" for name, inner in value.items())
+        return ELEMENTS.named_figures([(name, _number(f"{key}.{name}", inner)) for name, inner in value.items()])
     if isinstance(value, list):
-        return ", ".join(_number(f"{key}.{i}", inner) for i, inner in enumerate(value))
+        return ELEMENTS.listed_figures([_number(f"{key}.{i}", inner) for i, inner in enumerate(value)])
     return _number(key, value)
 
 
-def _number(key: str, value: Any) -> str:
-    unit = unit_of(key)
+def _number(key: str, value: Any) -> Markup:
     if value is None:
         said = "-"
     else:
         shown = f"{value:.4f}" if key.startswith("r_squared") else number(value)
-        said = f"{shown}{'' if unit in ('', '°') else ' '}{unit}"
-    return f'<data data-key="{text(key)}" value="{text(value)}">{text(said)}</data>'
-
-
-def _criterion(name: str, summary: dict[str, Any], key: str, wanted: str, met: bool) -> str:
-    mark = f'<span class="badge {"passed" if met else "failed"}">{"yes" if met else "no"}</span>'
-    return _line(name, f"<td>{_number(key, _at(summary, key))}</td>", wanted, mark)
-
-
-def _line(name: str, got: str, wanted: str, mark: str) -> str:
-    return f"<tr><th>{text(name)}</th>{got}<td>{text(wanted)}</td><td>{mark}</td></tr>"
+        said = append_unit(shown, unit_of(key))
+    return ELEMENTS.figure_of_merit(key, value, said)
 
 
 def _wanted(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]]:
-    """Key of the summary, name, limit, and whether it is the most that is allowed."""
+    """Key of the summary, name, limit, and whether the limit is a maximum."""
     asked: list[tuple[str, str, float | None, bool]]
     if isinstance(mission, Observation):
         looked = mission.sections.verdict
@@ -132,13 +135,9 @@ def _wanted(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]]:
             ("tracking_error_mm.mean", "mean tracking error", wanted.mean_tracking_mm, True),
             ("localization_error_mm.mean", "mean localization error", wanted.mean_localization_mm, True),
         ]
-    for key, name, limit, most in asked:
+    for key, name, limit, is_maximum in asked:
         if limit is not None:
-            yield key, name, limit, most
-
-
-def _told(limit: float, most: bool, key: str) -> str:
-    return f"at {'most' if most else 'least'} {limit:g} {unit_of(key)}"
+            yield key, name, limit, is_maximum
 
 
 def _at(summary: dict[str, Any], key: str) -> Any:

@@ -17,8 +17,8 @@ from smolbot.runs.recording.reader import RecordedRun, read_run
 from smolbot.runs.run import Run
 from smolbot.runs.trace import Trace, compared
 
-NO_TRUTH = "This needs the truth, and no witness knew it on this rig."
-NO_SIGNALS = "This needs what the sensors heard, and this record holds no samples."
+NO_TRUTH = "This needs ground truth, which this rig does not provide."
+NO_SIGNALS = "This needs the sensors' raw samples, and this record holds none."
 
 
 @dataclass

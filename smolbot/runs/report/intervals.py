@@ -52,14 +52,14 @@ def median(values: FloatArray) -> FloatArray:
 
 def alike_for(values: FloatArray) -> float:
     """Integrated autocorrelation time of a series, in samples: 1 where each is independent of the one before."""
+    from scipy.signal import correlate
+
     n = len(values)
     off = values - values.mean()
     square = float(off @ off)
     if square == 0.0:
         return 1.0
-    size = 1 << int(np.ceil(np.log2(2 * n)))
-    spectrum = np.fft.rfft(off, size)
-    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[:n] / square
+    correlation = correlate(off, off, method="fft")[n - 1 :] / square
     total = 1.0
     for lag in range(1, n):
         total += 2.0 * float(correlation[lag])

@@ -63,11 +63,15 @@ def coils_figure(flight: Flight, strain: Strain) -> Figure:
         heat.set_ylim(top=1.06 * max(limits))
     else:
         nothing(heat, "thermal constants of these coils are not known")
-    heat.set_title("Temperature reckoned from commanded currents, in °C")
+    heat.set_title("Temperature computed from commanded currents, in °C")
     heat.set_xlabel("time in s")
     for axes in (currents, duty, heat):
         axes.grid(axis="y")
     return figure
+
+
+MOST_SHOWN = 1.3
+"""Length of a cycle's axis over the cycle: a slow machine's compute time would make the windows narrow."""
 
 
 def cycle_figure(flight: Flight) -> Figure:
@@ -125,14 +129,14 @@ def _draw_shot(axes: Axes, shot: Shot, times: int, compute: Any, turnaround: flo
     axes.barh(0.0, median, left=end, height=0.6, color=INK, lw=0)
     axes.plot([end + median, end + slowest], [0.0, 0.0], color=INK, lw=1.2)
     axes.annotate(
-        f"computing {1e3 * float(np.median(compute)):.1f} ms", (end, 0.3), xytext=(0, 4), textcoords="offset points",
-        ha="left", va="bottom", fontsize=8.5,
+        f"compute time {median:.3g} {unit}, 99th percentile {slowest:.3g} {unit}",
+        (end, -0.3), xytext=(0, -4), textcoords="offset points", ha="left", va="top", fontsize=8.5,
     )  # fmt: skip
     axes.set_title(
         f"{shot.mode}: {scale * shot.duration:.1f} {unit}, played {times} times in this order", fontsize=9.5, pad=18
     )
     axes.set_ylim(-0.75, 0.75)
-    axes.set_xlim(-0.005 * whole, max(1.02 * whole, end + 1.05 * slowest))
+    axes.set_xlim(-0.005 * whole, MOST_SHOWN * whole)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
     axes.set_xlabel(f"time in {unit}")
@@ -142,8 +146,8 @@ def _said(window: Window, name: str, length: float, unit: str) -> str:
     if isinstance(window, Rotate):
         return f"{window.turns:g} turn{'' if window.turns == 1 else 's'}"
     if isinstance(window, MoveMagnet):
-        return f"magnet {window.to} {length:.3g}"
-    return f"{name} {length:.3g}"
+        return f"magnet {window.to} {length:.3g} {unit}"
+    return f"{name} {length:.3g} {unit}"
 
 
 def _draw_bursts(axes: Axes, flight: Flight) -> None:

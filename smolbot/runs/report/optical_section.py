@@ -12,7 +12,7 @@ from smolbot.errors import SmolbotError
 from smolbot.runs.optics.opticaltrack import OpticalTrack, read_optical_track
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots
 from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.html import Section, table
+from smolbot.runs.report.html import ELEMENTS, Section
 from smolbot.runs.report.svg import svg_of, wide_figure
 from smolbot.runs.run import trusted_poses
 from smolbot.runs.summary import statistics
@@ -87,7 +87,9 @@ def optical_sections(flight: Flight) -> list[Section]:
         "Left: where the camera saw the robot, and where it was located. Right: horizontal distance of each trusted "
         "pose to the camera's place at the same time, and the difference of their headings.",
     )
-    return [section.add(table(optical_rows(flight, seen), ("", "mean", "std", "rms", "95 %", "max"), numbers=True))]
+    return [
+        section.add(ELEMENTS.table(optical_rows(flight, seen), ("", "mean", "std", "rms", "95 %", "max"), numbers=True))
+    ]
 
 
 def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:

@@ -16,7 +16,7 @@ from smolbot.runs.report.coil_load import strain_of
 from smolbot.runs.report.error_budget_section import budget_section
 from smolbot.runs.report.figures_of_merit import figures_table, number, verdict_table
 from smolbot.runs.report.flight import NO_SIGNALS, Flight
-from smolbot.runs.report.html import Section, badge, page, table, text, tiles
+from smolbot.runs.report.html import ELEMENTS, Section, render_page
 from smolbot.runs.report.optical_section import optical_sections
 from smolbot.runs.report.provenance_section import events_section, provenance_section
 from smolbot.runs.report.quiet_noise import QuietNoise, heard_noise, quiet_recordings
@@ -58,9 +58,10 @@ def report_of(flight: Flight) -> str:
             provenance_section(flight),
         ]
     summary = flight.summary
-    heading = f"{text(flight.mission.name)} {badge(summary['verdict'])}"
-    lead = [f"<p>{text(line)}</p>" for line in _lead(flight)] + [tiles(key_figures(summary))]
-    return page(f"{flight.title}: {summary['verdict']}", heading, lead, sections, warning=_warning(flight))
+    verdict = summary["verdict"]
+    heading = ELEMENTS.heading(flight.mission.name, verdict)
+    lead = [*map(ELEMENTS.paragraph, _lead(flight)), ELEMENTS.tiles(key_figures(summary))]
+    return render_page(f"{flight.title}: {verdict}", heading, lead, sections, warning=_warning(flight))
 
 
 def _warning(flight: Flight) -> str:
@@ -120,8 +121,8 @@ def _verdict(flight: Flight) -> Section:
     section = Section("verdict", "Verdict")
     section.add(verdict_table(flight.mission, flight.summary))
     for reason in flight.summary["verdict_reasons"]:
-        section.say(text(reason), "missing")
-    return section.add(f"<details><summary>All figures of this run</summary>{figures_table(flight.summary)}</details>")
+        section.missing(reason)
+    return section.add(ELEMENTS.folded("All figures of this run", figures_table(flight.summary)))
 
 
 def _where(flight: Flight) -> list[Section]:
@@ -180,8 +181,8 @@ def _machinery(flight: Flight) -> Section:
     section = Section("coils", "Currents, duty and heat")
     return section.figure(
         svg_of(machinery.coils_figure(flight, strain_of(flight)), "coils", "Currents, duty and heat over time"),
-        "Each with the limit that would have ended the run. Heat is reckoned from commanded currents, as the safety "
-        "does it in flight: one thermal node for each coil.",
+        "Each with the limit that would have ended the run. Temperature is computed from commanded currents, as the "
+        "safety does it in flight: one thermal node for each coil.",
     )
 
 
@@ -189,8 +190,8 @@ def _cycle(flight: Flight) -> Section:
     section = Section("cycle", "One cycle")
     return section.figure(
         svg_of(machinery.cycle_figure(flight), "cycle", "Timeline of a typical cycle"),
-        "Windows of a typical shot, to scale, then what the cycle's computing took: bar for the median, line to the "
-        "99th percentile, dotted box for the time that the rig sets aside for it.",
+        "Windows of a typical shot, to scale, then the compute time: bar for the median, line to the 99th "
+        "percentile, dotted box for the budget (turnaround_ms).",
     )
 
 
@@ -203,30 +204,30 @@ def _signal(flight: Flight) -> list[Section]:
     try:
         heard = heard_noise(quiet)
     except InputError as error:
-        noise.missing(f"Nothing can be learned from the quiet recordings: {error}")
+        noise.missing(f"No noise model can be estimated from the quiet recordings: {error}")
     lines = np.zeros(0) if heard is None else heard.line_frequencies
     if windows:
         fit.figure(
             svg_of(signals.fit_figure(flight, windows, lines), "fit", "R², a window, and the spectrum of residuals"),
-            "R² is the flight's own. The rest is reckoned anew: the forward model at each recorded pose, with sensors "
-            "and device as believed then, taken off the raw samples. Where the orange line lies on the broad one, a "
-            "fit leaves nothing but noise; where it stands above, the model misses something. A constant, and "
-            "whatever slope or decay the flight left free in each channel, is taken off all of them, "
-            "which is why the lowest frequencies fall.",
+            "R² is the flight's own. The rest is computed again: the raw samples minus the forward model at each "
+            "recorded pose, with the sensors and device parameters assumed then. Where the orange line lies on the "
+            "broad one, the residuals are noise alone; where it lies above, the model misses something. A constant, "
+            "and the slope or decay that the flight left free in each channel, are subtracted from all of them: that "
+            "is why the lowest frequencies fall.",
         )
     else:
         fit.missing(NO_SIGNALS)
     if heard is not None:
         noise.figure(
             svg_of(signals.noise_figure(heard), "noise", "Spectral density of the noise of every channel"),
-            f"Heard in {heard.seconds:.0f} s before the first cycle. Dotted: lines that were learned. The dashed "
+            f"Recorded in {heard.seconds:.0f} s before the first cycle. Dotted: identified spectral lines. The dashed "
             "floor is the median between lines, from 20 Hz to 200 Hz.",
         )
-        noise.add(table(*_lines(heard), numbers=True))
+        noise.add(ELEMENTS.table(*_lines(heard), numbers=True))
     elif not quiet and not windows:
         noise.missing(NO_SIGNALS)
     elif not quiet:
-        noise.missing("Nothing was listened to before the first cycle (quiet_s, or an estimator that learns no noise).")
+        noise.missing("Nothing was recorded before the first cycle (quiet_s, or an estimator without a noise model).")
     return [fit, noise]
 
 

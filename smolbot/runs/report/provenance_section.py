@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.html import Section, folded, table, text
+from smolbot.runs.report.html import ELEMENTS, Section
+from smolbot.runs.report.setting_differences import flattened
 
 _LONG = 160  # characters of an event's detail that are shown
+
+
+LABELS = {
+    "array learned": "sensor positions estimated",
+    "coil tails learned": "coil current decay identified",
+    "ring-down learned": "excitation ring-down identified",
+    "noise learned": "noise model identified",
+}
+"""How events are called in a report, where their name in the record says too little."""
 
 
 def events_section(flight: Flight) -> Section:
@@ -18,7 +25,7 @@ def events_section(flight: Flight) -> Section:
     recovered = {kind: times for kind, times in flight.run.recovered.items() if times}
     if recovered:
         told = ", ".join(f"{kind.replace('_', ' ')} {times}" for kind, times in recovered.items())
-        section.say(f"Borne without ending the run: {text(told)}.")
+        section.say(f"Recovered from during the run: {told}.")
     if not events:
         return section.missing("Nothing was recorded.")
     rows: list[list[str]] = []
@@ -26,13 +33,13 @@ def events_section(flight: Flight) -> Section:
     for event in events:
         count = count + 1 if event.what == last else 1
         which = f" (number {count} in a row)" if count > 1 else ""
-        row = [f"{event.time:.2f} s", event.what + which, _detail(event.detail)]
+        row = [f"{event.time:.2f} s", LABELS.get(event.what, event.what) + which, _detail(event.detail)]
         if count > 2:
             rows[-1] = row
         else:
             rows.append(row)
         last = event.what
-    return section.add(table(rows, ("time", "what", "detail"), wide=True))
+    return section.add(ELEMENTS.table(rows, ("time", "what", "detail"), wide=True))
 
 
 def provenance_section(flight: Flight) -> Section:
@@ -44,30 +51,16 @@ def provenance_section(flight: Flight) -> Section:
     rows = [(name, "not known" if value is None else value) for name, value in found.items()]
     rows += [(f"--set {name}", value) for name, value in settings.items()]
     rows.append(("record", f"{flight.record.path.name}, {flight.record.path.stat().st_size / 1e6:.1f} MB"))
-    section.add(table(rows))
+    section.add(ELEMENTS.table(rows))
     if not settings:
         section.say("No settings were laid over the files.")
-    section.add(folded("What the simulated world drew, hidden from controller and localizer", _flat(world)))
-    section.add(folded("Packages", table(sorted(packages.items()))))
+    drawn = ELEMENTS.table(flattened(world).items()) if world else "Nothing."
+    section.add(ELEMENTS.folded("What the simulated world drew, hidden from controller and localizer", drawn))
+    section.add(ELEMENTS.folded("Packages", ELEMENTS.table(sorted(packages.items()))))
     for name, content in sorted(flight.record.begin.files.items()):
         if name.endswith(".toml"):
-            section.add(folded(name, f"<pre>{text(content.decode(errors='replace'))}</pre>"))
+            section.add(ELEMENTS.folded(name, ELEMENTS.preformatted(content.decode(errors="replace"))))
     return section
-
-
-def _flat(world: dict[str, Any]) -> str:
-    """A nested dictionary as a table of dotted names."""
-    rows: list[tuple[str, str]] = []
-
-    def lay(prefix: str, value: Any) -> None:
-        if isinstance(value, dict):
-            for key, inner in value.items():
-                lay(f"{prefix}.{key}" if prefix else str(key), inner)
-        else:
-            rows.append((prefix, json.dumps(value, default=str)))
-
-    lay("", world)
-    return table(rows) if rows else "<p>Nothing.</p>"
 
 
 def _detail(detail: dict[str, object]) -> str:

@@ -61,21 +61,20 @@ def heard_noise(recordings: list[Recording]) -> QuietNoise | None:
     """
     if not recordings:
         return None
+    from scipy.signal import periodogram
+
     model = NoiseModel.learn(recordings)
     rate = recordings[0].sample_rate
     size = max(round(rate / BLOCK_RATE), 1)
     pieces = [averaged(recording.field, size) for recording in recordings]
     n = min(piece.shape[1] for piece in pieces)
-    taper = np.hanning(n + 2)[1:-1]
-    power = np.mean([np.abs(np.fft.rfft(piece[:, :n] * taper, axis=1)) ** 2 for piece in pieces], axis=0)
-    power *= 2.0 * size / (rate * np.sum(taper**2))
-    grid = np.asarray(np.fft.rfftfreq(n, size / rate), dtype=np.float64)
+    grid, power = periodogram(np.array([piece[:, :n] for piece in pieces]), rate / size, "hann", detrend=False)
     own = np.sqrt(np.real(np.einsum("fjj->jf", model.spectrum)))
     middle = (model.frequencies >= 20.0) & (model.frequencies <= 200.0)
     return QuietNoise(
         float(sum(recording.duration for recording in recordings)),
         grid[1:],
-        np.sqrt(power[:, 1:]),
+        np.sqrt(power.mean(axis=0)[:, 1:]),
         model.line_frequencies,
         np.sqrt(np.real(np.einsum("ljj->lj", model.lines))),
         np.median(own[:, middle], axis=1),

@@ -1,4 +1,4 @@
-"""What the fit leaves of every window: the forward model at the recorded pose, taken off what was heard."""
+"""Fit residuals of every window: the recorded field minus the forward model at the recorded pose."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Window:
 
     @property
     def left(self) -> FloatArray:
-        """What the fit leaves, shape (n_used, n), in T."""
+        """Fit residuals, shape (n_used, n), in T."""
         return (self.heard - self.model)[self.used]
 
     @property
@@ -158,13 +158,11 @@ def density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatAr
         Of one length; shorter ones set it.
     rate : float, in Hz
     """
+    from scipy.signal import periodogram
+
     n = min(window.shape[1] for window in windows)
-    taper = np.hanning(n + 2)[1:-1]
-    power = np.mean(
-        [np.mean(np.abs(np.fft.rfft(window[:, :n] * taper, axis=1)) ** 2, axis=0) for window in windows], axis=0
-    )
-    grid: FloatArray = np.asarray(np.fft.rfftfreq(n, 1.0 / rate), dtype=np.float64)
-    return grid, np.sqrt(2.0 * power / (rate * np.sum(taper**2)))
+    spectra = [periodogram(window[:, :n], rate, "hann", detrend=False) for window in windows]
+    return spectra[0][0], np.sqrt(np.mean([power.mean(axis=0) for _, power in spectra], axis=0))
 
 
 def cut_quiet(recordings: list[Recording], n: int, trend: int) -> list[FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from hashlib import sha256
 from typing import Any
 
 from smolbot.config.plugins import load
@@ -16,12 +17,18 @@ Flat = dict[str, str]
 
 
 def settings_of(flight: Flight) -> Flat:
-    """Dotted names and values, as text, of all that a run was told."""
+    """Dotted names and values, as text, of all that a run was told; of files that it names, what they hold."""
     found: Flat = {}
     for name, prefix in ((MISSION, "mission"), (RIG, "rig"), (ROBOT, "robot")):
         found |= flattened(tomllib.loads(flight.record.begin.files[name].decode()), prefix)
     if flight.steered is not None:
         found |= {f"mission.controller.gains.{k}": json.dumps(v) for k, v in _gains(flight).items()}
+    for reference in ("mission.rig", "mission.robot"):  # what these files hold is compared, not where they lay
+        found.pop(reference, None)
+    files = flight.record.files
+    for setting, name in files.names.items():
+        key = setting if setting.startswith("rig.") else f"mission.{setting}"
+        found[key] = f"contents {sha256(files.contents[name]).hexdigest()[:8]}"
     where = flight.record.provenance
     found |= {key: str(where.get(key)) for key in ("seed", "smolbot", "commit", "python")}
     return found | flattened(where.get("packages", {}), "package")

@@ -28,7 +28,7 @@ HIGHEST = 2000.0
 
 
 def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figure:
-    """R² over the run, one window with its model, and the spectrum of what fits leave, against quiet ones."""
+    """R² over the run, one window with its model, and the spectrum of the fit residuals, against quiet windows."""
     figure = wide_figure(6.4)
     panels: Any = figure.subplot_mosaic([["r", "window"], ["spectrum", "spectrum"]], height_ratios=[1.0, 1.1])
     _draw_r_squared(panels["r"], flight)
@@ -90,10 +90,12 @@ def _draw_window(axes: Axes, windows: list[Window]) -> None:
     for row, channel in enumerate(loud):
         low = -row * gap
         axes.plot(ms, low + 1e9 * chosen.model[channel], color=TRUE, lw=1.6, label="model" if row == 0 else None)
-        dots(axes, ms, low + 1e9 * chosen.heard[channel], 2.0, LOCATED, label="heard" if row == 0 else None, zorder=3)
+        dots(
+            axes, ms, low + 1e9 * chosen.heard[channel], 2.0, LOCATED, label="measured" if row == 0 else None, zorder=3
+        )
         place = axes.get_yaxis_transform()
         axes.text(1.01, low, f"ch. {channel}", transform=place, fontsize=8.5, color=FAINT, va="center")
-    axes.set_title(f"One window, at {chosen.time:.1f} s: its {len(loud)} loudest channels, in nT")
+    axes.set_title(f"One window, at {chosen.time:.1f} s: its {len(loud)} strongest channels, in nT")
     axes.set_xlabel("time since the first sample, in ms")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, -0.01), ncol=2, fontsize=8.5)
     axes.set_ylim(-(len(loud) - 0.4) * gap, 0.62 * gap)
@@ -109,14 +111,15 @@ def _draw_spectrum(axes: Axes, flight: Flight, windows: list[Window], lines: Flo
     _, signal = density([window.heard[window.used] for window in windows], rate)
     shown = (grid > 0) & (grid <= HIGHEST)
     axes.set_yscale("log")
-    axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="heard")
+    axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="measured")
     if quiet:
         axes.plot(grid[shown], 1e12 * density(quiet, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
                   label="quiet windows of the same length")  # fmt: skip
-    axes.plot(grid[shown], 1e12 * left[shown], color=LOCATED, lw=1.4, label="what the fit leaves")
+    axes.plot(grid[shown], 1e12 * left[shown], color=LOCATED, lw=1.4, label="fit residuals")
     _mark_lines(axes, lines)
     axes.set_title(
-        f"Spectrum of what fits leave, mean over {len(windows)} windows and all channels, in pT per root of Hz", pad=16
+        f"Spectrum of the fit residuals, mean over {len(windows)} windows and all channels, in pT per root of Hz",
+        pad=16,
     )
     axes.set_xlabel(f"frequency in Hz (resolution {grid[1]:.0f} Hz)")
     axes.set_xlim(0.0, 6.0 * max(flight.mission.robot.device.frequency, 100.0))

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 INK, FAINT, GRID = "#333333", "#8a8f98", "#e7e9ec"
@@ -71,25 +72,15 @@ def wide_figure(height: float) -> Figure:
     return Figure(figsize=(11.2, height), layout="constrained")
 
 
-def svg_of(figure: Figure, name: str, alternative: str) -> str:
+def svg_of(figure: Figure, name: str, alternative: str) -> Markup:
     """A figure as an ``svg`` element; `name` keeps its parts apart from those of other figures of the page."""
     import matplotlib
+    from markupsafe import Markup
 
     out = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": name}):
         figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    return _embedded(out.getvalue(), alternative)
-
-
-def css_colors() -> tuple[str, str]:
-    """Declarations of every colour of figures: for a light page, and for a dark one."""
-    light = " ".join(f"{_name(color)}: {color};" for color in DARK)
-    dark = " ".join(f"{_name(color)}: {other};" for color, other in DARK.items())
-    return light, dark
-
-
-def _name(color: str) -> str:
-    return f"--c{color[1:]}"
+    return Markup(_embedded(out.getvalue(), alternative))
 
 
 def _embedded(text: str, alternative: str) -> str:
@@ -104,7 +95,7 @@ def _embedded(text: str, alternative: str) -> str:
     used = set(re.findall(r"#([A-Za-z][\w-]*)", body))
     body = re.sub(r'\sid="([^"]*)"', lambda m: m.group(0) if m.group(1) in used else "", body)
     for color in DARK:
-        body = body.replace(color, f"var({_name(color)})")
+        body = body.replace(color, f"var(--c{color[1:]})")
     body = re.sub(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', _opening(html.escape(alternative, quote=True)), body, count=1)
     return re.sub(r">\s+<", "><", re.sub(r"\s*\n\s*", " ", body)).strip()
 

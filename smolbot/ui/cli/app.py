@@ -72,7 +72,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # the rich help costs a quarter of the time that --help may take
-    help="Steers a magnetic millirobot along a path and sees it only through magnetism.",
+    help="Steers a magnetic millirobot along a path and localizes it only from magnetic sensors.",
 )
 
 
@@ -86,7 +86,7 @@ def _version(value: bool) -> None:
 def _root(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
 ) -> None:
-    """Steers a magnetic millirobot along a path and sees it only through magnetism."""
+    """Steers a magnetic millirobot along a path and localizes it only from magnetic sensors."""
 
 
 def register_own() -> None:

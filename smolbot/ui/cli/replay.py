@@ -104,7 +104,7 @@ _ROWS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("tracked error (mean, mm)", ("tracked_error_mm", "mean")),
     ("orientation error (mean, deg)", ("orientation_error_deg", "mean")),
     ("                  (p95, deg)", ("orientation_error_deg", "p95")),
-    ("flips", ("flips",)),
+    ("180° orientation flips", ("flips",)),
 )
 
 

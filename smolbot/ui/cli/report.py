@@ -10,7 +10,7 @@ import typer
 from smolbot.core.results import as_json
 from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption
-from smolbot.ui.cli.show import echo_json, table
+from smolbot.ui.cli.show import columns, echo_json, table
 
 RunsArgument = Annotated[
     list[Path], typer.Argument(help="Run folder, or its record; several are compared.", metavar="RUN …")
@@ -73,11 +73,13 @@ def _report(run: Path, out: Path | None, json: bool) -> None:
 def _compare(runs: list[Path], out: Path | None, json: bool) -> None:
     from smolbot.runs.report.comparison import compare
     from smolbot.runs.report.comparison_page import said, write_comparison
+    from smolbot.runs.report.figures_of_merit import unit_of
 
     found = compare(runs)
     path = write_comparison(found, out if out is not None else Path("comparison.html"))
-    rows = [(figure.name, "   ".join(map(said, figure.of_run))) for figure in found.figures]
-    table(f"{', '.join(found.labels)}: value (95 % interval)", [*rows, ("page", str(path))], err=json)
+    rows = [[one.name, *(said(estimate, unit_of(one.key)) for estimate in one.of_run)] for one in found.figures]
+    columns("Value (95 % interval)", ("", *found.labels), rows, err=json)
+    typer.echo(f"page: {path}", err=json)
     if json:
         echo_json(as_json({**found.as_dict(), "page": str(path)}))
 

@@ -71,6 +71,7 @@ def _exit_code(run: Run) -> int:
 
 
 def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
+    from smolbot.runs.report.figures_of_merit import append_unit, unit_of
     from smolbot.runs.summary import label_of
     from smolbot.ui.cli.observations import observation_rows
 
@@ -80,7 +81,7 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         ("verdict", "; ".join([str(s["verdict"]), *_texts(s["verdict_reasons"])])),
         ("robot time" if "path_length_mm" in s else "time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
         ("loop rate", f"{s['loop_rate_hz']:.2f} Hz (timeline allows {s['timeline_limit_hz']:.2f} Hz)"),
-        ("computing", _compute(s)),
+        ("compute time", _compute(s)),
     ]
     for key, label in (
         ("localization_error_mm", "localization error"),
@@ -91,9 +92,10 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         ("axis_to_path_deg", "axis against path"),
         ("tracking_error_mm", "tracking error"),
     ):
-        if key in s:
-            unit = key.rsplit("_", 1)[1]
-            rows.append((label, ", ".join(f"{name} {value:.2f}" for name, value in s[key].items()) + f" {unit}"))  # type: ignore[attr-defined]
+        told: Any = s.get(key, {})
+        shown = [append_unit(f"{name} {told[name]:.2f}", unit_of(key)) for name in ("mean", "p95") if name in told]
+        if shown:
+            rows.append((label, ", ".join(shown)))
     rows += observation_rows(s)
     if s["r_squared_median"] is not None:
         rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
@@ -153,4 +155,4 @@ def _compute(summary: dict[str, Any]) -> str:
     times = summary["compute_ms"]
     if times["median"] is None:
         return "no cycle was played"
-    return f"median {times['median']:.2f} ms, p99 {times['p99']:.2f} ms (turnaround {summary['turnaround_ms']:g} ms)"
+    return f"median {times['median']:.2f} ms, p99 {times['p99']:.2f} ms (budget {summary['turnaround_ms']:g} ms)"

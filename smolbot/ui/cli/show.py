@@ -65,8 +65,8 @@ def echo_json(data: Any) -> None:
     sys.stdout.write(json_text(data))
 
 
-def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table with a header on standard output; the first column names, the others hold figures."""
+def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], *, err: bool = False) -> None:
+    """A table with a header, the first column for names; on standard error where standard output is kept for JSON."""
     from rich.table import Table
     from rich.text import Text
 
@@ -75,4 +75,4 @@ def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) ->
         shown.add_column(name, style="cyan" if index == 0 else None, justify="left" if index == 0 else "right")
     for row in rows:
         shown.add_row(*(Text(cell) for cell in row))
-    console().print(shown)
+    console(err=err).print(shown)

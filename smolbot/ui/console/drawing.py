@@ -14,7 +14,7 @@ from smolbot.config.mission import Mission
 from smolbot.config.toml_layers import set_values
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError, SmolbotError
-from smolbot.ui.console import previewing
+from smolbot.ui.console.previewing import panel
 from smolbot.ui.console.scene import PLANNED, Scene
 from smolbot.ui.console.starting import Starting
 
@@ -47,10 +47,8 @@ class Drawing:
         self.points: list[tuple[float, float]] = []
         self.active = False
         gui = server.gui
-        gui.add_html(
-            '<div style="margin:4px 12px;font-size:13px">Clicks on the liquid add corners; the first one is where the '
-            "robot is put down. Rig, law and robot are those of the mission that is chosen.</div>"
-        )
+        how = "Clicks on the liquid add corners; the first one is where the robot is put down. "
+        gui.add_html(panel("note", how + "Rig, law and robot are those of the mission that is chosen."))
         self.toggle = gui.add_checkbox("Draw by clicks", False)
         self.name = gui.add_text("Name", "drawn")
         self.radius = gui.add_number("Corner radius, mm", 1.0, min=0.0, max=20.0, step=0.1)
@@ -88,7 +86,7 @@ class Drawing:
         self._scene.trail("drawn", points, PLANNED, 4.0)
         self._scene.mark("drawn", points, PLANNED)
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        self.said.content = previewing.waiting(f"{len(points)} corners, {steps.sum():.1f} mm") if len(points) else ""
+        self.said.content = panel("note", f"{len(points)} corners, {steps.sum():.1f} mm") if len(points) else ""
 
     def write(self) -> Path:
         """A mission file with this drawing as its path.
@@ -121,7 +119,7 @@ class Drawing:
         try:
             do()
         except (SmolbotError, OSError) as error:
-            self.said.content = previewing.told(False, str(error).splitlines(), [])
+            self.said.content = panel("verdict", False, str(error).splitlines())
 
 
 def mission_text(mission: AnyMission, points: list[tuple[float, float]], radius: float, name: str) -> str:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import html
 import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from smolbot.core.arrays import FloatArray
 from smolbot.ui.console.flight import Flight
+from smolbot.ui.console.previewing import panel
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -21,6 +22,8 @@ LAST = 20.0
 """Seconds of currents that are shown: they change with every pull."""
 
 ALLOWED, FONT = "allowed", "11px sans-serif"
+
+UNKNOWN = "–"
 
 COLORS = ("#2563eb", "#ea580c", "#16a34a", "#9333ea", "#0891b2", "#be123c")
 
@@ -119,45 +122,38 @@ def table(flight: Flight, time: float | None) -> str:
         tracked, cycles = flight.tracked.values(time)[-1:], flight.cycles.values(time)
         currents, heat = flight.currents.values(time)[-1:], flight.heat.values(time)[-1:]
     said = flight.word(time)
-    rows: list[tuple[str, str, bool]] = []
+    rows: list[tuple[str, object, str, bool]] = []
     if flight.steers:
         errors = cycles[:, 0][np.isfinite(cycles[:, 0])]
         allowed = flight.tolerance or math.inf
-        now = f"{errors[-1]:.2f} mm" if len(errors) else "–"
-        rms = f", rms {np.sqrt(np.mean(errors**2)):.2f}" if len(errors) else ""
-        rows.append(("error to path", f"<b>{now}</b> of {allowed:g}{rms}", bool(len(errors) and errors[-1] > allowed)))
+        now = f"{errors[-1]:.2f} mm" if len(errors) else UNKNOWN
+        rms = f", rms {np.sqrt(np.mean(errors**2)):.2f} mm" if len(errors) else ""
+        rows.append(("error to path", now, f" of {allowed:g} mm{rms}", bool(len(errors) and errors[-1] > allowed)))
     rate = flight.rate(time)
-    rows.append(("rate", f"<b>{rate:.1f}</b> a second" if math.isfinite(rate) else "–", False))
+    rows.append(("rate", f"{rate:.1f} Hz" if math.isfinite(rate) else UNKNOWN, "", False))
     squared = cycles[-1, 1] if len(cycles) else math.nan
-    rows.append(("R²", f"<b>{squared:.4f}</b>" if math.isfinite(squared) else "–", squared < 0.9))
+    rows.append(("R²", f"{squared:.4f}" if math.isfinite(squared) else UNKNOWN, "", squared < 0.9))
     for place in tracked:
         x, y, z = place[:3]
-        rows.append(("position", f"<b>{x:+.1f}, {y:+.1f}, {z:.1f}</b> mm ± {place[7]:.2f}", not place[8]))
+        rows.append(("position", f"{x:+.1f}, {y:+.1f}, {z:.1f} mm", f" ± {place[7]:.2f} mm", not place[8]))
     for driven in currents:
         if flight.coils == ("magnet",):
-            rows.append(("magnet", f"<b>{driven[0]:g}</b> turns a second", False))
+            rows.append(("magnet", f"{driven[0]:g} Hz", "", False))
         elif flight.coils:
-            amperes = "&ensp;".join(
-                f'<span style="color:{color_of(name, i)}">{html.escape(name)}&nbsp;<b>{a:.1f}</b></span>'
-                for i, (name, a) in enumerate(zip(flight.coils, driven, strict=True))
-            )
-            rows.append(("currents", f"{amperes} A", False))
+            named = enumerate(zip(flight.coils, driven, strict=True))
+            coils = [(color_of(name, i), name, f"{a:.1f}") for i, (name, a) in named]
+            rows.append(("currents", "", Markup(panel("currents", coils)), False))
     for warm in heat:
         limits = flight.heat_limits()
         worst = int(np.argmax((warm - 20.0) / (limits - 20.0))) if len(warm) else -1
         if worst >= 0:
-            text = f"<b>{warm[worst]:.0f} °C</b> of {limits[worst]:g} ({html.escape(flight.heated[worst])})"
-            rows.append(("hottest coil", text, warm[worst] > 0.9 * limits[worst]))
+            more = f" of {limits[worst]:g} °C ({flight.heated[worst]})"
+            rows.append(("hottest coil", f"{warm[worst]:.0f} °C", more, warm[worst] > 0.9 * limits[worst]))
     compute = cycles[:, 3]
     if len(compute):
-        rows.append(("computing", f"{np.median(compute):.1f} ms a cycle, median", False))
+        rows.append(("computing", f"{np.median(compute):.1f} ms", " a cycle, median", False))
     if flight.dropped:
-        rows.append(("not shown", f"{flight.dropped} messages were dropped", True))
+        rows.append(("not shown", flight.dropped, " messages were dropped", True))
     if said is not None and said.rig:
-        rows.append(("rig", html.escape(said.rig), False))
-    cells = "".join(
-        f'<tr style="color:{"#dc2626" if bad else "inherit"}">'
-        f'<td style="color:#64748b;padding:1px 10px 1px 0">{name}</td><td>{text}</td></tr>'
-        for name, text, bad in rows
-    )
-    return f'<table style="font-size:13px;margin:4px 12px;border-spacing:0">{cells}</table>'
+        rows.append(("rig", "", said.rig, False))
+    return panel("figures", rows)

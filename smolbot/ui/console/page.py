@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import html
 import threading
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from smolbot.ui.console.drawing import Drawing
 from smolbot.ui.console.figures import Figures
 from smolbot.ui.console.flight import Flight
 from smolbot.ui.console.hub import Hub
+from smolbot.ui.console.previewing import panel
 from smolbot.ui.console.runs import Runs
 from smolbot.ui.console.scene import BELIEVED, TRUE, Scene
 from smolbot.ui.console.starting import Starting
@@ -134,8 +134,7 @@ class Page:
     def _update(self, turn: int) -> None:
         if turn % FIGURES_EVERY == 0:
             lines = list(self.hub.log.lines)[-30:]
-            text = "".join(f"<div>{html.escape(line)}</div>" for line in reversed(lines))
-            content = f'<div style="margin:4px 12px;font-size:12px;overflow-wrap:anywhere">{text}</div>'
+            content = panel("log", lines[::-1])
             if self.log.content != content:
                 self.log.content = content
         flight, at = self.flight, self.runs.now()

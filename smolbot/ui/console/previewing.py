@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import html
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
+
+from smolbot.core.markup import load_template
+
+TEMPLATE = Path(__file__).with_name("panels.html")
 
 LONGEST = 120.0
 """Seconds that a preview may take."""
@@ -28,12 +32,12 @@ def preview(arguments: Sequence[str]) -> tuple[bool, str]:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST, check=False)
     except subprocess.TimeoutExpired:
-        return False, told(False, [f"The preview took longer than {LONGEST:g} s."], [])
+        return False, panel("verdict", False, [f"The preview took longer than {LONGEST:g} s."])
     try:
         seen: dict[str, Any] = json.loads(done.stdout)
     except ValueError:
-        return False, told(False, done.stderr.strip().splitlines()[-12:], [])
-    return bool(seen["go"]), told(bool(seen["go"]), seen.get("reasons", []), rows_of(seen))
+        return False, panel("verdict", False, done.stderr.strip().splitlines()[-12:])
+    return bool(seen["go"]), panel("verdict", seen["go"], seen.get("reasons", []), rows_of(seen))
 
 
 def rows_of(seen: dict[str, Any]) -> list[tuple[str, str]]:
@@ -50,7 +54,7 @@ def rows_of(seen: dict[str, Any]) -> list[tuple[str, str]]:
 
     add("path", "path_length_mm", "{:.1f} mm")
     add("expected to take", "expected_duration_s", "{:.0f} s")
-    add("loop rate", "loop_rate_hz", "{:.1f} a second")
+    add("loop rate", "loop_rate_hz", "{:.1f} Hz")
     add("force", "force_un", "{:.0f} µN")
     add("error of a pose", "localization_error_mm", "{:.2f} mm")
     add("pauses", "pauses", "{:d}")
@@ -58,19 +62,19 @@ def rows_of(seen: dict[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-def told(go: bool, reasons: Sequence[str], rows: Sequence[tuple[str, str]]) -> str:
-    """Go or no-go, why, and figures, as HTML."""
-    colour, word = ("#15803d", "GO") if go else ("#dc2626", "NO-GO")
-    why = "".join(f"<div>{html.escape(reason)}</div>" for reason in reasons)
-    cells = "".join(
-        f'<tr><td style="color:#64748b;padding-right:10px">{n}</td><td>{html.escape(t)}</td></tr>' for n, t in rows
-    )
-    return (
-        f'<div style="margin:4px 12px;font-size:13px"><b style="color:{colour};font-size:18px">{word}</b>{why}'
-        f'<table style="border-spacing:0">{cells}</table></div>'
-    )
+def panel(kind: str, *data: object) -> str:
+    """What a panel says, as HTML.
 
+    Parameters
+    ----------
+    kind : str
+        A macro of ``panels.html``.
+    *data
+        What it takes.
 
-def waiting(words: str) -> str:
-    """That something is being done, as HTML."""
-    return f'<div style="margin:4px 12px;font-size:13px;color:#64748b">{html.escape(words)}</div>'
+    Returns
+    -------
+    str
+        A plain one: a page in the browser takes no other.
+    """
+    return str(getattr(load_template(TEMPLATE).module, kind)(*data))

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from smolbot.errors import SmolbotError
 from smolbot.runs.recording.reader import stream
 from smolbot.runs.recording.recorder import RECORD
-from smolbot.ui.console import previewing
 from smolbot.ui.console.flight import Flight
+from smolbot.ui.console.previewing import panel
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -100,17 +100,17 @@ class Runs:
                 self.said.content = ""
                 self._show(None)
                 return
-            self.said.content = previewing.waiting("reading …")
+            self.said.content = panel("note", "reading …")
             try:
                 flight = read_flight(self._folder / name)
             except (SmolbotError, OSError) as error:
-                self.said.content = previewing.told(False, str(error).splitlines(), [])
+                self.said.content = panel("verdict", False, str(error).splitlines())
                 return
             self.playing.value = False
             self.at.max = math.ceil(10.0 * max(flight.latest, 0.2)) / 10.0
             self.at.value = self.at.max
             self.at.disabled = False
-            self.said.content = previewing.waiting(described(self._folder / name))
+            self.said.content = panel("note", described(self._folder / name))
             self.flight = flight
             self._show(flight)
 

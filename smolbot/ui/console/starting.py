@@ -11,8 +11,8 @@ from smolbot.config.library import shipped
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.errors import SmolbotError
 from smolbot.flight.session import new_folder
-from smolbot.ui.console import previewing
 from smolbot.ui.console.hub import Hub
+from smolbot.ui.console.previewing import panel, preview
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -74,13 +74,13 @@ class Starting:
             self._show(self.loaded())
             self.said.content = ""
         except (SmolbotError, ValueError) as error:
-            self.said.content = previewing.told(False, str(error).splitlines(), [])
+            self.said.content = panel("verdict", False, str(error).splitlines())
 
     def preview(self, mission: str | None = None, said: Any = None) -> bool:
         """Say go or no-go."""
         said = self.said if said is None else said
-        said.content = previewing.waiting("previewing …")
-        go, said.content = previewing.preview(self.arguments(mission))
+        said.content = panel("note", "previewing …")
+        go, said.content = preview(self.arguments(mission))
         return go
 
     def start(self, mission: str | None = None, said: Any = None) -> None:
@@ -90,9 +90,9 @@ class Starting:
             arguments, seed = self.arguments(mission), int(self.seed.value)
             out = new_folder(self.loaded(mission), seed, self._runs).path
             self._hub.start([*arguments, "--seed", str(seed), "--out", str(out)], arguments[0])
-            said.content = previewing.waiting("loading; it moves nothing before it has joined this page")
+            said.content = panel("note", "loading; it moves nothing before it has joined this page")
         except (SmolbotError, ValueError) as error:
-            said.content = previewing.told(False, str(error).splitlines(), [])
+            said.content = panel("verdict", False, str(error).splitlines())
 
 
 def _text(path: str) -> str:

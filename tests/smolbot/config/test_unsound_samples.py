@@ -62,7 +62,7 @@ def hurt(volts, where, value):
 BAD = {
     "tesla": (
         lambda v: {"volts": 1e-6 * v},
-        r"must be in V, .* channel \d moves most, by .*e-08, .* Are they in T",
+        r"must be in V, .* channel \d moves most, by .*e-08 V, .* Are they in T",
     ),
     "millivolt": (
         lambda v: {"volts": 1e3 * v},

@@ -117,6 +117,6 @@ def test_errors_of_poses_split_into_bias_noise_and_rest():
     ]
     found = pose_budget(pairs)
     assert found["bias"] == pytest.approx(25e-8, rel=0.02)
-    assert found["foretold"] == pytest.approx(3e-8)
-    assert abs(found["rest"]) < 0.05 * found["foretold"]
-    assert found["bias"] + found["foretold"] + found["rest"] == pytest.approx(found["total"])
+    assert found["predicted"] == pytest.approx(3e-8)
+    assert abs(found["rest"]) < 0.05 * found["predicted"]
+    assert found["bias"] + found["predicted"] + found["rest"] == pytest.approx(found["total"])

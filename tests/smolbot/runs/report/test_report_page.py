@@ -7,7 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -24,7 +24,7 @@ from smolbot.runs.report.comparison import _same_kind, compare
 from smolbot.runs.report.comparison_page import comparison_page
 from smolbot.runs.report.flight import NO_TRUTH, Flight
 from smolbot.runs.report.page import REPORT, report_of, save_report
-from smolbot.runs.report.setting_differences import flattened
+from smolbot.runs.report.setting_differences import changed, flattened
 from smolbot.ui.cli.app import main
 
 ANCHORS = {"verdict", "path", "errors", "budget", "coils", "cycle", "fit", "noise", "events", "provenance"}
@@ -156,7 +156,7 @@ def test_without_a_witness_the_page_says_what_it_cannot_say(mission, tmp_path):
     page = Page(text)
     assert page.sections >= ANCHORS
     assert NO_TRUTH in text
-    assert "not known: no witness" in text
+    assert "not known: no ground truth" in text
     assert "tracking_error_mm.mean" not in {key for key, _ in page.values}
 
 
@@ -208,10 +208,10 @@ def other(tmp_path_factory):
 
 def test_compared_runs_say_what_was_changed_and_by_how_much_they_differ(folder, other):
     found = compare([folder, other])
-    changed = dict(found.settings)
-    assert changed["mission.controller.gains.spacing_mm"] == ["1.5", "1.0"]
-    assert changed["seed"] == ["3", "4"]
-    assert "mission.controller.gains.i_max_a" not in changed
+    settings = dict(found.settings)
+    assert settings["mission.controller.gains.spacing_mm"] == ["1.5", "1.0"]
+    assert settings["seed"] == ["3", "4"]
+    assert "mission.controller.gains.i_max_a" not in settings
     assert any("different paths" in note for note in found.notes)
     figure = next(f for f in found.figures if f.key == "tracking_error_mm.mean")
     means = [json.loads((run / "summary.json").read_text())["tracking_error_mm"]["mean"] for run in (folder, other)]
@@ -228,6 +228,18 @@ def test_a_run_compared_with_itself_differs_in_nothing(folder, tmp_path):
     found = compare([folder, tmp_path / "again"])
     assert found.settings == []
     assert all(f.over_first[1].value == 0.0 for f in found.figures)
+
+
+def test_an_untouched_copy_of_a_file_is_no_change_and_another_content_is(flight):
+    """A run of `init`'s copies names other files that hold the same."""
+    copied, drawn = (deepcopy(flight.record.begin) for _ in range(2))
+    mission = copied.files["mission.toml"]
+    copied.files["mission.toml"] = mission.replace(b'robot = "gradient"', b'robot = "mine/robot.toml"')
+    assert copied.files["mission.toml"] != mission
+    copied.names["path.file"], copied.files["path.svg"] = "path.svg", b"<svg/>"
+    drawn.names["path.file"], drawn.files["path.svg"] = "path.svg", b"<svg />"
+    same, other = (replace(flight, record=replace(flight.record, begin=begin)) for begin in (copied, drawn))
+    assert [name for name, _ in changed([same, other])] == ["mission.path.file"]
 
 
 def test_runs_of_different_robots_are_not_compared(folder, tmp_path):
