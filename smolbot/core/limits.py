@@ -8,6 +8,12 @@ from dataclasses import dataclass
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rotate, Shot
 from smolbot.errors import InterlockError
 
+ROUNDING = 1e-9
+"""Slack on every limit, in its SI unit: values that differ by rounding are equal."""
+
+AXIS_TOLERANCE = 1e-6
+"""Slack on the direction of the stage's axis, in rad."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -59,7 +65,7 @@ class Limits:
             if magnet_near and isinstance(window, Actuate | Excite | Listen):
                 found.append(
                     f"{type(window).__name__} at {at * 1e3:.1f} ms needs the actuation magnet away: near, it saturates "
-                    "the sensors and holds the swing; move it away first."
+                    "the sensors and stops the oscillation; move it away first."
                 )
             if isinstance(window, Actuate):
                 found += self._actuation_faults(window)
@@ -68,12 +74,12 @@ class Limits:
                 found += self._excitation_faults(window)
                 quiet_since = 0.0
             elif isinstance(window, Listen):
-                if quiet_since < self.min_ring_down - 1e-9:
+                if quiet_since < self.min_ring_down - ROUNDING:
                     found.append(
                         f"Listening at {at * 1e3:.1f} ms follows a drive after {quiet_since * 1e3:.1f} ms; "
                         f"the coils need {self.min_ring_down * 1e3:.1f} ms of ring-down."
                     )
-                if window.duration > self.max_listen + 1e-9:
+                if window.duration > self.max_listen + ROUNDING:
                     found.append(f"Listen window must last at most {self.max_listen:g} s; got {window.duration:.3f} s.")
             elif isinstance(window, Rotate | MoveMagnet):
                 found += self._mechanical_faults(window, axis, near=magnet_near)
@@ -97,9 +103,9 @@ class Limits:
         found = [
             f"Coil '{name}' current must lie within {low:g} to {self.max_current:g} A; got {current:.2f} A."
             for name, current in zip(self.coils, window.currents, strict=True)
-            if not low - 1e-9 <= current <= self.max_current + 1e-9
+            if not low - ROUNDING <= current <= self.max_current + ROUNDING
         ]
-        if window.duration > self.max_actuation + 1e-9:
+        if window.duration > self.max_actuation + ROUNDING:
             found.append(
                 f"Actuate must last at most {self.max_actuation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
             )
@@ -109,9 +115,9 @@ class Limits:
         found = [
             f"Excitation coil '{name}' current must lie within ±{self.max_excitation_current:g} A; got {current:.2f} A."
             for name, current in zip("xy", window.currents, strict=True)
-            if not abs(current) <= self.max_excitation_current + 1e-9
+            if not abs(current) <= self.max_excitation_current + ROUNDING
         ]
-        if window.duration > self.max_excitation + 1e-9:
+        if window.duration > self.max_excitation + ROUNDING:
             found.append(
                 f"Excite must last at most {self.max_excitation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
             )
@@ -128,16 +134,16 @@ class Limits:
         found = []
         if not near:
             found.append("Rotate needs the actuation magnet near; it is away.")
-        if not 0 < window.frequency <= self.max_rotation_frequency + 1e-9:
+        if not 0 < window.frequency <= self.max_rotation_frequency + ROUNDING:
             found.append(f"Rotate must stay within {self.max_rotation_frequency:g} Hz; got {window.frequency:g} Hz.")
         length = math.sqrt(sum(a * a for a in window.axis))
-        if not length > 0 or abs(window.axis[2]) > 1e-6 * length:
+        if not length > 0 or abs(window.axis[2]) > AXIS_TOLERANCE * length:
             found.append(f"The stage's axis lies in the horizontal plane; got {window.axis}.")
         elif before is not None:
             along = abs(sum(a * b for a, b in zip(window.axis, before, strict=True)))
             change = math.acos(min(along / length / math.sqrt(sum(a * a for a in before)), 1.0))
             most = self.max_steering_rate * window.duration
-            if change > most + 1e-6:
+            if change > most + AXIS_TOLERANCE:
                 found.append(
                     f"The stage steers at most {math.degrees(most):.1f}° within {window.duration:g} s; "
                     f"got {math.degrees(change):.1f}°."
