@@ -85,6 +85,7 @@ def plane_field(
     tuple of 8
         Bx, By, Bz in T, then dBx/dx, dBx/dy, dBx/dz, dBy/dy, dBy/dz in T/m.
     """
+    # weights of the cubic B-splines along x and y, and of their derivatives
     scale = grid[SCALE]
     u, v = (x - grid[ORIGIN_X]) * scale, (y - grid[ORIGIN_Y]) * scale
     i = max(1, min(math.floor(u), table.shape[0] - 3))
@@ -155,11 +156,8 @@ def _rates(
     stiffness = device[OMEGA_SQUARED] * device[INERTIA]
     theta = s[DEFLECTION]
     sine, cosine = math.sin(theta), math.cos(theta)
-    ax, ay, az = (
-        l0 * sine - device[MIDDLE],
-        -device[MIDDLE + 1],
-        l0 * cosine - device[MIDDLE + 2],
-    )  # magnet from the housing's middle, body
+    # magnet from the housing's middle, body frame
+    ax, ay, az = l0 * sine - device[MIDDLE], -device[MIDDLE + 1], l0 * cosine - device[MIDDLE + 2]
     wbx, wby, wbz, gxx, gxy, gxz, gyy, gyz = plane_field(
         s[0] + xx * ax + xy * ay + xz * az,
         s[1] + yx * ax + yy * ay + yz * az,

@@ -159,9 +159,8 @@ class StaticBench:
         places, turns = track(times)
         turns = as_floats(turns, (len(times), 4), "track orientations")
         signs = np.cumprod(np.concatenate([[1.0], np.sign(np.sum(turns[1:] * turns[:-1], axis=1))]))
-        poses = np.concatenate(
-            [as_floats(places, (len(times), 3), "track positions"), turns * signs[:, None]], axis=1
-        )  # the same sign throughout: they are interpolated
+        # one sign for all quaternions: they are interpolated
+        poses = np.concatenate([as_floats(places, (len(times), 3), "track positions"), turns * signs[:, None]], axis=1)
         field = self._clean(n, time_since_drive, swing, times, poses)
         return self._measured(field, time_since_drive, disturbance)
 

@@ -18,6 +18,7 @@ TICK = 1e-3  # s: between two computed poses; linear between them
 TREMOR = np.array([0.9, 1.0, 1.1])  # frequencies relative to the tremor's: it is a narrow band, not a line
 TORSION_PERIOD = 16.0  # s: of the wrist that follows the view
 GRIP = 0.5  # s: in which tremor and torsion begin and fade
+LAST_STEP = 1.001  # ticks from the end: the last time that still has a pose after it
 MAX_SIGMAS = 2.0  # standard deviations to which sampled values are clipped
 STREAM = 4  # random stream of a seed for the operator; the tank uses 0 to 3
 
@@ -93,7 +94,7 @@ class Hand:
 
     def pose(self, time: float) -> FloatArray:
         """The same (7,) at one time; asked a thousand times a second."""
-        ticks = min(max((time - self.begins) / TICK, 0.0), len(self._poses) - 1.001)
+        ticks = min(max((time - self.begins) / TICK, 0.0), len(self._poses) - LAST_STEP)
         first = int(ticks)
         share = ticks - first
         found = (1.0 - share) * self._poses[first] + share * self._poses[first + 1]

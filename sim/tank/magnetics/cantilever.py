@@ -47,6 +47,7 @@ SILENT = 1e-12  # A: below it no sensor measures its field
 def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad, Quad]:
     """First coefficient of the cell that holds x (beyond the table the outermost cell), the four cubic B-spline weights
     and their derivatives."""
+    # weights of four cubic B-splines, and of their derivatives
     u = (x - origin) * scale
     i = max(1, min(math.floor(u), count - 3))
     t = min(max(u - i, 0.0), 1.0)
@@ -267,9 +268,8 @@ def swing(
         keep[c], gain[c] = 0.0, 1.0
         if circuits[c, TIME_CONSTANT] > 0:
             keep[c] = math.exp(-h / circuits[c, TIME_CONSTANT])
-            gain[c] = math.sqrt(
-                1.0 + (state[DRIVE] * circuits[c, TIME_CONSTANT]) ** 2
-            )  # the amplifier compensates the attenuation by the coil
+            # the amplifier compensates the attenuation by the coil
+            gain[c] = math.sqrt(1.0 + (state[DRIVE] * circuits[c, TIME_CONSTANT]) ** 2)
         if abs(circuits[c, CURRENT]) > LIVE or circuits[c, COMMAND] != 0.0 or circuits[c, SINE] != 0.0 or sounding:
             coil_field(point, rows[c], table, rotation, b[n_live], g[n_live], work)
             live[n_live] = c

@@ -84,10 +84,8 @@ class TankCoils:
 def volume(rig: RigConfig) -> tuple[FloatArray, FloatArray]:
     """Corners (3,) and (3,) in m, world frame, of the space in which the magnet can be."""
     box = rig.container
-    top = 1e-3 * (
-        max(box.surface_z_mm, box.floor_z_mm + MIN_DEPTH_MM) + ABOVE_SURFACE_MM
-    )  # added in mm: fixes the mesh to its last digit
-    return box.low - MARGIN, np.array([*box.high[:2], top]) + MARGIN
+    top_mm = max(box.surface_z_mm, box.floor_z_mm + MIN_DEPTH_MM) + ABOVE_SURFACE_MM  # the mesh's last digit needs mm
+    return box.low - MARGIN, np.array([*box.high[:2], 1e-3 * top_mm]) + MARGIN
 
 
 class NominalExcitation:
