@@ -34,6 +34,9 @@ INNER_PENALTY = 0.1
 WRITING_ORDER = 0.05
 """Turn, in rad, by which a start at the left or top is preferred, as in handwriting."""
 
+NO_SHORTER = 1e-12
+"""Difference of two ways, in units of the grid, that is rounding."""
+
 ROUNDING = 1e-9
 """Difference, in units of the grid or rad, that is rounding."""
 
@@ -219,7 +222,7 @@ def _retrace(net: _Net, scale: FloatArray) -> None:
                 way[a, b], last[a, b] = length, k
     for m in range(n):
         through = way[:, m, None] + way[None, m, :]
-        shorter = through < way - 1e-12
+        shorter = through < way - NO_SHORTER
         way = np.where(shorter, through, way)
         last = np.where(shorter, last[None, m, :], last)
     odd = [i for i in range(n) if net.degree(i) % 2]

@@ -12,8 +12,14 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
-MM = 25.4 / 96.0
-"""Size of a CSS pixel, the unit of SVG, in mm."""
+PIXELS_PER_INCH = 96.0
+"""Of CSS, whose pixel is the unit of SVG."""
+
+MM = 25.4 / PIXELS_PER_INCH
+"""Size of a CSS pixel, in mm."""
+
+LENGTH_ERROR = 1e-3
+"""Error, in pixels, of the length by which a segment is found to have none."""
 
 FLAT = 5e-3
 """Largest distance of a chord from its curve, in mm."""
@@ -65,7 +71,7 @@ def read_svg(path: Path, element: str | None, width: float | None, height: float
     import svgelements
 
     try:
-        drawing = svgelements.SVG.parse(str(path), reify=True, ppi=96.0)
+        drawing = svgelements.SVG.parse(str(path), reify=True, ppi=PIXELS_PER_INCH)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}:{error.position[0]}: not valid XML: {error}.") from error
     except (OSError, UnicodeDecodeError) as error:
@@ -147,7 +153,7 @@ def _segments(shape: Any, where: str) -> list[Any]:
                     f"{where}: the line ends at ({a.x * MM:.2f}, {a.y * MM:.2f}) mm of the page and starts again at "
                     f"({b.x * MM:.2f}, {b.y * MM:.2f}) mm; a robot cannot jump. Draw one line without a gap."
                 )
-        elif segment.start is not None and segment.end is not None and segment.length(error=1e-3) > 0.0:
+        elif segment.start is not None and segment.end is not None and segment.length(error=LENGTH_ERROR) > 0.0:
             drawn.append(segment)
     if not drawn:
         raise InputError(f"{where}: has no length.")
@@ -192,7 +198,7 @@ def _scale(size: FloatArray, width: float | None, height: float | None, where: s
     wanted = (width, height)
     for have, want, what in zip(size, wanted, ("width", "height"), strict=True):
         if want is not None and have < NO_SIZE:
-            raise InputError(f"{where}: has no {what}, and cannot be brought to {want:g} mm; leave out {what}_mm.")
+            raise InputError(f"{where}: has no {what}, and cannot be scaled to {want:g} mm; leave out {what}_mm.")
     ratios = [None if want is None else want / have for have, want in zip(size, wanted, strict=True)]
     given = [r for r in ratios if r is not None]
     return np.array([r if r is not None else (given[0] if given else 1.0) for r in ratios])

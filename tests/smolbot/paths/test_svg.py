@@ -181,7 +181,7 @@ def test_an_unknown_id_is_told_the_known_ones(drawn):
 
 
 def test_a_line_without_height_cannot_be_brought_to_one(drawn):
-    with pytest.raises(InputError, match=r"has no height, and cannot be brought to 3 mm; leave out height_mm"):
+    with pytest.raises(InputError, match=r"has no height, and cannot be scaled to 3 mm; leave out height_mm"):
         drawn('<path d="M 0 0 L 4 0"/>', height=3.0)
 
 
