@@ -54,7 +54,7 @@ class Bodies:
 
         if gui and not os.environ.get("DISPLAY"):
             raise InputError(
-                "Bullet's window needs a display, and DISPLAY is not set; leave gui away to run without one."
+                "Bullet's window needs a display, and DISPLAY is not set; omit gui to run without a window."
             )
         self._bullet = pybullet
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
