@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from sim.studies.study import Options, Outcome, Study
 
 STUDIES = {
-    "bound": "error over the Cramer-Rao bound, and how honest the covariance is",
+    "bound": "error relative to the Cramer-Rao bound, and consistency of the covariance",
     "accuracy": "differential errors over translations and rotations (Figs. 2A to 2D, S4, S5)",
     "precision": "precision and rate against the number of half-periods (Fig. 2F)",
     "damping": "precision against damping (Fig. 2G)",
-    "depth": "how deep a pose can be found, against magnet size (Fig. 2E)",
-    "cold": "poses from nothing, anywhere and in any orientation",
+    "depth": "largest depth of a pose, against magnet size (Fig. 2E)",
+    "cold": "cold starts: poses without a prior, in any place and orientation",
     "speed": "time of a pose, against the same fit in numpy and scipy",
     "superfast": "one excitation cut into segments while the device steps (Figs. 2H, S6)",
     "scalpel": "a magnetic tool passing by, against static magnets",
-    "allocation": "coil currents for a wanted force: direction, size and heat against brute force, and time",
-    "layout": "sensor places: bound, correlation of z with amplitude, an optimised layout",
+    "allocation": "coil currents for a requested force: direction, size and heat against brute force, and time",
+    "layout": "sensor positions: bound, correlation of z with amplitude, an optimised layout",
     "margins": "a mission's loop along its path: gain, phase and delay margins, a start for its gains",
 }
-"""Every study, a module of this package, and what it finds out."""
+"""Every study, a module of this package, and what it measures."""
 
 app = typer.Typer(add_completion=False)
 
@@ -44,9 +44,9 @@ def study(
         str | None,
         typer.Argument(help="For margins: a shipped mission by name, or your own by path.", metavar="[MISSION]"),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same result, whatever --jobs.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed; results do not depend on --jobs.")] = 1,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
-    poses: Annotated[int | None, typer.Option(min=1, help="Poses, or repeats, of each kind.")] = None,
+    poses: Annotated[int | None, typer.Option(min=1, help="Number of poses, or of repeats, of each kind.")] = None,
     rig: Annotated[
         str | None, typer.Option(help="Rig file, by name or path; default: tank, or the mission's own.")
     ] = None,
@@ -54,11 +54,13 @@ def study(
     estimator: Annotated[str | None, typer.Option(help="whitened, paper or both; default: the study's own.")] = None,
     weights: Annotated[
         str | None,
-        typer.Option(help="For margins: mm off, degrees off and share of a full current that count alike."),
+        typer.Option(
+            help="For margins: cross-track error (mm), heading error (deg) and share of the full current of equal cost."
+        ),
     ] = None,
     set_: SetOption = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the study that --out holds.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; default: a new one in runs/.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the study in --out.")] = False,
     json: JsonOption = False,
 ) -> None:
     """A study of localization, or of a mission's loop: a table, a figure and results.csv in a folder of its own."""
@@ -70,11 +72,11 @@ def study(
         options = replace(_mission_options(loaded, mission, seed, jobs, rig, set_, given), weights=weights)
     elif mission is not None or set_ or weights is not None:
         what = f"MISSION '{mission}'" if mission is not None else "--set" if set_ else "--weights"
-        raise InputError(f"study {name} is of localization on a bench: it takes no {what}.")
+        raise InputError(f"study {name} simulates localization on a bench: it takes no {what}.")
     else:
         options = _options(loaded, seed, jobs, poses, rig or "tank", mismatch, estimator)
     if resume and out is None:
-        raise InputError("--resume needs --out: the folder of the study to go on with.")
+        raise InputError("--resume needs --out: the folder of the study to continue.")
     outcome, folder = carry_out(loaded, options, out, resume=resume)
     rows = [*outcome.rows, ("wall time", f"{outcome.figures['wall_s']:.1f} s"), ("folder", str(folder))]
     about = f"mission {mission}" if loaded.mission else f"rig {options.rig}"
@@ -93,7 +95,7 @@ def load_study(name: str) -> Study:
     """
     if name not in STUDIES:
         hint = did_you_mean(name, STUDIES)
-        raise InputError(f"No study is named '{name}'; there are: {', '.join(STUDIES)}.{hint}")
+        raise InputError(f"No study is named '{name}'; known studies: {', '.join(STUDIES)}.{hint}")
     found: Study = importlib.import_module(f"sim.studies.{name}").STUDY
     return found
 
@@ -145,7 +147,7 @@ def _mission_options(
         raise InputError(f"study {study.name} needs a mission: smolbot study {study.name} MISSION, such as r_path.")
     refused = [option for option, value in given.items() if value is not None]
     if refused:
-        raise InputError(f"study {study.name} draws no poses: it takes no {', '.join(refused)}.")
+        raise InputError(f"study {study.name} samples no poses: it takes no {', '.join(refused)}.")
     settings = tuple(sorted(settings_from(pairs).items()))
     return Options(study.name, seed, jobs, mission=mission, own_rig=rig, settings=settings)
 
