@@ -196,7 +196,7 @@ class Judge:
         for draw in range(self.draws):
             phasors = self.levels.drawn_lines(sensors, np.random.default_rng(draw))
             mixers = [_mixer(phasors[:, j]) for j in range(len(sensors))]
-            # lines of the mains as strong known noise, by the Woodbury identity
+            # noise of the lines of the mains, by the Woodbury identity
             inside = np.linalg.inv(np.eye(len(overlap)) + sum(m @ overlap @ m.T for m in mixers))
             heard = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
             left = np.swapaxes(heard, -1, -2) @ inside

@@ -30,7 +30,7 @@ REFERENCE_ANGLE = float(np.radians(30.0))
 """Deflection, in rad, that scales the power series; the series is valid up to 40 degrees."""
 
 NODE_SPREAD = 1.3
-"""Outermost Chebyshev node, in units of the reference angle: 39 degrees."""
+"""Half range of the Chebyshev nodes, in units of the reference angle: 39 degrees."""
 
 FREQUENCY_STEP, DAMPING_STEP = 0.02, 0.02
 """Steps, in Hz and 1/s, of the difference quotients for frequency and damping."""

@@ -27,8 +27,8 @@ LOOSE = 1e-2
 FARTHEST = 20.0
 """Standard deviations of the priors to which the unknowns are clipped."""
 
-TRACK_SIGMAS = 3.0
-"""Change of a field, as a multiple of distance error over distance: a dipole falls with the third power."""
+DIPOLE_POWER = 3.0
+"""Relative change of a field per relative change of its distance: a dipole falls with the third power."""
 
 STEP_SHARE = 1e-2
 """Step of a difference quotient, as a share of the unknown's prior standard deviation."""
@@ -140,7 +140,7 @@ def step(
         scale = amplitude * np.abs(base[r, :, 0]).mean()
         for row, s in enumerate(np.flatnonzero(item.thinned.used)):
             model = amplitude * base[r, s, 0]
-            error = np.hypot(item.noise, TRACK_SIGMAS * track / away[s] * max(abs(model), scale))
+            error = np.hypot(item.noise, DIPOLE_POWER * track / away[s] * max(abs(model), scale))
             index = [*range(s * PER_SENSOR, (s + 1) * PER_SENSOR), *range(own, own + HOLDER), own + HOLDER + r]
             gradient = np.array([*(amplitude * slopes[:, r, s]), *(amplitude * moves[:, r, s]), model]) / error
             normal[np.ix_(index, index)] += np.outer(gradient, gradient)

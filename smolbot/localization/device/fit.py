@@ -22,7 +22,7 @@ REFERENCE = float(np.radians(30.0))
 """Deflection, in rad, that scales the powers."""
 
 NODE_SPREAD = 1.3
-"""Outermost Chebyshev node, in units of the reference angle."""
+"""Half range of the Chebyshev nodes, in units of the reference angle."""
 
 FREQUENCY_RANGE = np.array([0.5, 2.0])
 """Range of the frequency in a fit, as factors on the starting value."""
