@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from lookup_tables.table import FieldTable
 
 FloatArray = npt.NDArray[np.float64]
+ROUNDING = 1e-9
+"""Share of a number of steps that is rounding, not one more step."""
 
 
 def mesh_axis(low: float, high: float, spacing: float) -> FloatArray:
@@ -32,7 +34,7 @@ def mesh_axis(low: float, high: float, spacing: float) -> FloatArray:
             f"A mesh axis needs low <= high and a positive spacing; got {1e3 * low:g} to {1e3 * high:g} mm "
             f"in steps of {1e3 * spacing:g} mm."
         )
-    steps = int(np.ceil((high - low) / spacing * (1.0 - 1e-9)))
+    steps = int(np.ceil((high - low) / spacing * (1.0 - ROUNDING)))
     return np.linspace(low, high, steps + 1)
 
 

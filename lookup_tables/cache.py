@@ -25,9 +25,9 @@ from lookup_tables.table import FieldTable
 
 FloatArray = npt.NDArray[np.float64]
 LARGEST = 1_000_000_000
-"""Bytes that kept fields may take: those of all shipped missions take 80 MB, one large rig's 200 MB."""
+"""Bytes that the cache may hold: the tables of all shipped missions take 80 MB, those of a large rig 200 MB."""
 ABANDONED = 86_400.0
-"""Age, in s, at which a file that is not finished belongs to nobody: one is written in seconds."""
+"""Age, in s, at which an unfinished file is deleted: writing one takes seconds."""
 _warned: set[Path] = set()
 
 
@@ -67,7 +67,7 @@ def table_key(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray
     recipe = {
         "format": FORMAT_VERSION,
         "magpylib": version("magpylib"),
-        "threads": 1,  # of the fit; tables of earlier versions depend on how many there were
+        "threads": 1,  # of the fit; tables of earlier versions depend on their number
         "coils": [coil.parameters() for coil in coils],
         "mesh": [np.asarray(axis, dtype=np.float64).tolist() for axis in (x, y, z)],
     }
@@ -110,14 +110,14 @@ def keep(path: Path, write: Callable[[str], None]) -> None:
         if path.parent not in _warned:
             _warned.add(path.parent)
             warnings.warn(
-                f"Built tables cannot be kept in {path.parent} ({error}); they are built anew each time. "
-                "SMOLBOT_CACHE names another folder.",
+                f"Built tables cannot be kept in {path.parent} ({error}); they are rebuilt each time. "
+                "Set SMOLBOT_CACHE to another folder.",
                 RuntimeWarning,
                 stacklevel=3,
             )
     finally:
         with suppress(OSError):
-            os.unlink(temporary)  # only there if something failed
+            os.unlink(temporary)  # exists only if something failed
 
 
 def _make_room(newest: Path, total: int) -> None:
@@ -128,7 +128,7 @@ def _make_room(newest: Path, total: int) -> None:
     """
     found = []
     for file in newest.parent.iterdir():
-        with suppress(OSError):  # another process was faster
+        with suppress(OSError):  # another process has deleted it
             state = file.stat()
             if file.name.startswith((".table-", ".tank-")) and time.time() - state.st_mtime > ABANDONED:
                 file.unlink()

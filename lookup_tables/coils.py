@@ -19,7 +19,13 @@ from lookup_tables.errors import TableError
 
 FloatArray = npt.NDArray[np.float64]
 MU_0 = 4e-7 * np.pi
+"""Magnetic constant, in T·m/A."""
 CHUNK = 40_000
+"""Points of one call to magpylib: limits its memory."""
+SAME_DIGITS = 13
+"""Decimals, in m, to which radii and heights are compared: equal ones are computed once."""
+PARALLEL = 1e-6
+"""Sine below which the direction of the width is parallel to the axis."""
 
 
 class Coil(Protocol):
@@ -128,7 +134,7 @@ class RoundCoil:
         along = relative @ self.axis
         across = relative - along[:, None] * self.axis
         radius = np.linalg.norm(across, axis=1)
-        unique, back = np.unique(np.round(np.stack([radius, along]), 13), axis=1, return_inverse=True)
+        unique, back = np.unique(np.round(np.stack([radius, along]), SAME_DIGITS), axis=1, return_inverse=True)
         total = np.zeros((2, unique.shape[1]))
         for loop_radius, place, share in self.loops():
             ones = np.ones(unique.shape[1])
@@ -189,7 +195,7 @@ class FlatCoil:
         if not self.build_up >= 0.0:
             raise TableError(f"Coil {self.name!r}: build_up must be at least 0; got {self.build_up!r}.")
         across = self.width_direction - (self.width_direction @ self.axis) * self.axis
-        if np.linalg.norm(across) < 1e-6:
+        if np.linalg.norm(across) < PARALLEL:
             raise TableError(f"Coil {self.name!r}: width_direction must not be parallel to axis.")
         object.__setattr__(self, "width_direction", across)
         _freeze_vectors(self, ("width_direction",))

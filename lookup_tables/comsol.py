@@ -34,7 +34,7 @@ def read_comsol(path: Path) -> Samples:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = raw.decode("latin-1")  # as COMSOL writes it on Windows; only a µ depends on it
+        text = raw.decode("latin-1")  # as COMSOL writes on Windows; differs only in a µ
     lines = text.splitlines()
     if not text.strip():
         raise TableError(f"{path}: the file is empty; a COMSOL export has a header and at least 2 x 2 nodes.")
@@ -113,7 +113,7 @@ def _read_grid(lines: list[str], start: int, path: str) -> _Parts:
             faults.add("order", at + 1, f"the values of {name} must ascend")
         axes.append(axis)
         if len(axis) < len(values):
-            faults.add("repeated", at + 1, f"{len(values) - len(axis)} values of {name} are there twice")
+            faults.add("repeated", at + 1, f"{len(values) - len(axis)} values of {name} occur twice")
         at += 1
     faults.raise_any()
     expressions: list[Expression] = []

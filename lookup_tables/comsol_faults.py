@@ -12,6 +12,10 @@ from lookup_tables.errors import TableError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+SAME_VALUE = 1e-6
+"""Share of an axis below which two values are one: rounding of an export may split a value in two."""
+STEP_TOLERANCE = 1e-3
+"""Share of a step by which the steps of an axis may differ."""
 
 
 class Faults:
@@ -56,7 +60,7 @@ class Faults:
             row, numbers = int(repeats[0]), data_lines(lines, header)
             first = int(np.flatnonzero(nodes == nodes[row])[0])
             where = _spell(axes, shape, int(nodes[row]))
-            self.add("double", numbers[row], f"node {where} is there twice, first in line {numbers[first]}", double)
+            self.add("double", numbers[row], f"node {where} occurs twice, first in line {numbers[first]}", double)
 
     def raise_any(self) -> None:
         """Raise a `TableError` with all faults noted, if there are any."""
@@ -112,12 +116,12 @@ def find_axis(column: FloatArray, name: str, faults: Faults, line: int | None = 
     """The axis (n,) whose values a column repeats, and the place of each row on it; notes unequal steps."""
     distinct, back = np.unique(column, return_inverse=True)
     width = float(distinct[-1] - distinct[0])
-    new = np.concatenate([[True], np.diff(distinct) > 1e-6 * width])  # rounding of an export may split a value in two
+    new = np.concatenate([[True], np.diff(distinct) > SAME_VALUE * width])
     axis = distinct[new]
     steps = np.diff(axis)
-    if len(steps) and np.abs(steps - np.median(steps)).max() > 1e-3 * np.median(steps):
+    if len(steps) and np.abs(steps - np.median(steps)).max() > STEP_TOLERANCE * np.median(steps):
         usual = float(np.median(steps))
-        odd = np.abs(steps - usual) > 1e-3 * usual
+        odd = np.abs(steps - usual) > STEP_TOLERANCE * usual
         at = int(np.flatnonzero(odd)[0])
         faults.add(
             f"steps {name}",

@@ -15,6 +15,9 @@ from lookup_tables.errors import TableError
 from lookup_tables.samples import FloatArray, Samples
 
 FORMAT_VERSION = 1
+"""Of the .npz file of a table."""
+ROTATION_TOLERANCE = 1e-6
+"""Rounding of an entry of a rotation by right angles."""
 
 
 def read_samples(
@@ -56,7 +59,7 @@ def write_samples(samples: Samples, path: Path, layout: str) -> None:
 
 
 def _write_npz(samples: Samples, path: Path) -> None:
-    assert samples.potential is not None  # every table has its fit
+    assert samples.potential is not None  # a table fits its potential when it is made
     np.savez_compressed(
         path,
         format=np.array(FORMAT_VERSION),
@@ -73,7 +76,7 @@ def _read_npz(path: Path) -> Samples:
     try:
         with np.load(path, allow_pickle=False) as data:
             if int(data["format"]) != FORMAT_VERSION:
-                raise TableError(f"{path}: format {data['format']} is not {FORMAT_VERSION}; build or import it anew.")
+                raise TableError(f"{path}: format {data['format']} is not {FORMAT_VERSION}; build or import it again.")
             arrays = [np.asarray(data[key], dtype=np.float64) for key in ("x", "y", "z", "field", "potential")]
             names = tuple(str(name) for name in data["names"])
     except TableError:
@@ -91,7 +94,7 @@ def _to_world(samples: Samples, origin: FloatArray, rotation: FloatArray | None,
         raise TableError(f"{path}: rotation must have shape (3, 3); got {turn.shape}.")
     whole = np.round(turn)
     right_angles = np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)) and np.linalg.det(whole) > 0
-    if not right_angles or np.abs(turn - whole).max() > 1e-6:
+    if not right_angles or np.abs(turn - whole).max() > ROTATION_TOLERANCE:
         raise TableError(
             f"{path}: rotation must turn by right angles only, so that the mesh stays along the world's axes (each "
             f"row and column one 1 or -1, determinant 1); got {np.round(turn, 6).tolist()}."

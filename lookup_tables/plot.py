@@ -12,7 +12,7 @@ from lookup_tables.errors import TableError
 from lookup_tables.table import FieldTable
 
 FloatArray = npt.NDArray[np.float64]
-ARROWS = 11  # along each side
+ARROWS = 11  # along each side of the plane
 
 
 def plot_table(table: FieldTable, path: str | os.PathLike[str], z: float | None = None, current: float = 1.0) -> None:

@@ -18,6 +18,8 @@ import numpy.typing as npt
 from lookup_tables.splines import DEGREE, basis
 
 FloatArray = npt.NDArray[np.float64]
+PLACES_PER_SPLINE = 8
+"""Points per spline at which a polynomial is fitted."""
 
 
 class _Axis(NamedTuple):
@@ -47,7 +49,7 @@ def fit_potential(spacing: FloatArray, samples: FloatArray) -> FloatArray:
         without curl and divergence to second order, so that the whole gradient is known on the plane.
         The same to the last bit however many threads linear algebra is lent: it uses one.
     """
-    import scipy.linalg  # noqa: F401  (what is not loaded yet cannot be limited)
+    import scipy.linalg  # noqa: F401  (a library that is not loaded yet cannot be limited)
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1, user_api="blas"):
@@ -59,6 +61,7 @@ def _fit(spacing: FloatArray, samples: FloatArray) -> FloatArray:
     if 1 in counts:
         return _fit_plane(spacing, samples, counts.index(1))
     axes = [_axis(n) for n in counts]
+    # right side of the normal equations: the samples projected on the gradient of every product of modes
     projected = 0.0
     for i in range(3):
         maps = [a.slope_of_samples if j == i else a.mass_of_samples for j, a in enumerate(axes)]
@@ -75,6 +78,7 @@ def _fit_plane(spacing: FloatArray, samples: FloatArray, normal: int) -> FloatAr
     projected = _apply([a.slope_of_samples, b.mass_of_samples], plane[first]) / h[0]
     projected = projected + _apply([a.mass_of_samples, b.slope_of_samples], plane[second]) / h[1]
     phi = _solve([a, b], h, -projected)
+    # normal derivatives: the first from the samples, the second from the Laplace equation
     laplace = _apply([a.curvature_of_modes, np.eye(len(b.stiffness))], phi) / h[0] ** 2
     laplace = laplace + _apply([np.eye(len(a.stiffness)), b.curvature_of_modes], phi) / h[1] ** 2
     slope = -_apply([a.mass_of_samples, b.mass_of_samples], plane[normal]) * spacing[normal]
@@ -90,7 +94,7 @@ def _solve(axes: list[_Axis], spacing: FloatArray, projected: FloatArray) -> Flo
     total = np.zeros(())
     for a, h in zip(axes, spacing, strict=True):
         total = total[..., None] + a.stiffness / h**2
-    total[(0,) * len(axes)] = np.inf
+    total[(0,) * len(axes)] = np.inf  # the constant mode has no field: its amplitude is 0
     return np.asarray(projected / total)
 
 
@@ -110,6 +114,7 @@ def _axis(n: int) -> _Axis:
     from scipy.interpolate import make_interp_spline
     from scipy.linalg import eigh
 
+    # Gauss-Legendre points of every cell, exact for products of two splines
     nodes, weights = np.polynomial.legendre.leggauss(DEGREE + 1)
     places = (np.arange(n - 1)[:, None] + 0.5 * (nodes + 1.0)).ravel()
     weights = np.tile(0.5 * weights, n - 1)
@@ -118,6 +123,7 @@ def _axis(n: int) -> _Axis:
     # With few samples the field is a polynomial of degree n - 1, so the potential is one of degree n.
     span = np.eye(n + DEGREE - 1) if n > DEGREE else _polynomials(n - 1, min(n, DEGREE))
     value, slope, curvature = (matrix @ span for matrix in splines)
+    # modes that diagonalise stiffness (slopes) and mass (values) together
     stiffness, modes = eigh(slope.T @ (weights[:, None] * slope), value.T @ (weights[:, None] * value))
     value, slope, curvature = ((matrix @ modes).T * weights for matrix in (value, slope, curvature))
     unweighted = splines[0] @ span @ modes
@@ -126,7 +132,7 @@ def _axis(n: int) -> _Axis:
 
 def _polynomials(cells: int, degree: int) -> FloatArray:
     """B-spline coefficients (cells + 5, degree + 1) of the powers 0 to `degree` of the place in cells."""
-    places = np.linspace(0.0, cells, 8 * (cells + DEGREE))
+    places = np.linspace(0.0, cells, PLACES_PER_SPLINE * (cells + DEGREE))
     powers = places[:, None] ** np.arange(degree + 1)
     return np.asarray(np.linalg.lstsq(_basis_matrices(places, cells)[0], powers, rcond=None)[0])
 

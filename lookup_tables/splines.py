@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 DEGREE = 5
+"""Of the splines of the potential: its second derivatives, the field's gradient, are smooth."""
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -28,7 +29,7 @@ def compiled(function: _Function) -> _Function:
     try:
         return cast(_Function, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
     except RuntimeError:  # numba found no folder that it may write
-        message = f"{__name__} is compiled anew in every process; NUMBA_CACHE_DIR may name a folder for its cache."
+        message = f"{__name__} is compiled again in every process; set NUMBA_CACHE_DIR to a folder for its cache."
         warnings.warn(message, RuntimeWarning, stacklevel=1)
         return cast(_Function, numba.njit(error_model="numpy", nogil=True)(function))
 
@@ -85,18 +86,19 @@ def _evaluate(
     gradient: FloatArray,
 ) -> None:
     n_coils = coefficients.shape[3]
-    wx, wy, wz = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 6))
+    wx, wy, wz = np.empty((3, DEGREE + 1)), np.empty((3, DEGREE + 1)), np.empty((3, DEGREE + 1))
     i0 = basis((point[0] - origin[0]) / spacing[0], coefficients.shape[0] - DEGREE, wx)
     j0 = basis((point[1] - origin[1]) / spacing[1], coefficients.shape[1] - DEGREE, wy)
     k0 = basis((point[2] - origin[2]) / spacing[2], coefficients.shape[2] - DEGREE, wz)
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
     for c in range(n_coils):
+        # derivatives of the potential per cell; rows 0, 1, 2 of the weights are value, slope, curvature
         px = py = pz = pxx = pyy = pzz = pxy = pxz = pyz = 0.0
-        for i in range(6):
+        for i in range(DEGREE + 1):
             q = qy = qz = qyy = qyz = qzz = 0.0
-            for j in range(6):
+            for j in range(DEGREE + 1):
                 r = rz = rzz = 0.0
-                for k in range(6):
+                for k in range(DEGREE + 1):
                     a = coefficients[i0 + i, j0 + j, k0 + k, c]
                     r += wz[0, k] * a
                     rz += wz[1, k] * a
@@ -116,6 +118,7 @@ def _evaluate(
             pxz += wx[1, i] * qz
             pyz += wx[0, i] * qyz
             pzz += wx[0, i] * qzz
+        # B = -grad(potential), in T per A and T/(m A)
         field[c, 0], field[c, 1], field[c, 2] = -px / hx, -py / hy, -pz / hz
         gradient[c, 0, 0], gradient[c, 1, 1], gradient[c, 2, 2] = -pxx / hx**2, -pyy / hy**2, -pzz / hz**2
         gradient[c, 0, 1] = gradient[c, 1, 0] = -pxy / (hx * hy)

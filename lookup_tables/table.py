@@ -15,8 +15,10 @@ from lookup_tables.errors import OutsideTableError, TableError
 from lookup_tables.samples import FloatArray, Samples
 
 BoolArray = npt.NDArray[np.bool_]
-SLACK = 1e-9  # m; so that rounding does not put a node outside
-MAX_RESIDUAL = 0.05  # beyond it, samples are no field free of curl, but swapped columns, wrong units or a winding
+SLACK = 1e-9  # m: rounding does not put a node outside
+MAX_RESIDUAL = 0.05  # above it, samples are no curl-free field: swapped columns, wrong units, a winding inside
+STEP_TOLERANCE = 1e-3  # share of a step by which the steps of an axis may differ
+CHECKED_NODES = 25  # per axis, at which the residual is computed
 
 
 class Spline(NamedTuple):
@@ -65,6 +67,8 @@ class FieldTable:
         names: Sequence[str],
         potential: FloatArray | None = None,
     ) -> None:
+        from lookup_tables.splines import DEGREE, evaluate_points
+
         self.x, self.y, self.z = axes = [_even(axis, name) for axis, name in zip((x, y, z), "xyz", strict=True)]
         self.names = tuple(names)
         self.samples = np.ascontiguousarray(field, dtype=np.float64)
@@ -76,15 +80,13 @@ class FieldTable:
             from lookup_tables.potential import fit_potential
 
             potential = fit_potential(spacing, self.samples)
-        wanted = (*(max(n, 2) + 4 for n in shape[1:4]), shape[0])
+        wanted = (*(max(n, 2) + DEGREE - 1 for n in shape[1:4]), shape[0])
         if potential.shape != wanted:
             raise TableError(f"potential must have shape {wanted} for this mesh; got {potential.shape}.")
         self.spline = Spline(np.ascontiguousarray(potential), np.array([a[0] for a in axes]), spacing)
         self._single = np.array([len(a) == 1 for a in axes])
         ends = np.array([[a[0] - SLACK for a in axes], [a[-1] + SLACK for a in axes]])
         self._limits = np.where(self._single, [[-np.inf], [np.inf]], ends)
-        from lookup_tables.splines import evaluate_points
-
         self._kernel = evaluate_points
         self.residual = self._residual()
 
@@ -202,7 +204,8 @@ class FieldTable:
 
     def _residual(self) -> FloatArray:
         """Largest distance of samples and fit on a thinned mesh, relative to each coil's largest field, (n_coils,)."""
-        axes = [a[np.unique(np.linspace(0, len(a) - 1, min(len(a), 25)).astype(int))] for a in (self.x, self.y, self.z)]
+        places = [np.linspace(0, len(a) - 1, min(len(a), CHECKED_NODES)) for a in (self.x, self.y, self.z)]
+        axes = [a[np.unique(at.astype(int))] for a, at in zip((self.x, self.y, self.z), places, strict=True)]
         picked = [np.searchsorted(full, a) for full, a in zip((self.x, self.y, self.z), axes, strict=True)]
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         samples = self.samples[np.ix_(range(self.n_coils), *picked)].reshape(self.n_coils, -1, 3)
@@ -243,7 +246,7 @@ def _even(axis: Any, name: str) -> FloatArray:
     if len(samples) == 1:
         return samples.copy()
     steps, step = np.diff(samples), (samples[-1] - samples[0]) / (len(samples) - 1)
-    if not (step > 0 and np.abs(steps - step).max() <= 1e-3 * step):
+    if not (step > 0 and np.abs(steps - step).max() <= STEP_TOLERANCE * step):
         at = int(np.abs(steps - np.median(steps)).argmax())
         raise TableError(
             f"Axis {name} must ascend in equal steps; got steps of {1e3 * steps.min():.6g} to {1e3 * steps.max():.6g} "

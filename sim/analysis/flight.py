@@ -28,9 +28,10 @@ from smolbot.motion.robot import Robot
 _UP = np.array([0.0, 0.0, 1.0])
 
 MOST_CYCLES = 5000
+"""Largest number of cycles of a flight."""
 
 PLACES = 9
-"""Along the path, at which the covariance of a pose is worked out; in between the nearest counts."""
+"""Points along the path at which the covariance of a pose is computed; elsewhere the nearest is used."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,7 @@ def fly(
             begun = True
         before = model.copied(controller) if kept is not None else None
         command = controller.command(pose)
-        assert not isinstance(command.window, tuple)  # a helix is refused before this
+        assert not isinstance(command.window, tuple)  # helical robots are refused before
         window, progress = command.window, command.progress
         duration = window.duration if window is not None else 0.0
         yield Instant(cycle, kept, before, shot, heard, state, pose, command, duration + model.rest, wait)
@@ -233,10 +234,10 @@ def turned(pose: Pose, across: float, normal: FloatArray, turn: float) -> Pose:
 def require_loop(mission: Mission) -> None:
     """Raise `InputError` if the mission has no law, or one that does not pull by coils."""
     if getattr(getattr(mission, "sections", None), "controller", None) is None:
-        raise InputError(f"{mission.name}: has no [controller]: it only localizes, so there is no loop to analyse.")
+        raise InputError(f"{mission.name}: has no [controller]: it only localizes: there is no loop to analyse.")
     kind: str = mission.robot.kind
     if kind != "gradient":
         raise InputError(
-            f"{mission.name}: margins are worked out for robots of kind 'gradient', whose motion the loop models; "
+            f"{mission.name}: margins are computed for robots of kind 'gradient', whose motion the loop models; "
             f"'{mission.robot.name}' is of kind '{kind}'."
         )

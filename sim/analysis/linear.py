@@ -19,13 +19,19 @@ from smolbot.core.shots import Actuate
 from smolbot.motion.controller import Controller
 
 PAIRS = 8
-"""Pairs of poses, either side of the nominal one, that a law is asked at."""
+"""Pairs of poses, symmetric about the nominal one, at which a law is evaluated."""
 
 CURRENT_STEP = 0.02
-"""Share of the largest current by which currents are varied."""
+"""Step of the currents in a difference quotient, as a share of the largest."""
 
 LEAST_SIGMA = np.array([5e-5, math.radians(1.0)])
-"""Smallest step, in m and rad."""
+"""Smallest step of the pose, in m and rad."""
+
+END = 1e-9
+"""Distance, in m, before the end of a path at which its last tangent is taken."""
+
+NO_MOTION, TINY = 1e-24, 1e-300
+"""Sum of squares (m² or rad²) without motion to explain, and one that keeps a quotient finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +83,7 @@ def linearised(model: Model, instant: Instant, pairs: int = PAIRS) -> Cycle:
     assert instant.tracker is not None
     assert instant.controller is not None
     path, state, command = model.mission.path, instant.state, instant.command
-    tangent = path.tangent(np.array([min(command.progress, path.length - 1e-9)]))[0, :2]
+    tangent = path.tangent(np.array([min(command.progress, path.length - END)]))[0, :2]
     normal = np.array([-tangent[1], tangent[0]])
     covariance = np.asarray(instant.pose.covariance)
     across = float(normal @ covariance[:2, :2] @ normal)
@@ -128,7 +134,7 @@ def probed(
     found, *_ = np.linalg.lstsq(design, moved, rcond=None)
     left = np.sum((moved - design @ found) ** 2, axis=0)
     whole = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
-    explained = np.where(whole > 1e-24, 1.0 - left / np.maximum(whole, 1e-300), 1.0)
+    explained = np.where(whole > NO_MOTION, 1.0 - left / np.maximum(whole, TINY), 1.0)
     return found[1:].T / sigma, explained
 
 
@@ -136,7 +142,7 @@ def probed(
 def _normal_points(pairs: int) -> FloatArray:
     """Points (2 pairs, 2) of unit covariance in opposite pairs, the same each time: none of it is drawn."""
     index = np.arange(pairs)
-    # radii at the middles of equal shares of their distribution, each turned on by the golden section of half a turn
+    # radii at the middles of equal shares of their distribution, each rotated by the golden section of half a turn
     radii = np.sqrt(-2.0 * np.log(1.0 - (index + 0.5) / pairs))
     angles = math.pi * ((index * 0.5 * (math.sqrt(5.0) - 1.0)) % 1.0)
     half = radii[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])

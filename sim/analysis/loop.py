@@ -24,19 +24,25 @@ if TYPE_CHECKING:
 ComplexArray = npt.NDArray[np.complex128]
 
 UNSTABLE = 1.0 + 1e-6
-"""Size of a pole from which on a loop counts as unstable; a loop that does not steer has one at 1."""
+"""Magnitude of a pole above which a loop is unstable; a loop without feedback has one at 1."""
 
 MOST_GAIN, FREQUENCIES = 100.0, 500
-"""Largest factor that is looked at, and frequencies up to half the sampling rate."""
+"""Largest factor on the loop that is tested, and number of frequencies up to half the sampling rate."""
 
 BAND = 0.05
-"""A response has settled when it stays within this share of the step."""
+"""Share of a step within which a settled response stays."""
 
 LONGEST = 400
 """Cycles of a step response."""
 
+BISECTIONS = 30
+"""Steps to the largest stable factor."""
+
+TINY, NO_RESPONSE = 1e-12, 1e-6
+"""Distance from 1 that keeps a quotient finite, and a response at low frequency that is none."""
+
 STEPS, MOST_LATE = 120, 24
-"""Factors that are looked at between none and the largest, and cycles by which poses are taken to be late at most."""
+"""Factors that are tested up to the largest, and largest delay of poses, in cycles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +88,7 @@ class SampledLoop:
 
         The state is (x, x^, v, x one cycle ago, two ago, …); closed, w = c C z.
         """
+        # state: true deviation (n), estimate (n), drift (m), then the last `late` deviations; input: the law's motion
         n, m = self.drifts.shape
         eye, zero = np.eye(n), np.zeros((n, n))
         k, kv = self.kalman[:n], self.kalman[n:]
@@ -218,7 +225,7 @@ def margins(loop: SampledLoop) -> Margins:
         phase=abs(np.angle(_first_unstable(a, fed, lambda x: np.exp(-1j * math.pi * x), share, -1.0))),
         delay=_delay(angles, loci),
         late=_late(loop),
-        disc=float(np.min(2.0 * np.abs(1.0 + loci) / np.maximum(np.abs(1.0 - loci), 1e-12))),
+        disc=float(np.min(2.0 * np.abs(1.0 + loci) / np.maximum(np.abs(1.0 - loci), TINY))),
         radius=radius,
         bandwidth=bandwidth,
         settling=settling,
@@ -239,7 +246,7 @@ def _first_unstable(
         return nothing
     high = float(share[found[0]])
     low = high - float(share[0])
-    for _ in range(30):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if unstable(middle) else (middle, high)
     return factor(low)
@@ -282,7 +289,7 @@ def _bandwidth(loop: SampledLoop) -> float:
     z = np.exp(1j * angles)[:, None, None]
     response = np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(heard[:, :1], (len(angles), len(a), 1)))
     across = np.abs(response[:, 0, 0])
-    if not across[0] > 1e-6:
+    if not across[0] > NO_RESPONSE:
         return math.nan
     below = np.flatnonzero(across < across[0] / math.sqrt(2.0))
     last = float(angles[below[0]]) if below.size else math.pi

@@ -38,28 +38,34 @@ class Weights:
         except ValueError:
             across = heading = current = math.nan
         if not all(0.0 < value < math.inf for value in (across, heading, current)):
-            raise InputError(f"--weights must be three numbers above 0, in mm, degrees and share of a full current, "
+            raise InputError(f"--weights must be three numbers above 0, in mm, degrees and share of the full current, "
                              f"such as 0.1,10,0.5; got '{text}'.")  # fmt: skip
         return cls(1e-3 * across, math.radians(heading), current)
 
 
 PLACES, PAIRS = 24, 4
-"""Cycles of a flight at which a law is held against the regulator, and pairs of poses that it is asked at."""
+"""Cycles of a flight at which a law is compared with the regulator, and pairs of poses for each."""
 
 PACE = 1.1
-"""How much longer than now a flight may take under the gains that are found."""
+"""Longest duration of a flight with the gains that are found, relative to now."""
 
 STEP, LEAST_STEP = 0.16, 0.05
 """First and last step of the search, as shares of a gain's range."""
 
+SHRINK = 0.5
+"""Factor on the step after a round without improvement."""
+
+NO_FEEDBACK = 1e-9
+"""Size of a feedback that keeps a quotient finite."""
+
 MATTERS = 0.05
-"""Share of the distance that one step of a gain changes, from which on the gain matters."""
+"""Share of the distance that one step of a gain must change for the gain to be searched."""
 
 WORTH = 0.03
-"""Share of the distance that a step must gain to be taken."""
+"""Share of the distance by which a step must improve to be accepted."""
 
 MOST = 48
-"""Flights that the search may take."""
+"""Largest number of flights of the search."""
 
 
 def regulator(cycle: Cycle, weights: Weights, max_current: float) -> FloatArray:
@@ -137,7 +143,7 @@ def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST
         if step == STEP:
             names = sorted((n for n in names if matter.get(n, 0.0) > MATTERS * before), key=lambda n: -matter[n])
         if not better:
-            step *= 0.5
+            step *= SHRINK
     found = {name: best[name] for name in declared if best[name] != start[name]}
     return Found(found, before, shortest, (pace, seconds), flights)
 
@@ -181,7 +187,7 @@ def _cycles(model: Model, controller: Controller, stride: int, longest: float = 
         if instant.tracker is not None and instant.command.phase == "follow" and not done:
             cycles.append(linearised(model, instant, PAIRS))
     if not done:
-        raise InputError(f"{model.mission.law} does not arrive in time.")
+        raise InputError(f"{model.mission.law} does not reach the end of the path in time.")
     return cycles, clock
 
 
@@ -198,5 +204,5 @@ def _distance(
     unit = scale[None, :] / scale[:, None]
     wanted = np.array([target[int(np.argmin(np.abs(arcs - c.arc)))] for c in cycles]) * unit
     found = np.array([c.feedback for c in cycles]) * unit
-    apart = np.linalg.norm(found - wanted, axis=(1, 2)) / np.maximum(np.linalg.norm(wanted, axis=(1, 2)), 1e-9)
+    apart = np.linalg.norm(found - wanted, axis=(1, 2)) / np.maximum(np.linalg.norm(wanted, axis=(1, 2)), NO_FEEDBACK)
     return float(np.median(apart)), clock

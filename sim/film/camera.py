@@ -15,8 +15,17 @@ from sim.film.kernels import rays
 from smolbot.core.arrays import FloatArray
 
 FRAMED = 0.8
-"""Share of the picture's shorter side that what must be seen fills: it may be turned, and stand higher than the
-plate."""
+"""Share of the picture's shorter side that the target fills: it may be rotated, and higher than the plate."""
+
+TILT_DEG, TURN_DEG = (2.0, 6.0), (-8.0, 8.0)
+"""Ranges of the camera's tilt from vertical and rotation about its axis, in degrees."""
+
+DISTANCE_SPREAD = (0.95, 1.05)
+"""Range of its distance, relative to the nominal one."""
+
+AIM_ERROR, LENS_OFFSET, DISTORTION = 0.5e-3, 0.004, 1e-3
+"""Standard deviations of its aim (m) and of the lens against the sensor (share of the shorter side), and largest
+distortion in the corner of a corrected lens (relative)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,21 +86,21 @@ def draw_camera(
     distance : float, in m
         From the target, give or take a twentieth.
     """
-    tilt, towards = np.radians(rng.uniform(2.0, 6.0)), rng.uniform(0.0, 2.0 * math.pi)
-    turn = np.radians(rng.uniform(-8.0, 8.0))
-    far = distance * rng.uniform(0.95, 1.05)
+    tilt, towards = np.radians(rng.uniform(*TILT_DEG)), rng.uniform(0.0, 2.0 * math.pi)
+    turn = np.radians(rng.uniform(*TURN_DEG))
+    far = distance * rng.uniform(*DISTANCE_SPREAD)
     back = np.array([math.sin(tilt) * math.cos(towards), math.sin(tilt) * math.sin(towards), math.cos(tilt)])
     place = target + far * back
-    aim = target + np.array([*rng.normal(0.0, 0.5e-3, 2), 0.0])
+    aim = target + np.array([*rng.normal(0.0, AIM_ERROR, 2), 0.0])
     view = (aim - place) / np.linalg.norm(aim - place)
     up = np.array([-math.sin(turn), math.cos(turn), 0.0])
     down = -(up - (up @ view) * view)
     down /= np.linalg.norm(down)
     right = np.cross(down, view)
     focal = FRAMED * min(size) * far / span
-    offset = rng.normal(0.0, 0.004 * min(size), 2)  # sensor and lens are not quite concentric
+    offset = rng.normal(0.0, LENS_OFFSET * min(size), 2)
     corner = 0.5 * math.hypot(*size) / focal
-    bend = rng.uniform(-1e-3, 1e-3) / corner**2  # what a corrected lens leaves: a thousandth, in the corner
+    bend = rng.uniform(-DISTORTION, DISTORTION) / corner**2
     middle = (0.5 * (size[0] - 1) + float(offset[0]), 0.5 * (size[1] - 1) + float(offset[1]))
     return Camera(place, np.array([right, down, view]), focal, middle, bend, size)
 

@@ -11,30 +11,32 @@ from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption
 from smolbot.ui.cli.show import echo_json, table
 
+FPS, SWING_FPS = 25.0, 5000.0
+"""Frames per second of a run's film, and of one of a cantilever."""
+
+MIN_PIXELS = 64
+"""Smallest width or height of a film."""
+
 
 def film(
     run: Annotated[Path | None, typer.Argument(help="Folder of a run in the simulated tank.", metavar="RUN")] = None,
-    out: Annotated[Path, typer.Option("--out", help="Video to write: .avi, or .mp4, smaller and blockier.")] = Path(
+    out: Annotated[Path, typer.Option("--out", help="Video to write: .avi, or .mp4 (smaller, more artefacts).")] = Path(
         "film.avi"
     ),
     fps: Annotated[float | None, typer.Option(help="Frames per second; default: 25, or 5000 with --swing.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the camera: place, print, light, colours, noise.")] = 1,
-    begin_s: Annotated[float | None, typer.Option(help="Film from here on, on the run's clock.")] = None,
-    end_s: Annotated[float | None, typer.Option(help="Film until here.")] = None,
-    size: Annotated[str, typer.Option(help="Pixels.")] = "1280x960",
-    hide: Annotated[
-        list[str] | None, typer.Option("--hide", help="FROM..TO: seconds in which a rod lies over the robot.")
-    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of camera, print, light, colours and noise.")] = 1,
+    begin_s: Annotated[float | None, typer.Option(help="First time to film, in s on the run's clock.")] = None,
+    end_s: Annotated[float | None, typer.Option(help="Last time to film, in s.")] = None,
+    size: Annotated[str, typer.Option(help="Width and height in pixels.")] = "1280x960",
+    hide: Annotated[list[str] | None, typer.Option("--hide", help="FROM..TO in s: a rod covers the robot.")] = None,
     flat: Annotated[
-        bool, typer.Option("--flat", help="Markers on the plate alone, none at the robot's height.")
+        bool, typer.Option("--flat", help="Markers only on the plate, none at the robot's height.")
     ] = False,
     swing: Annotated[
-        str | None, typer.Option(help="Film no run but the cantilever of this robot, excited and let go.")
+        str | None, typer.Option(help="Film the cantilever of this robot, excited and released, instead of a run.")
     ] = None,
     rig: Annotated[str, typer.Option(help="With --swing: the rig whose excitation coils drive it.")] = "tank",
-    truth: Annotated[
-        Path | None, typer.Option(help="CSV to write with where everything truly was: to judge a tracker by.")
-    ] = None,
+    truth: Annotated[Path | None, typer.Option(help="CSV file for the true poses, to evaluate a tracker.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Film a run from above, as a lab's camera would: tilt, print, uneven light, meniscus, blur, noise, compression.
@@ -52,7 +54,7 @@ def film(
     assert run is not None
     trail, mission = read_trail(run)
     made = shoot(
-        trail, mission.rig, mission.robot, out, seed=seed, fps=25.0 if fps is None else fps, begin=begin_s, end=end_s,
+        trail, mission.rig, mission.robot, out, seed=seed, fps=FPS if fps is None else fps, begin=begin_s, end=end_s,
         size=_size(size), hidden=[_span(text) for text in hide or []], posts=not flat,
     )  # fmt: skip
     fiducials = out.with_suffix(".toml")
@@ -75,12 +77,12 @@ def _film_swing(name: str, rig: str, out: Path, fps: float | None, seed: int, tr
     from smolbot.config.rig import load_rig
     from smolbot.config.robot import load_robot
 
-    rate = 5000.0 if fps is None else fps
+    rate = SWING_FPS if fps is None else fps
     made = film_swing(load_rig(rig), load_robot(name), out, seed=seed, fps=rate)
     if truth is not None:
         made.write_truth(truth)
     rows = [
-        ("clip", f"{out}, {len(made.times)} frames, recorded at {rate:g} per second"),
+        ("clip", f"{out}, {len(made.times)} frames, recorded at {rate:g} frames/s"),
         ("drive", f"until {1e3 * made.released:.0f} ms, then free"),
         ("to measure it", f"smolbot track {out} --deflection --fps {rate:g}"),
     ]
@@ -91,8 +93,8 @@ def _film_swing(name: str, rig: str, out: Path, fps: float | None, seed: int, tr
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 64):
-        raise InputError(f"--size needs WIDTHxHEIGHT in pixels, 64 or more each; got '{text}'.")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= MIN_PIXELS):
+        raise InputError(f"--size needs WIDTHxHEIGHT in pixels, {MIN_PIXELS} or more each; got '{text}'.")
     return int(width), int(height)
 
 

@@ -20,10 +20,15 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.errors import InputError
 
-DISTANCE = 0.35  # m from camera to floor: a 35 mm lens over a coil set
-RULER = 2e-3  # m: how well a lab measures a camera's height
-NOISE_POOL = 5
-JITTER = 64
+DISTANCE = 0.35  # m from camera to floor: a 35 mm lens above the coils
+RULER = 2e-3  # m: standard deviation of a camera's height measured by ruler
+NOISE_POOL = 5  # noise pictures, of which each frame uses one, shifted at random
+JITTER = 64  # pixels of that shift
+BLUR = (0.7, 1.1)  # range of the lens blur, in pixels
+PADDING = 8  # pixels around a region that is drawn again
+SHADOW_REACH = 3.5e-3  # m beyond the robot that its shadow reaches
+ROD_HALF_WIDTH = 6e-3  # m
+FLICKER, READ_NOISE, SHOT_NOISE = 0.004, 0.6, 0.012  # of the light (relative); variances: constant, and per grey level
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +144,7 @@ def film(
 def _write(made: Film, path: Path, fps: float, rng: np.random.Generator) -> None:
     camera, stage, looks = made.camera, made.stage, made.looks
     empty = photograph(stage, camera, rng)
-    blur = rng.uniform(0.7, 1.1)
+    blur = rng.uniform(*BLUR)
     noise = Grain(rng, camera.size)
     with Writer(path, fps, camera.size) as writer:
         soft = blurred(empty, blur)
@@ -161,12 +166,13 @@ def _around(camera: Camera, stage: Stage, looks: Looks, position: FloatArray, ro
     """The region that robot and shadow together may change."""
     depth = position[2] - stage.floor
     shadow = np.array([*(position[:2] + depth * stage.lamp), stage.floor])
-    reach = float(np.max(looks.half)) + 3.5e-3
+    reach = float(np.max(looks.half)) + SHADOW_REACH
     pixels = camera.project(shadow + reach * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     return (
-        max(min(robot[0], int(low[0])) - 8, 0), max(min(robot[1], int(low[1])) - 8, 0),
-        min(max(robot[2], int(high[0])) + 8, camera.size[0]), min(max(robot[3], int(high[1])) + 8, camera.size[1]),
+        max(min(robot[0], int(low[0])) - PADDING, 0), max(min(robot[1], int(low[1])) - PADDING, 0),
+        min(max(robot[2], int(high[0])) + PADDING, camera.size[0]),
+        min(max(robot[3], int(high[1])) + PADDING, camera.size[1]),
     )  # fmt: skip
 
 
@@ -180,8 +186,8 @@ def blurred(image: FloatArray, sigma: float) -> FloatArray:
 def blurred_region(image: FloatArray, region: Region, sigma: float) -> tuple[Region, FloatArray]:
     """A blurred region of an image, with enough around it that no edge shows."""
     u0, v0, u1, v1 = region
-    a, b = max(u0 - 8, 0), max(v0 - 8, 0)
-    patch = blurred(image[b : v1 + 8, a : u1 + 8], sigma)
+    a, b = max(u0 - PADDING, 0), max(v0 - PADDING, 0)
+    patch = blurred(image[b : v1 + PADDING, a : u1 + PADDING], sigma)
     return region, patch[v0 - b : v1 - b, u0 - a : u1 - a]
 
 
@@ -193,7 +199,7 @@ def _put(frame: FloatArray, patch: tuple[Region, FloatArray]) -> None:
 def _cover(frame: FloatArray, camera: Camera, position: FloatArray) -> None:
     """A rod of 12 mm, held over the robot from the right edge of the picture."""
     scale = camera.focal / float(np.linalg.norm(position - camera.place))
-    (u, v), half = camera.project(position[None])[0], 6e-3 * scale
+    (u, v), half = camera.project(position[None])[0], ROD_HALF_WIDTH * scale
     rows = slice(max(int(v - half), 0), max(int(v + half), 0))
     column = max(int(u - half), 0)
     shape = frame[rows, column:].shape[:2]
@@ -216,8 +222,8 @@ class Grain:
         height, width = frame.shape[:2]
         pool = self._pool[int(self._rng.integers(NOISE_POOL))]
         a, b = self._rng.integers(0, JITTER, 2)
-        bright = frame.astype(np.float32) * np.float32(1.0 + 0.004 * self._rng.standard_normal())
-        bright += np.sqrt(np.maximum(0.6 + 0.012 * bright, 0.0)) * pool[a : a + height, b : b + width]
+        bright = frame.astype(np.float32) * np.float32(1.0 + FLICKER * self._rng.standard_normal())
+        bright += np.sqrt(np.maximum(READ_NOISE + SHOT_NOISE * bright, 0.0)) * pool[a : a + height, b : b + width]
         return np.clip(np.rint(bright), 0, 255).astype(np.uint8)
 
 

@@ -15,22 +15,32 @@ Sheet = npt.NDArray[np.float32]
 """Grey levels of what is printed, (rows, columns, 3)."""
 
 UNBENDING = 4
-"""Fixed-point steps that undo a distortion of some tenths of a per cent to below 1e-9."""
+"""Fixed-point steps that invert a distortion of a few tenths of a percent to below 1e-9."""
 
-# Rows of `lens`: place (3), axes (9, row by row), focal, middle (2), bend
+# Entries of `lens`: place (3), axes (9, row by row), focal length, middle (2), distortion
+PLACE, AXES, FOCAL, MIDDLE, BEND = 0, 3, 12, 13, 15
+FAR = 1e30  # m: end of a ray
+BEYOND = 1e9  # m: end of a ray below the surface, or at a post
+LAST_CELL = 1.001  # from the end of a grid: the last point that still lies in a cell
+PARALLEL = 1e-12  # part of a ray's direction along an axis below which it is parallel to a face
+SIDE_TONE = 0.72  # brightness of a wall's side
+GLARE_SIZE, GLARE = 0.05, 22.0  # of the lamp's reflection: share of the picture, grey level
+MAGNET_TONE, RESIN_SIDE, BLADE_TONE, RESIN_LOSS = 52.0, 0.78, 0.6, 0.96  # grey of the magnet; factors on other surfaces
+# The meniscus: position and width of its bright line (in decay lengths), brightness of its slope and of that line
+LINE_AT, LINE_WIDTH, SLOPE_TONE, LINE_TONE = 1.6, 0.25, 0.5, 0.35
 
 
 @njit(cache=True, error_model="numpy")
 def ray(u: float, v: float, lens: FloatArray) -> tuple[float, float, float]:
     """World direction, of unit length, of what is seen at a pixel."""
-    bx, by = (u - lens[13]) / lens[12], (v - lens[14]) / lens[12]
+    bx, by = (u - lens[MIDDLE]) / lens[FOCAL], (v - lens[MIDDLE + 1]) / lens[FOCAL]
     x, y = bx, by
     for _ in range(UNBENDING):
-        grow = 1.0 + lens[15] * (x * x + y * y)
+        grow = 1.0 + lens[BEND] * (x * x + y * y)
         x, y = bx / grow, by / grow
-    dx = x * lens[3] + y * lens[6] + lens[9]
-    dy = x * lens[4] + y * lens[7] + lens[10]
-    dz = x * lens[5] + y * lens[8] + lens[11]
+    dx = x * lens[AXES] + y * lens[AXES + 3] + lens[AXES + 6]
+    dy = x * lens[AXES + 1] + y * lens[AXES + 4] + lens[AXES + 7]
+    dz = x * lens[AXES + 2] + y * lens[AXES + 5] + lens[AXES + 8]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     return dx / length, dy / length, dz / length
 
@@ -58,11 +68,11 @@ def in_box(
 ) -> tuple[float, int]:  # fmt: skip
     """Length of a ray inside a turned box between two parameters, and through which body axis' face it came in."""
     ox, oy, oz = px - middle[0], py - middle[1], pz - middle[2]
-    enter, leave, face = -1e30, 1e30, 0
+    enter, leave, face = -FAR, FAR, 0
     for k in range(3):
         start = turn[0, k] * ox + turn[1, k] * oy + turn[2, k] * oz
         speed = turn[0, k] * dx + turn[1, k] * dy + turn[2, k] * dz
-        if abs(speed) < 1e-12:
+        if abs(speed) < PARALLEL:
             if abs(start) > half[k]:
                 return 0.0, 0
             continue
@@ -88,7 +98,7 @@ def see_empty(
     out = np.empty((height, width, 3))
     cx, cy, hx, hy, floor, surface, top, wall, index = box
     rows, columns = plate.shape[0], plate.shape[1]
-    px, py, pz = lens[0], lens[1], lens[2]
+    px, py, pz = lens[PLACE], lens[PLACE + 1], lens[PLACE + 2]
     colour = np.empty(3)
     upright = np.eye(3)
     for j in range(height):
@@ -120,15 +130,15 @@ def see_empty(
                     kind = 2
                 if not wet:
                     for n in range(len(posts)):
-                        length, face = in_box(px, py, pz, dx, dy, dz, upright, posts[n, :3], posts[n, 3:], 0.0, 1e9)
+                        length, face = in_box(px, py, pz, dx, dy, dz, upright, posts[n, :3], posts[n, 3:], 0.0, BEYOND)
                         if length > 0:
                             kind = 3 if face == 2 else 2
                             t = (posts[n, 2] + posts[n, 5] - pz) / dz
                             gx, gy = px + t * dx, py + t * dy
                 if kind == 0 or kind == 3:
                     sheet = plate if kind == 0 else caps
-                    a = min(max((gx - corner[0]) * scale, 0.0), columns - 1.001)
-                    b = min(max((gy - corner[1]) * scale, 0.0), rows - 1.001)
+                    a = min(max((gx - corner[0]) * scale, 0.0), columns - LAST_CELL)
+                    b = min(max((gy - corner[1]) * scale, 0.0), rows - LAST_CELL)
                     ia, ib = int(a), int(b)
                     fa, fb = a - ia, b - ib
                     for c in range(3):
@@ -137,14 +147,14 @@ def see_empty(
                         )
                 else:
                     for c in range(3):
-                        colour[c] = tones[2, c] * (1.0 if kind == 1 else 0.72)
+                        colour[c] = tones[2, c] * (1.0 if kind == 1 else SIDE_TONE)
                 su, sv = u / width - 0.5, v / height - 0.5
                 light = 1.0 + shading[0] * su + shading[1] * sv - shading[2] * (su * su + sv * sv)
-                glare = math.exp(-((su - shading[3]) ** 2 + (sv - shading[4]) ** 2) / (2 * 0.05**2))
+                glare = math.exp(-((su - shading[3]) ** 2 + (sv - shading[4]) ** 2) / (2 * GLARE_SIZE**2))
                 for c in range(3):
                     value = colour[c] * light
                     if wet:
-                        value = value * tones[3, c] / 255.0 + 22.0 * glare
+                        value = value * tones[3, c] / 255.0 + GLARE * glare
                     out[j, i, c] += value / (relief * relief)
     return out
 
@@ -173,7 +183,7 @@ def see_robot(
     """
     height, width = behind.shape[0], behind.shape[1]
     out = np.empty((height, width, 3))
-    px, py, pz = lens[0], lens[1], lens[2]
+    px, py, pz = lens[PLACE], lens[PLACE + 1], lens[PLACE + 2]
     length, face = np.zeros(3), np.zeros(3, dtype=np.int64)
     brightness = math.sqrt(lamp[0] ** 2 + lamp[1] ** 2)
     for j in range(height):
@@ -188,18 +198,19 @@ def see_robot(
                 ex, ey, ez = refract(dx, dy, index)
                 for k in range(3):
                     dry, side = in_box(px, py, pz, dx, dy, dz, turn, boxes[k, 0], boxes[k, 1], 0.0, down)
-                    under, low = in_box(wx, wy, surface, ex, ey, ez, turn, boxes[k, 0], boxes[k, 1], 0.0, 1e9)
+                    under, low = in_box(wx, wy, surface, ex, ey, ez, turn, boxes[k, 0], boxes[k, 1], 0.0, BEYOND)
                     length[k], face[k] = dry + under, side if dry > 0 else low
+                # magnet, then resin with the blade in it, then the meniscus around the housing
                 if length[1] > 0:
                     for c in range(3):
-                        out[j, i, c] += 52.0 - 2.0 * c
+                        out[j, i, c] += MAGNET_TONE - 2.0 * c
                     continue
                 if length[0] > 0:
                     kept = math.exp(-length[0] / clear)
-                    tone = 1.0 if face[0] == upright else 0.78
-                    blade = 0.6 if length[2] > 0 else 1.0
+                    tone = 1.0 if face[0] == upright else RESIN_SIDE
+                    blade = BLADE_TONE if length[2] > 0 else 1.0
                     for c in range(3):
-                        out[j, i, c] += blade * (0.96 * kept * behind[j, i, c] + (1.0 - kept) * tone * resin[c])
+                        out[j, i, c] += blade * (RESIN_LOSS * kept * behind[j, i, c] + (1.0 - kept) * tone * resin[c])
                     continue
                 ox, oy, oz = wx - boxes[0, 0, 0], wy - boxes[0, 0, 1], surface - boxes[0, 0, 2]
                 away = 0.0
@@ -210,8 +221,8 @@ def see_robot(
                 away = math.sqrt(away)
                 facing = (ox * lamp[0] + oy * lamp[1]) / (max(math.sqrt(ox * ox + oy * oy), 1e-9) * brightness)
                 slope = math.exp(-away / ring[1])
-                thin = math.exp(-0.5 * ((away - 1.6 * ring[1]) / (0.25 * ring[1])) ** 2)
-                factor = 1.0 + ring[0] * (ring[2] * facing * slope - 0.5 * slope + 0.35 * thin)
+                thin = math.exp(-0.5 * ((away - LINE_AT * ring[1]) / (LINE_WIDTH * ring[1])) ** 2)
+                factor = 1.0 + ring[0] * (ring[2] * facing * slope - SLOPE_TONE * slope + LINE_TONE * thin)
                 for c in range(3):
                     out[j, i, c] += factor * behind[j, i, c]
             for c in range(3):

@@ -14,10 +14,13 @@ from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion
 
-FINE = 3  # rays per pixel and direction
-AROUND = 2.2e-3  # m beyond the housing that its meniscus reaches
-BLADE = np.array([0.03e-3, 0.1e-3, 1.6e-3])  # half sides of the cantilever, m; thicker than steel, so that it is seen
-CLEAR = 2.6e-3  # m of resin that leave 1/e of the light
+FINE = 3  # rays per pixel along each side
+AROUND = 2.2e-3  # m around the housing within which its meniscus is visible
+BLADE = np.array([0.03e-3, 0.1e-3, 1.6e-3])  # half sides of the cantilever, m; thicker than the real one, to be visible
+MAGNET_HALF = np.array([0.45e-3, 0.45e-3, 0.5e-3])  # half sides of the magnet, m
+SIZE_ERROR, MAGNET_ERROR = 50e-6, 0.05e-3  # m: standard deviations of a printed housing and of a glued magnet
+SHADOW_REACH, SHADOW, SHADOW_SIZE = 3e-3, 0.16, 0.8  # m around the robot; depth; size in half the housing
+CLEAR = 2.6e-3  # m of resin that transmit 1/e of the light
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +55,11 @@ class Looks:
 
 def draw_looks(rng: np.random.Generator, robot: RobotConfig, afloat: bool) -> Looks:
     """Housing and magnet by the robot file, printed to 50 µm, with a colour and a meniscus of its own."""
-    half = 0.5 * (np.array(robot.size) + rng.normal(0.0, 50e-6, 3))
+    half = 0.5 * (np.array(robot.size) + rng.normal(0.0, SIZE_ERROR, 3))
     device = robot.device
     return Looks(
         np.array(robot.center), half,
-        np.array([*rng.normal(0.0, 0.05e-3, 2), device.l0]), np.array([0.45e-3, 0.45e-3, 0.5e-3]),
+        np.array([*rng.normal(0.0, MAGNET_ERROR, 2), device.l0]), MAGNET_HALF,
         np.array([rng.uniform(80, 120), rng.uniform(150, 185), rng.uniform(190, 215)]),
         np.array([rng.uniform(0.10, 0.22) if afloat else 0.0, rng.uniform(0.35, 0.6) * 1e-3, rng.uniform(0.3, 0.8)]),
     )  # fmt: skip
@@ -94,7 +97,7 @@ def shade(frame: FloatArray, stage: Stage, camera: Camera, looks: Looks, positio
     """Darken `frame` in place where the robot's soft shadow falls on the floor."""
     depth = position[2] - stage.floor
     middle = np.array([*(position[:2] + depth * stage.lamp), stage.floor])
-    reach = float(np.max(looks.half)) + 3e-3
+    reach = float(np.max(looks.half)) + SHADOW_REACH
     corners = middle + reach * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     pixels = camera.project(corners)
     (u0, v0), (u1, v1) = pixels.min(axis=0).astype(int), pixels.max(axis=0).astype(int)
@@ -106,5 +109,5 @@ def shade(frame: FloatArray, stage: Stage, camera: Camera, looks: Looks, positio
     wet = crossing(camera.place, rays, stage.surface)
     ground = crossing(wet, refracted(rays, stage.index), stage.floor)
     away = np.linalg.norm(ground[:, :2] - middle[:2], axis=1)
-    dark = 0.16 * np.exp(-0.5 * (away / (0.8 * float(np.mean(looks.half)))) ** 2) * stage.inside(ground)
+    dark = SHADOW * np.exp(-0.5 * (away / (SHADOW_SIZE * float(np.mean(looks.half)))) ** 2) * stage.inside(ground)
     frame[v0:v1, u0:u1] *= (1.0 - dark).reshape(v1 - v0, u1 - u0, 1)

@@ -13,12 +13,14 @@ from smolbot.core.arrays import BoolArray, FloatArray
 
 DICTIONARY = "4x4_50"
 SIDE = 8e-3  # of a marker's black square, in m
-QUIET = 1.2e-3  # white border around it
-WALL = 2e-3  # thickness of the container's walls
-GAP = 5e-3  # between wall and marker: seen from above, a wall hides some of the plate beside it
+QUIET = 1.2e-3  # m: white border around it
+WALL = 2e-3  # m: thickness of the container's walls
+GAP = 5e-3  # m: between wall and marker, as a wall hides part of the plate from the camera
 PRINT = 16  # pixels of the printed plate per mm
-PRINT_ERROR = 50e-6  # m, of a marker's place; and a tenth of a degree
-RELIEF = 2  # rays per pixel and direction
+PRINT_ERROR, PRINT_TURN_DEG = 50e-6, 0.1  # standard deviations of a marker's position (m) and rotation
+RELIEF = 2  # rays per pixel along each side
+WATER, GLYCEROL = 1.34, 1.47  # refractive indices; gel is mostly water
+MARKER_PIXELS = 60  # of a marker's picture
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) 
         true = place + rng.normal(0.0, PRINT_ERROR, 2)
         markers.append(
             Marker(number, (float(place[0]), float(place[1])), (float(true[0]), float(true[1])),
-                   float(np.radians(rng.normal(0.0, 0.1))), number >= len(corners))
+                   float(np.radians(rng.normal(0.0, PRINT_TURN_DEG))), number >= len(corners))
         )  # fmt: skip
     light = rng.uniform(0.0, 2.0 * np.pi)
     tones = np.array(
@@ -115,7 +117,7 @@ def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) 
     glare = rng.uniform(-0.25, 0.25, 2)
     return Stage(
         center, half, box.floor_z, box.surface_z, box.floor_z + box.wall_height,
-        1.34 if rig.sections.medium.yield_stress_pa > 0 else 1.47,  # gel is water; glycerol
+        WATER if rig.sections.medium.yield_stress_pa > 0 else GLYCEROL,
         tuple(markers), rng.uniform(0.2, 0.4) * np.array([np.cos(light), np.sin(light)]), tones,
         np.array([*slope, rng.uniform(0.1, 0.2), *glare]),
     )  # fmt: skip
@@ -138,7 +140,7 @@ def printed_sheets(stage: Stage, rng: np.random.Generator) -> tuple[Sheet, Sheet
     caps: Sheet = np.full_like(plate, 0.0)
     caps[:] = stage.tones[0]
     lines = 1e3 * (np.arange(n) / (1e3 * PRINT) + low[:, None])  # in mm
-    for axis in (0, 1):  # a faint grid of 10 mm, as on a cutting mat
+    for axis in (0, 1):  # a faint grid of 10 mm
         near = np.abs((lines[axis] + 5.0) % 10.0 - 5.0)
         ink = 1.0 - 0.12 * (near < 0.1)
         ink = ink.astype(np.float32)
@@ -152,7 +154,7 @@ def _print_marker(sheet: Sheet, marker: Marker, low: FloatArray, ink: FloatArray
     import cv2
 
     words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{DICTIONARY.upper()}"))
-    bits = cv2.aruco.generateImageMarker(words, marker.number, 60).astype(np.float64) / 255.0
+    bits = cv2.aruco.generateImageMarker(words, marker.number, MARKER_PIXELS).astype(np.float64) / 255.0
     reach = 0.5 * SIDE + QUIET
     first = np.floor(1e3 * PRINT * (np.array(marker.true_center) - 1.5 * reach - low)).astype(int)
     last = np.ceil(1e3 * PRINT * (np.array(marker.true_center) + 1.5 * reach - low)).astype(int)
@@ -163,9 +165,9 @@ def _print_marker(sheet: Sheet, marker: Marker, low: FloatArray, ink: FloatArray
     right, down = c * x + s * y, s * x - c * y
     beyond = np.maximum(np.abs(right), np.abs(down))
     paper = beyond < reach
-    black = np.clip(0.5 + 1e3 * PRINT * (0.5 * SIDE - beyond), 0.0, 1.0)  # a pixel on the edge is black in part
-    i = np.clip((60 * (down / SIDE + 0.5)).astype(int), 0, 59)
-    j = np.clip((60 * (right / SIDE + 0.5)).astype(int), 0, 59)
+    black = np.clip(0.5 + 1e3 * PRINT * (0.5 * SIDE - beyond), 0.0, 1.0)  # a pixel on the edge is partly black
+    i = np.clip((MARKER_PIXELS * (down / SIDE + 0.5)).astype(int), 0, MARKER_PIXELS - 1)
+    j = np.clip((MARKER_PIXELS * (right / SIDE + 0.5)).astype(int), 0, MARKER_PIXELS - 1)
     value = 1.0 - black * (1.0 - bits[i, j])
     patch = sheet[first[1] : last[1], first[0] : last[0]]
     white = np.array([225.0, 228.0, 228.0])

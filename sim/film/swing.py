@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from sim.film.filming import Grain, Writer, blurred
-from sim.tank.magnetics.cantilever import STATE_LENGTH, swing
+from sim.tank.magnetics.cantilever import DRIVE, ETA, L0, MIDDLE, STATE_LENGTH, swing
+from sim.tank.magnetics.coil_fields import COMMAND, SINE
 from sim.tank.magnetics.coils import TankCoils
 from sim.tank.magnetics.magnet import true_device
 from sim.tank.magnetics.sensors import TrueSensors
@@ -22,12 +23,14 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.errors import InputError
 
-STEP, SUBSTEPS = 1e-3, 50  # s; the tank's own
+STEP, SUBSTEPS = 1e-3, 50  # s: as in the tank
 SCALE = 80e3  # pixels per m
-SIZE = (320, 288)
+SIZE = (320, 288)  # pixels
 PIVOT = (160.0, 244.0)  # pixel of the rotation centre, before the clip is turned and shifted
-PLAYED = 25.0  # frames per second at which the file is to be played, as high-speed cameras write it
-EXPOSURE = 60e-6  # s
+PLAYED = 25.0  # frames per second in the file, as high-speed cameras write it
+EXPOSURE, EXPOSED = 60e-6, 3  # s; pictures that are averaged for one frame
+FRAMES_PER_PERIOD, MAX_FPS = 8.0, 1e6  # fewest frames per period, and most per second
+MAGNET_HALF, BLADE_HALF = 0.5e-3, 0.02e-3  # m: half a side of the magnet, half the thickness of the cantilever
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,21 +70,21 @@ def swung(
     sensors = TrueSensors(rig, truth, streams.field_noise, streams.sensor_noise, streams.constants)
     coils = TankCoils.build(rig, settings, truth, sensors.positions, sensors.axes)
     device = true_device(robot, settings, truth)
-    # the field of the first coil lies along world x: it must lie across the moment, in the plane of the swing
+    # the field of the first coil is along world x: it must be across the moment, in the plane of oscillation
     across = "x" if robot.device.along_cantilever else "z"
     quaternion = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), f"{across}y")
     place = np.array([*rig.container.center, rig.container.surface_z])
-    middle = place + matrix_from_quaternion(quaternion) @ device[10:13]
+    middle = place + matrix_from_quaternion(quaternion) @ device[MIDDLE : MIDDLE + 3]
     drive = cycles / robot.device.frequency
     steps = math.ceil((drive + free) / STEP)
     state, poses = np.zeros(STATE_LENGTH), np.zeros((steps, 7))
     trace = np.zeros((steps * SUBSTEPS, 1 + len(coils.circuits)))
-    state[3] = 2.0 * math.pi * robot.device.frequency
-    coils.circuits[coils.n_actuation, 2] = current
+    state[DRIVE] = 2.0 * math.pi * robot.device.frequency
+    coils.circuits[coils.n_actuation, SINE] = current
     on = round(drive / STEP)  # to a millisecond
     for i in range(steps):
         if i == on:
-            coils.circuits[:, 1:3] = 0.0
+            coils.circuits[:, COMMAND : SINE + 1] = 0.0
         swing(
             tuple(middle), tuple(quaternion), device, np.zeros(3), coils.fields.rows, coils.fields.coefficients,
             coils.circuits, state, poses, i, trace, i * SUBSTEPS, STEP, SUBSTEPS, np.zeros((0, 1)), 0,
@@ -103,16 +106,16 @@ def film_swing(
     InputError
         If the frame rate is too low to show the swing, or the file cannot be written.
     """
-    if not 8.0 * robot.device.frequency <= fps <= 1e6:
+    fewest = FRAMES_PER_PERIOD * robot.device.frequency
+    if not fewest <= fps <= MAX_FPS:
         raise InputError(
-            f"A swing at {robot.device.frequency:g} Hz needs {8.0 * robot.device.frequency:.0f} frames per second "
-            "or more; "
+            f"An oscillation of {robot.device.frequency:g} Hz needs {fewest:.0f} to {MAX_FPS:g} frames per second; "
             f"got {fps:g}."
         )
     rng = np.random.default_rng([seed, 0x5711])
     times, theta, released, device = swung(rig, robot, seed, cycles, free, current)
     frames = (np.arange(math.floor(times[-1] * fps)) + 0.5) / fps
-    l0, theta_max, omega2, friction, eta = (float(v) for v in device[3:8])
+    l0, theta_max, omega2, friction, eta = (float(v) for v in device[L0 : ETA + 1])
     frequency = math.sqrt(omega2 - eta**2) / (2.0 * math.pi)
     loss = friction * 4.0 * frequency / omega2  # of dry friction, in rad/s
     made = SwingFilm(frames, np.interp(frames, times, theta), released, frequency, eta, loss, theta_max)
@@ -122,7 +125,7 @@ def film_swing(
         for time in frames:
             parts = [
                 scene.picture(float(np.interp(time + shift, times, theta)))
-                for shift in EXPOSURE * (np.arange(3) - 1) / 3
+                for shift in EXPOSURE * (np.arange(EXPOSED) - 1) / EXPOSED
             ]
             writer.write(grain.over(blurred(np.mean(parts, axis=0), scene.blur)))
     return made
@@ -152,7 +155,7 @@ class _Scene:
 
     def picture(self, theta: float) -> FloatArray:
         """The scene with the magnet deflected by `theta` rad, without noise and blur, shape (rows, columns, 3)."""
-        half = 0.5e-3
+        half = MAGNET_HALF
         c, s = math.cos(theta), math.sin(theta)
         # own axes of the magnet: ahead along the deflected cantilever
         ahead, aside = s * self.x + c * self.z - self.l0, c * self.x - s * self.z
@@ -161,7 +164,7 @@ class _Scene:
         shine = 185.0 * (1.0 + self.polish[0] * ahead / half + self.polish[1] * aside / half)
         bend = 0.5 * math.tan(theta) * np.clip(self.z + self.l0, 0.0, None) ** 2 / (2.0 * self.l0)
         blade = (
-            np.clip(0.5 - SCALE * (np.abs(self.x - bend) - 0.02e-3), 0.0, 1.0)
+            np.clip(0.5 - SCALE * (np.abs(self.x - bend) - BLADE_HALF), 0.0, 1.0)
             * (self.z < self.l0)
             * (self.z > -self.l0)
         )

@@ -12,6 +12,9 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.recording.reader import read_run
 
+SAME_TIME = 1e-9
+"""Difference, in s, below which two poses have one time."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trail:
@@ -33,7 +36,7 @@ class Trail:
 
     def __post_init__(self) -> None:
         turned = self.orientations.copy()
-        for i in range(1, len(turned)):  # q and -q are the same turn
+        for i in range(1, len(turned)):  # q and -q are the same rotation
             if turned[i] @ turned[i - 1] < 0:
                 turned[i] *= -1.0
         object.__setattr__(self, "orientations", turned)
@@ -56,10 +59,10 @@ def read_trail(run: str | Path) -> tuple[Trail, AnyMission]:
     record = read_run(run)
     known = [p for m in record.moments for p in (m.truth, m.truth_at_end) if p is not None]
     if len(known) < 2:
-        raise InputError(f"{record.path}: holds no true poses; only a run in the simulated tank can be filmed.")
+        raise InputError(f"{record.path}: has no true poses; only a run in the simulated tank can be filmed.")
     times = np.array([pose.time for pose in known])
     order = np.argsort(times, kind="stable")
-    kept = order[np.concatenate([[True], np.diff(times[order]) > 1e-9])]
+    kept = order[np.concatenate([[True], np.diff(times[order]) > SAME_TIME])]
     trail = Trail(
         times[kept], np.array([known[i].position for i in kept]), np.array([known[i].orientation for i in kept])
     )

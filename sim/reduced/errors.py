@@ -23,7 +23,19 @@ from smolbot.localization.problem import LinearModel, paper_model
 from smolbot.localization.synthetic import Fitted
 
 N_PHASES = 4
-"""Phases of the oscillation, half a turn in all, of which one is drawn for each recording."""
+"""Phases of the oscillation, over half a turn, of which one is sampled for each recording."""
+
+MIN_AMPLITUDE = 1e-6
+"""Smallest amplitude, in rad: the fit divides by it."""
+
+SINCE_DIGITS = 9
+"""Decimals, in s, of the time since the drive by which models are kept."""
+
+REGULARISATION = 1e-12
+"""Share of the mean variance added to a covariance before it is factored."""
+
+DOUBT_SIGMAS = 4.0
+"""Standard deviations by which the reduced chi-square must exceed 1 to scale the covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +98,7 @@ class FitErrors:
         since : float, in s
             From the end of the drive to its first sample.
         """
-        key = half_periods, round(since, 9)
+        key = half_periods, round(since, SINCE_DIGITS)
         if key not in self._models:
             self._models[key] = _Model(self._localizer, self._rig, self._heard, half_periods, since)
         model = self._models[key]
@@ -94,7 +106,7 @@ class FitErrors:
         white = self._rng.standard_normal(model.n_out)
         noise = white if model.noise_factor is None else model.noise_factor @ white
         rotation = matrix_from_quaternion(orientation)
-        size = max(amplitude, 1e-6) / basis.REFERENCE_ANGLE
+        size = max(amplitude, MIN_AMPLITUDE) / basis.REFERENCE_ANGLE
         believed, true = model.believed, model.true
         kernels.series(*believed.magnet, *model.nodes, position, rotation, believed.values, believed.slopes)
         kernels.series(*true.magnet, *model.nodes, position, rotation, true.values, true.slopes)
@@ -128,14 +140,16 @@ class _Model:
         self.noise_factor: FloatArray | None = None
         if localizer.estimator == "whitened":
             trend = localizer.free_trend(Recording(np.zeros((len(sensors), n_samples)), rate, since))
-            # the cached function would keep every seed's room
+            # the cached function would keep the noise of every seed
             build = whitened_model.__wrapped__
             model = build(sensors, device, heard.noise, everyone, n_samples, rate, since, trend, localizer.transients)
         else:
             model = paper_model(sensors, device, everyone, n_samples, rate, since)
             parts = noise_parts(sensors, noise_levels(rig), model.chain, rate, model.mixing)
             total = np.sum([np.kron(space, time) for space, time in parts], axis=0)
-            self.noise_factor = np.linalg.cholesky(total + 1e-12 * np.trace(total) / len(total) * np.eye(len(total)))
+            self.noise_factor = np.linalg.cholesky(
+                total + REGULARISATION * np.trace(total) / len(total) * np.eye(len(total))
+            )
         self._white = model.white
         self.n_out = len(model.matrix)
         self.believed = _Series(model.positions, model.axes, device.moment * device.moment_in_body, device.l0)
@@ -146,9 +160,9 @@ class _Model:
 
     def variance(self, sse: float) -> float:
         """By what a fit scales its covariance: white residuals only where they are larger than chance makes them."""
-        freedom = max(self.n_out - 8, 1)
+        freedom = max(self.n_out - kernels.N_PARAMETERS, 1)
         variance = sse / freedom
-        if self._white and variance <= 1.0 + 4.0 * math.sqrt(2.0 / freedom):
+        if self._white and variance <= 1.0 + DOUBT_SIGMAS * math.sqrt(2.0 / freedom):
             return 1.0
         return variance
 

@@ -11,10 +11,10 @@ from smolbot.core.arrays import FloatArray
 
 N = 8  # position (3), rotation (3), phase, amplitude
 WORST = 1e11
-"""Condition beyond which a fit says nothing, as in `smolbot.localization.kernels.covariance`."""
+"""Condition number above which a fit is undetermined, as in `smolbot.localization.kernels.covariance`."""
 
 UNTOLD = 1e300
-"""A variance beyond it is infinite: nothing was told."""
+"""Variance above which a fit is undetermined."""
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
@@ -62,6 +62,7 @@ def linear_fit(
     n_out = len(noise)
     jacobian, residual, data = np.zeros((N, n_out)), noise.copy(), noise.copy()
     row = 0
+    # derivatives of the assumed model at the true pose; residual: true less modelled signal, and noise
     for c in range(n_channels):
         power = 1.0
         for k in range(1, n_powers):
@@ -95,7 +96,7 @@ def linear_fit(
     for a in range(7):
         for b in range(7):
             unit = (reference if a == 6 else 1.0) * (reference if b == 6 else 1.0)
-            joint[a, b] = unit * covariance[a + a // 6, b + b // 6]  # all but the phase
+            joint[a, b] = unit * covariance[a + a // 6, b + b // 6]  # without the phase
     change = np.zeros(N)
     if covariance[0, 0] > UNTOLD:
         return change, joint, 0.0, 1.0

@@ -10,26 +10,59 @@ import math
 import numpy as np
 from numba import njit
 
+from sim.tank.carriers.hydrodynamics import (
+    BUOYANCY,
+    DRAG,
+    HEIGHT,
+    MENISCUS,
+    RIGHTING_X,
+    RIGHTING_Z,
+    SURFACE,
+    TURN_DRAG,
+    WEIGHT,
+)  # fmt: skip
+from sim.tank.magnetics.cantilever import (
+    ETA,
+    FRICTION,
+    INERTIA,
+    L0,
+    MIDDLE,
+    MOMENT,
+    OMEGA_SQUARED,
+    REST_X,
+    REST_Z,
+    THETA_MAX,
+)  # fmt: skip
 from smolbot.core.arrays import FloatArray
 
 LIVE_STEP = 2e-3
-"""Step while a coil is driven, in s: coils settle in 3 ms, the cantilever swings in 10, alignment takes tens of ms."""
+"""Step while a coil is driven, in s: coils settle in 3 ms, the cantilever's period is 10 ms, alignment takes longer."""
 
 DYING_STEP = 4e-3
-"""Step while currents die away, in s."""
+"""Step while currents decay, in s."""
 
 IDLE_STEP = 3e-2
-"""Step while none does, in s: what is left of the earth's field turns the robot by a degree in a second."""
+"""Step without currents, in s: the rest of the earth's field turns the robot by 1 degree per second."""
 
 LIVE = 2e-2
 """Current, in A, below which a coil without a command moves nothing."""
 
-# Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection at which the cantilever
-# would rest (rad), phasor (2, rad) of its swing about there: now, and a quarter of a period ago
+ROUNDING, ROUNDED_STEPS = 1e-12, 1e-9
+"""Time, in s, and share of a step that are rounding."""
+
+# Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection at rest (rad), phasor (2,
+# rad) of the oscillation about it: now, and a quarter of a period ago
+DEFLECTION, NOW, QUARTER = 7, 8, 9
 STATE_LENGTH = 10
+STIFFER = 7  # entry of the rates: stiffness by the field, as a share of the spring's
 SWING = slice(8, 10)
 # Entries of `device` and `hull`: see `sim.tank.magnetics.cantilever` and `sim.tank.carriers.hydrodynamics.Hull`.
 # Entries of `grid`: origin x, y (m), 1 / spacing (1/m), height of the plane (m)
+ORIGIN_X, ORIGIN_Y, SCALE, PLANE_HEIGHT = range(4)
+# Entries of `box`: walls of the container, half the housing's length and width (m)
+LEFT, RIGHT, FRONT, BACK, HALF_AHEAD, HALF_SIDE = range(6)
+SETTLE_STEPS, MIN_STIFFNESS = 3, 0.2  # Newton steps to the deflection at rest; least slope, as a share of the spring's
+SLOWEST = 1.0  # rad²/s²: least squared frequency of the oscillation
 
 
 @njit(cache=True, error_model="numpy")
@@ -52,8 +85,9 @@ def plane_field(
     tuple of 8
         Bx, By, Bz in T, then dBx/dx, dBx/dy, dBx/dz, dBy/dy, dBy/dz in T/m.
     """
-    scale = grid[2]
-    u, v = (x - grid[0]) * scale, (y - grid[1]) * scale
+    # weights of the cubic B-splines along x and y, and of their derivatives
+    scale = grid[SCALE]
+    u, v = (x - grid[ORIGIN_X]) * scale, (y - grid[ORIGIN_Y]) * scale
     i = max(1, min(math.floor(u), table.shape[0] - 3))
     j = max(1, min(math.floor(v), table.shape[1] - 3))
     t = min(max(u - i, 0.0), 1.0)
@@ -85,7 +119,8 @@ def plane_field(
             yy += along_y * cy
             zx += along_x * cz
             zy += along_y * cz
-    up, across = z - grid[3], 0.5 * (xy + yx)
+    # off the plane by curl B = 0 and div B = 0
+    up, across = z - grid[PLANE_HEIGHT], 0.5 * (xy + yx)
     return bx + up * zx, by + up * zy, bz - up * (xx + yy), xx, across, zx, yy, zy
 
 
@@ -102,7 +137,7 @@ def _rates(
     out: FloatArray,
 ) -> None:
     """Fill `out` (8,) with velocity (3, m/s, world), change of the quaternion (4, 1/s), and by what share the field
-    stiffens the cantilever; `s[7]` with the deflection.
+    stiffens the cantilever; `s[DEFLECTION]` with the deflection.
 
     The cantilever rests where spring and field balance: ``k theta = m B . (y x m_dir) + F . (y x r)``, up to its stop.
     `swung`, in rad, is the mean over the step of its swing about there.
@@ -112,16 +147,17 @@ def _rates(
     yx, yy, yz = 2 * (i * j + k * w), 1 - 2 * (i * i + k * k), 2 * (j * k - i * w)
     zx, zy, zz = 2 * (i * k - j * w), 2 * (j * k + i * w), 1 - 2 * (i * i + j * j)
     moment, rest_x, rest_z, l0, stop = (
-        device[0],
-        device[1],
-        device[2],
-        device[3],
-        device[4],
+        device[MOMENT],
+        device[REST_X],
+        device[REST_Z],
+        device[L0],
+        device[THETA_MAX],
     )
-    stiffness = device[5] * device[9]
-    theta = s[7]
+    stiffness = device[OMEGA_SQUARED] * device[INERTIA]
+    theta = s[DEFLECTION]
     sine, cosine = math.sin(theta), math.cos(theta)
-    ax, ay, az = l0 * sine - device[10], -device[11], l0 * cosine - device[12]  # magnet from the housing's middle
+    # magnet from the housing's middle, body frame
+    ax, ay, az = l0 * sine - device[MIDDLE], -device[MIDDLE + 1], l0 * cosine - device[MIDDLE + 2]
     wbx, wby, wbz, gxx, gxy, gxz, gyy, gyz = plane_field(
         s[0] + xx * ax + xy * ay + xz * az,
         s[1] + yx * ax + yy * ay + yz * az,
@@ -130,36 +166,38 @@ def _rates(
     )  # fmt: skip
     gzz = -(gxx + gyy)
     bx, by, bz = xx * wbx + yx * wby + zx * wbz, xy * wbx + yy * wby + zy * wbz, xz * wbx + yz * wby + zz * wbz
-    # rows of G R for body x and z: gradients of the field along the directions in which the moment can point
+    # columns of G R for body x and z (T/m): gradients of the field along the moment's possible directions
     px, py, pz = gxx * xx + gxy * yx + gxz * zx, gxy * xx + gyy * yx + gyz * zx, gxz * xx + gyz * yx + gzz * zx
     qx, qy, qz = gxx * xz + gxy * yz + gxz * zz, gxy * xz + gyy * yz + gyz * zz, gxz * xz + gyz * yz + gzz * zz
     bxx, bxz = xx * px + yx * py + zx * pz, xx * qx + yx * qy + zx * qz
     bzz = xz * qx + yz * qy + zz * qz
+    # deflection at rest (Newton): torque of field and force against the spring
     mx = mz = 0.0
-    for _ in range(3):
+    for _ in range(SETTLE_STEPS):
         mx, mz = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
         torque = bx * mz - bz * mx + l0 * (cosine * (bxx * mx + bxz * mz) - sine * (bxz * mx + bzz * mz))
-        theta += (torque - stiffness * theta) / max(stiffness + bx * mx + bz * mz, 0.2 * stiffness)
+        theta += (torque - stiffness * theta) / max(stiffness + bx * mx + bz * mz, MIN_STIFFNESS * stiffness)
         theta = min(max(theta, -stop), stop)
         sine, cosine = math.sin(theta), math.cos(theta)
-    s[7] = theta
-    out[7] = (bx * mx + bz * mz) / stiffness
+    s[DEFLECTION] = theta
+    out[STIFFER] = (bx * mx + bz * mz) / stiffness
     theta = min(max(theta + swung, -stop), stop)
     sine, cosine = math.sin(theta), math.cos(theta)
     mx, mz = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
-    ax, az = l0 * sine - device[10], l0 * cosine - device[12]
+    ax, az = l0 * sine - device[MIDDLE], l0 * cosine - device[MIDDLE + 2]
     fwx, fwy, fwz = px * mx + qx * mz, py * mx + qy * mz, pz * mx + qz * mz  # grad(m . B), world frame
     fx, fy, fz = xx * fwx + yx * fwy + zx * fwz, xy * fwx + yy * fwy + zy * fwz, xz * fwx + yz * fwy + zz * fwz
     tx, ty, tz = -mz * by + ay * fz - az * fy, mz * bx - mx * bz + az * fx - ax * fz, mx * by + ax * fy - ay * fx
-    wet = min(max((hull[13] - s[2]) / hull[12] + 0.5, 0.0), 1.0)
-    lift = hull[11] * wet - hull[10]
+    wet = min(max((hull[SURFACE] - s[2]) / hull[HEIGHT] + 0.5, 0.0), 1.0)
+    lift = hull[BUOYANCY] * wet - hull[WEIGHT]
     if 0.0 < wet < 1.0:
-        lift -= hull[14] * (s[2] - float_height)
-        tx += hull[15] * zz  # the surface turns body y toward the world's up
-        tz -= hull[16] * zx
-    u, v, t = (fx + lift * zx) / hull[4], (fy + lift * zy) / hull[5], (fz + lift * zz) / hull[6]
+        lift -= hull[MENISCUS] * (s[2] - float_height)
+        tx += hull[RIGHTING_X] * zz  # the surface turns body y upward
+        tz -= hull[RIGHTING_Z] * zx
+    # without inertia: velocity = force / drag, spin = torque / drag, body axes
+    u, v, t = (fx + lift * zx) / hull[DRAG], (fy + lift * zy) / hull[DRAG + 1], (fz + lift * zz) / hull[DRAG + 2]
     out[0], out[1], out[2] = xx * u + xy * v + xz * t, yx * u + yy * v + yz * t, zx * u + zy * v + zz * t
-    p, q, r = tx / hull[7], ty / hull[8], tz / hull[9]
+    p, q, r = tx / hull[TURN_DRAG], ty / hull[TURN_DRAG + 1], tz / hull[TURN_DRAG + 2]
     out[3] = 0.5 * (-i * p - j * q - k * r)
     out[4] = 0.5 * (w * p + j * r - k * q)
     out[5] = 0.5 * (w * q + k * p - i * r)
@@ -178,13 +216,13 @@ def driving_field(
     xx, xz = 1 - 2 * (j * j + k * k), 2 * (i * k + j * w)
     yx, yz = 2 * (i * j + k * w), 2 * (j * k - i * w)
     zx, zz = 2 * (i * k - j * w), 1 - 2 * (i * i + j * j)
-    ahead = device[3] - device[12]
+    ahead = device[L0] - device[MIDDLE + 2]
     field = plane_field(
         state[0] + ahead * xz, state[1] + ahead * yz, state[2] + ahead * zz, currents, grid, table
     )  # fmt: skip
     along_x = field[0] * xx + field[1] * yx + field[2] * zx
     along_z = field[0] * xz + field[1] * yz + field[2] * zz
-    return along_x * device[2] - along_z * device[1]
+    return along_x * device[REST_Z] - along_z * device[REST_X]
 
 
 @njit(cache=True, error_model="numpy")
@@ -195,8 +233,8 @@ def _swing(state: FloatArray, drive: complex, stiffer: float, device: FloatArray
 
     `drive` is that of a current at resonance, as of the end of the step. Dry friction takes the place of eta (Eq. S3).
     """
-    eta, omega = device[7], math.sqrt(max(device[5] * (1.0 + stiffer) - device[7] ** 2, 1.0))
-    now = complex(state[8], -state[9])
+    eta, omega = device[ETA], math.sqrt(max(device[OMEGA_SQUARED] * (1.0 + stiffer) - device[ETA] ** 2, SLOWEST))
+    now = complex(state[NOW], -state[QUARTER])
     if now == 0.0 and drive == 0.0:
         return 0.0
     rate = complex(-eta, omega)
@@ -204,12 +242,12 @@ def _swing(state: FloatArray, drive: complex, stiffer: float, device: FloatArray
     mean = ((turned - now) / (rate * time)).real
     turned += drive * (-math.expm1(-eta * time) / eta if eta > 0.0 else time)
     size = abs(turned)
-    left = min(size, device[4])
+    left = min(size, device[THETA_MAX])
     if eta == 0.0:
-        left = max(left - 2.0 * device[6] / (math.pi * omega) * time, 0.0)
+        left = max(left - 2.0 * device[FRICTION] / (math.pi * omega) * time, 0.0)
     if size > 0.0:
         turned *= left / size
-    state[8], state[9] = turned.real, -turned.imag
+    state[NOW], state[QUARTER] = turned.real, -turned.imag
     return mean
 
 
@@ -261,7 +299,7 @@ def move(
     """
     n_coils = commands.shape[1]
     half, mean, rates, one = np.empty(STATE_LENGTH), currents.copy(), np.empty(8), np.zeros(drives.shape[1])
-    omega = math.sqrt(device[5])
+    omega = math.sqrt(device[OMEGA_SQUARED])
     rows = 0
     for window in range(len(lengths)):
         states[window] = state
@@ -272,9 +310,11 @@ def move(
                 one[n] = drives[window, n]
                 lag = math.atan(omega * lags[n])
                 field = driving_field(state, device, one, grid, excitation)
-                growth -= 0.5 * device[0] * field / (device[9] * omega) * complex(math.cos(lag), -math.sin(lag))
+                growth -= (
+                    0.5 * device[MOMENT] * field / (device[INERTIA] * omega) * complex(math.cos(lag), -math.sin(lag))
+                )
         at, duration = 0.0, lengths[window]
-        while duration - at > 1e-12:
+        while duration - at > ROUNDING:
             times[rows] = start + at
             note(state, device, poses[rows])
             rows += 1
@@ -285,7 +325,7 @@ def move(
                 if commands[window, n] != 0.0:
                     live, longest = True, LIVE_STEP
             left = duration - at
-            h = left / math.ceil(left / longest - 1e-9)
+            h = left / math.ceil(left / longest - ROUNDED_STEPS)
             for n in range(n_coils):
                 if live:  # the exact mean of the exponential over the step, and its end
                     settled = 1.0 - math.exp(-h / constants[n]) if constants[n] > 0.0 else 1.0
@@ -294,17 +334,18 @@ def move(
                     currents[n] = commands[window, n] + off * (1.0 - settled)
                 else:
                     mean[n] = currents[n] = 0.0
+            # midpoint rule; the deflection at rest is solved, not integrated
             _rates(state, mean, grid, table, device, hull, float_height, 0.0, rates)
             turn = complex(math.cos(omega * (at + h)), math.sin(omega * (at + h)))
-            swung = _swing(state, growth * turn, rates[7], device, h)
-            for n in range(7):
+            swung = _swing(state, growth * turn, rates[DEFLECTION], device, h)
+            for n in range(DEFLECTION):
                 half[n] = state[n] + 0.5 * h * rates[n]
-            for n in range(7, STATE_LENGTH):
+            for n in range(DEFLECTION, STATE_LENGTH):
                 half[n] = state[n]
             _rates(half, mean, grid, table, device, hull, float_height, swung, rates)
-            for n in range(7):
+            for n in range(DEFLECTION):
                 state[n] += h * rates[n]
-            state[7] = half[7]
+            state[DEFLECTION] = half[DEFLECTION]
             size = 1.0 / math.sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2 + state[6] ** 2)
             for n in range(3, 7):
                 state[n] *= size
@@ -322,16 +363,16 @@ def _hold_inside(state: FloatArray, box: FloatArray) -> None:
     w, i, j, k = state[3], state[4], state[5], state[6]
     ahead_x, ahead_y = abs(2 * (i * k + j * w)), abs(2 * (j * k - i * w))
     side_x, side_y = abs(1 - 2 * (j * j + k * k)), abs(2 * (i * j + k * w))
-    x, y = ahead_x * box[4] + side_x * box[5], ahead_y * box[4] + side_y * box[5]
-    state[0] = min(max(state[0], box[0] + x), box[1] - x)
-    state[1] = min(max(state[1], box[2] + y), box[3] - y)
+    x, y = ahead_x * box[HALF_AHEAD] + side_x * box[HALF_SIDE], ahead_y * box[HALF_AHEAD] + side_y * box[HALF_SIDE]
+    state[0] = min(max(state[0], box[LEFT] + x), box[RIGHT] - x)
+    state[1] = min(max(state[1], box[FRONT] + y), box[BACK] - y)
 
 
 @njit(cache=True, error_model="numpy")
 def note(state: FloatArray, device: FloatArray, pose: FloatArray) -> None:
     """Write the rotation centre (m) and the orientation of a state into a pose (7,)."""
     w, i, j, k = state[3], state[4], state[5], state[6]
-    x, y, z = device[10], device[11], device[12]
+    x, y, z = device[MIDDLE], device[MIDDLE + 1], device[MIDDLE + 2]
     pose[0] = state[0] - ((1 - 2 * (j * j + k * k)) * x + 2 * (i * j - k * w) * y + 2 * (i * k + j * w) * z)
     pose[1] = state[1] - (2 * (i * j + k * w) * x + (1 - 2 * (i * i + k * k)) * y + 2 * (j * k - i * w) * z)
     pose[2] = state[2] - (2 * (i * k - j * w) * x + 2 * (j * k + i * w) * y + (1 - 2 * (i * i + j * j)) * z)

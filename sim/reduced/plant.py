@@ -10,7 +10,7 @@ from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, move, note
 from sim.tank.carriers.floating import put_down
 from sim.tank.carriers.hydrodynamics import Hull
 from sim.tank.history import History
-from sim.tank.magnetics.coil_fields import CoilSet
+from sim.tank.magnetics.coil_fields import COMMAND, TIME_CONSTANT, CoilSet
 from sim.tank.magnetics.coils import TankCoils, volume
 from sim.tank.magnetics.magnet import true_device
 from sim.tank.magnetics.sensors import TrueSensors
@@ -22,7 +22,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Excite, Window
 
 SPACING = 1e-3
-"""Of the plane's table, in m: cubic splines through it are good to some nT per A between coils 84 mm apart."""
+"""Spacing of the plane's table, in m: its cubic splines are exact to a few nT/A between coils 84 mm apart."""
 
 
 class ReducedPlant:
@@ -51,14 +51,14 @@ class ReducedPlant:
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         hull = Hull.build(rig, robot, settings, self.truth)
         self.device = true_device(robot, settings, self.truth)
-        nobody = np.zeros((0, 3))  # hears the coils here: nothing is recorded
+        nobody = np.zeros((0, 3))  # no sensors: nothing is recorded
         coils = TankCoils.build(rig, settings, self.truth, nobody, nobody)
         self._hull, self._float_height = hull.values, hull.float_height
         self._n, self._n_excitation = coils.n_actuation, coils.n_excitation
-        self._constants = coils.circuits[: self._n, 3].copy()
-        self._lags = coils.circuits[self._n : self._n + self._n_excitation, 3].copy()
+        self._constants = coils.circuits[: self._n, TIME_CONSTANT].copy()
+        self._lags = coils.circuits[self._n : self._n + self._n_excitation, TIME_CONSTANT].copy()
         self._grid, tables = _plane(coils, rig, hull.float_height - robot.center[1])
-        # earth's field and the coil against it are one source that never changes; the excitation moves nothing
+        # the earth's field and its compensation coil are one constant source; excitation does not move the robot
         moving = [*range(self._n), tables.shape[2] - 1]
         self._table = np.ascontiguousarray(tables[:, :, moving])
         self._excitation = np.ascontiguousarray(tables[:, :, self._n : self._n + self._n_excitation])
@@ -84,7 +84,7 @@ class ReducedPlant:
             elif isinstance(window, Excite):
                 drives[row] = window.currents[: self._n_excitation]
         states = np.empty((len(windows), STATE_LENGTH))
-        self.history.drop_last()  # its closing row is the first row of what follows
+        self.history.drop_last()  # the last row is repeated as the first of the next
         room = sum(math.ceil(w.duration / LIVE_STEP) + 1 for w in windows) + 1
         times, poses = self.history.reserve(room)
         rows = move(
@@ -124,7 +124,7 @@ def _plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray,
     driven = coils.n_actuation + coils.n_excitation
     still = np.tile(coils.earth, (len(points), 1))
     for c in range(driven, len(values)):
-        still += coils.circuits[c, 1] * values[c]
+        still += coils.circuits[c, COMMAND] * values[c]
     sources = np.concatenate([values[:driven], still[None]]).transpose(1, 0, 2)
     table = sources.reshape(len(x), len(y), driven + 1, 3)
     for axis in (0, 1):

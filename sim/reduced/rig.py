@@ -27,7 +27,13 @@ from smolbot.localization.localizer import Localizer
 from smolbot.localization.synthetic import Sighting, Sightings
 
 AMPLITUDE_SPREAD = 0.02
-"""Share by which the amplitude varies from burst to burst: what is left of the swing when a drive begins."""
+"""Relative standard deviation of the amplitude from burst to burst: the oscillation left when a drive begins."""
+
+MAX_SIGMAS = 3.0
+"""Standard deviations to which it is clipped."""
+
+FLIPS = 0.5
+"""Share of recordings that fit the flipped orientation: half a turn about the moment gives the same field."""
 
 
 class ReducedRig:
@@ -143,18 +149,16 @@ class ReducedRig:
     def _seen(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
         """What is made of a listening window that began at `start` s; the last of `states` is that of its middle."""
         empty, rate, drive = self._no_samples, self._rate, shot.excite
-        if (
-            drive is None or self._errors is None or shot.mode == "quiet"
-        ):  # without signals nothing is learned of a room
+        if drive is None or self._errors is None or shot.mode == "quiet":  # without signals there is no noise to learn
             return Recording(empty, rate, math.inf, drive=drive, clock=start)
         index = max(i for i, w in enumerate(shot.windows[: len(states)]) if w is drive)
         since = sum(w.duration for w in shot.windows[index + 1 : len(states) - 2])
         truth, listen = self._plant.pose(states[-1]), shot.windows[len(states) - 2]
         assert isinstance(listen, Listen)
-        spread = 1.0 + AMPLITUDE_SPREAD * min(max(self._rng.standard_normal(), -3.0), 3.0)
+        spread = 1.0 + AMPLITUDE_SPREAD * min(max(self._rng.standard_normal(), -MAX_SIGMAS), MAX_SIGMAS)
         amplitude = min(spread * math.hypot(*states[index + 1, SWING]), self._device.theta_max)
         orientation = truth[3:]
-        if self._rng.random() < 0.5:  # turned by half about the moment it sounds alike: only a prior can tell
+        if self._rng.random() < FLIPS:  # only a prior can distinguish the two
             orientation = half_turned(orientation)
         fitted = self._errors.draw(truth[:3], orientation, amplitude, listen.half_periods, since)
         return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
@@ -174,11 +178,11 @@ def require_flyable(mission: AnyMission) -> None:
     kind: str = robot.kind
     if mission.rig.world != "tank":
         raise InputError(
-            f"The reduced plant stands for a simulated tank; '{mission.rig.name}' is of world '{mission.rig.world}'."
+            f"The reduced plant replaces a simulated tank; '{mission.rig.name}' is of world '{mission.rig.world}'."
         )
     if kind != "gradient" or not robot.device.along_cantilever:
         what = "has its moment across the cantilever" if kind == "gradient" else f"is of kind '{kind}'"
         raise InputError(
-            "The reduced plant knows robots of kind 'gradient' with the moment along the cantilever; "
+            "The reduced plant supports robots of kind 'gradient' with the moment along the cantilever; "
             f"'{robot.name}' {what}. Fly it in the full tank: --plant full."
         )

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from sim.studies.benches import (
+    FLIP_DEG,
+    QUIET_SECONDS,
     REFERENCE_POSITION,
     characterised,
     localizers,
@@ -44,7 +46,10 @@ BENCHES = {"ideal": 4, "mismatched": 12, "calibrated": 12}
 STAGE_POSES = 60
 STAGE_HALF_PERIODS = 20
 RINGS, RING_HALF_PERIODS = 8, 80
-"""Recordings from which frequency and damping are calibrated, and their length."""
+"""Recordings from which frequency and damping are calibrated, and their half-periods."""
+
+STAGE_WIDTH, STAGE_HEIGHTS = 0.03, (0.055, 0.095)
+"""Half width, and lowest and highest z, of the stage poses, in m."""
 
 
 def steps(axis: str, span: str) -> FloatArray:
@@ -131,13 +136,13 @@ def calibrated(
     track: list[Pose] = []
     heard: list[Recording] = []
     for _ in range(STAGE_POSES):
-        position = np.array([*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.055, 0.095)])
+        position = np.array([*rng.uniform(-STAGE_WIDTH, STAGE_WIDTH, 2), rng.uniform(*STAGE_HEIGHTS)])
         turn = rng.standard_normal(4)
         orientation = turn / np.linalg.norm(turn)
         heard.append(bench.record(position, orientation, STAGE_HALF_PERIODS))
         track.append(Pose(heard[-1].middle, position, orientation, np.eye(6) * 1e-12))
     correction = calibrate_sensors(heard, track, bench.sensors, device)
-    noise = NoiseModel.learn([correction.corrected(q) for q in bench.quiet(10.0)])
+    noise = NoiseModel.learn([correction.corrected(q) for q in bench.quiet(QUIET_SECONDS)])
     return {e: Localizer(correction.sensors, device, noise, e) for e in estimators}, correction
 
 
@@ -191,7 +196,7 @@ def one_case(columns: Columns) -> dict[str, Any]:
                 mae[axis].append(float(np.degrees(error)))
                 sigma[axis].append(float(np.degrees(circular_standard_deviation(measured))))
     untrusted = int(np.sum(columns["trusted"] == 0.0))
-    flipped = int(np.sum(np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) > 90.0))
+    flipped = int(np.sum(np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) > FLIP_DEG))
     mean = {axis: float(np.mean(mae[axis])) for axis in AXES}
     return {
         "benches": len(benches),

@@ -17,19 +17,37 @@ if TYPE_CHECKING:
 
 DIRECTIONS = 360
 TRIES = 200_000
-"""Sets of currents that are drawn at each place; the best of each direction are then improved at random."""
+"""Random sets of currents at each position; the best of each direction are then improved by random changes."""
 
 KEPT, CHILDREN, STEPS = 12, 24, (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.003, 0.003, 0.001, 0.001)
-"""Of each direction: the best that are kept, how often each is changed in a round, by what share of the limit."""
+"""Of each direction: sets that are kept, changes of each in a round, and their size as shares of the limit."""
+
+NEAR = np.radians(0.5)
+"""Angle beyond the accepted direction error from which sets start, in rad."""
+
+CHANGED, BLEND = 0.6, 0.7
+"""Share of the currents that change at random, and standard deviation of a step along the difference of two sets."""
+
+PENALTY = 300.0
+"""Loss of force per rad beyond the accepted direction error."""
+
+ROUNDING = 1e-9
+"""Angle, in rad, and share of a current that are rounding."""
+
+EVERY = 45
+"""Of so many directions one is checked for heat."""
+
+HEAT_SCALE, VIOLATION = 1e-2, -1e-4
+"""Factor on the heat in SLSQP's cost, and a constraint's value down to which it counts as kept."""
 
 SHARES, STARTS, WARM = (0.3, 0.7), 8, 60
-"""Wanted forces as shares of the strongest, starts of SLSQP for each, and allocations that are timed at each place."""
+"""Requested forces as shares of the strongest, starts of SLSQP for each, and timed allocations at each position."""
 
 CASES = {"head first": (True, (0.0, 2.0, 4.0, 6.0, 8.0)), "either end": (False, (0.0, 5.0, 10.0, 15.0, 20.0))}
-"""Which end may be pulled at, and at what distances from the middle, in mm."""
+"""Which end may lead, and distances from the middle, in mm."""
 
 ANGLES_DEG = (0.0, 17.0, 45.0, 73.0, 90.0, 131.0, 208.0, 317.0)
-"""Where around the middle: on the coils' axes of symmetry, where few currents pull, and off them."""
+"""Angles around the middle: on the coils' axes of symmetry, where few currents give force, and between them."""
 
 
 class Pull:
@@ -82,14 +100,15 @@ def strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random
     size, angle = np.linalg.norm(force, axis=1), np.arctan2(force[:, 1], force[:, 0])
     parents = np.zeros((len(toward), KEPT, n))
     for k, way in enumerate(toward):
-        near = np.flatnonzero(np.abs(_wrapped(angle - way)) < misses[k] + np.radians(0.5))
+        near = np.flatnonzero(np.abs(_wrapped(angle - way)) < misses[k] + NEAR)
         best = near[np.argsort(size[near])[-KEPT:]]
         parents[k, : len(best)] = drawn[best]
     for share in STEPS:
         change = share * high * rng.standard_normal((len(toward), KEPT, CHILDREN, n))
-        change *= rng.random(change.shape) < 0.6
-        one, other = rng.integers(0, KEPT, (2, KEPT, CHILDREN // 2))  # half of them along what sets the best apart
-        change[:, :, ::2] = rng.normal(0.0, 0.7, (KEPT, CHILDREN // 2, 1)) * (parents[:, one] - parents[:, other])
+        change *= rng.random(change.shape) < CHANGED
+        # half of them along the difference of two good sets
+        one, other = rng.integers(0, KEPT, (2, KEPT, CHILDREN // 2))
+        change[:, :, ::2] = rng.normal(0.0, BLEND, (KEPT, CHILDREN // 2, 1)) * (parents[:, one] - parents[:, other])
         children = np.clip(parents[:, :, None] + change, low, high).reshape(len(toward), -1, n)
         family = np.concatenate([parents, _stretched(children, high)], axis=1)
         worth, _ = _worth(pull, family, toward, misses)
@@ -106,13 +125,13 @@ def _worth(pull: Pull, family: FloatArray, toward: FloatArray, misses: FloatArra
     off = np.abs(_wrapped(np.arctan2(force[:, 1], force[:, 0]).reshape(family.shape[:2]) - toward[:, None]))
     size = size.reshape(family.shape[:2])
     beyond = np.maximum(off - misses[:, None], 0.0)
-    return size / (1.0 + 300.0 * beyond), np.where(beyond <= 1e-9, size, 0.0)
+    return size / (1.0 + PENALTY * beyond), np.where(beyond <= ROUNDING, size, 0.0)
 
 
 def _stretched(currents: FloatArray, high: FloatArray) -> FloatArray:
     """The same mixes with one coil at its limit: the force grows in proportion."""
     top = np.max(np.abs(currents) / high, axis=-1, keepdims=True)
-    return currents / np.maximum(top, 1e-9)
+    return currents / np.maximum(top, ROUNDING)
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
@@ -139,10 +158,10 @@ def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.
     for _ in range(STARTS):
         start = rng.uniform(pull.low, pull.high)
         out = minimize(
-            lambda i: 1e-2 * i @ i, start, method="SLSQP", bounds=list(zip(pull.low, pull.high, strict=True)),
+            lambda i: HEAT_SCALE * i @ i, start, method="SLSQP", bounds=list(zip(pull.low, pull.high, strict=True)),
             constraints=[{"type": "ineq", "fun": rules}],
         )  # fmt: skip
-        if np.all(rules(out.x) > -1e-4):
+        if np.all(rules(out.x) > VIOLATION):
             best = min(best, float(out.x @ out.x))
     return best
 
@@ -174,7 +193,7 @@ def work(chunk: Chunk) -> Columns:
         force[k], miss[k] = np.linalg.norm(found.force[:2]), found.direction_error
     best = strongest(pull, toward, np.maximum(miss, np.arctan(SLACK)), rng)
     heat = np.full((DIRECTIONS, len(SHARES)), np.nan)
-    for k in range(0, DIRECTIONS, 45):
+    for k in range(0, DIRECTIONS, EVERY):
         for j, share in enumerate(SHARES):
             if force[k] > 0.0:
                 wanted = share * force[k]
@@ -238,15 +257,15 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         }
         figures["cases"].append(case)
         rows += [
-            (f"{name}: direction", f"{case['direction_p99_deg']:.2f}° off at p99, {case['direction_max_deg']:.2f}° at "
-             f"most, of {case['directions']} that can be reached; {case['missed']} found by brute force alone"),
-            (f"{name}: force over brute force", f"{case['share_min']:.3f} at least, below 0.99 in "
-             f"{case['share_below_099']} directions, {case['share_p1']:.3f} at p1, "
-             f"{case['share_median']:.3f} in the middle; {case['weakest_un']:.0f} µN at least"),
-            (f"{name}: heat over SLSQP's best", f"{case['heat_median']:.4f} in the middle, {case['heat_max']:.3f} at "
-             f"most, of {len(heat)}"),
-            (f"{name}: one allocation", f"{case['allocation_ms']:.3f} ms (least {case['allocation_least_ms']:.3f}), "
-             "processor time"),
+            (f"{name}: direction", f"error {case['direction_p99_deg']:.2f}° (p99), {case['direction_max_deg']:.2f}° "
+             f"(maximum) of {case['directions']} reachable; {case['missed']} found by brute force only"),
+            (f"{name}: force over brute force", f"minimum {case['share_min']:.3f}, below 0.99 in "
+             f"{case['share_below_099']} directions, p1 {case['share_p1']:.3f}, "
+             f"median {case['share_median']:.3f}; weakest {case['weakest_un']:.0f} µN"),
+            (f"{name}: heat over SLSQP's best", f"median {case['heat_median']:.4f}, maximum {case['heat_max']:.3f} "
+             f"of {len(heat)}"),
+            (f"{name}: one allocation", f"{case['allocation_ms']:.3f} ms, minimum "
+             f"{case['allocation_least_ms']:.3f} ms, processor time"),
         ]  # fmt: skip
     return Outcome(rows, figures, columns)
 
@@ -261,8 +280,8 @@ def draw(outcome: Outcome, path: Path) -> None:
     total = head["directions"] + either["directions"]
     headline = f"At least {least:.3f} of the force that brute force finds, in {total} directions"
     subline = (
-        "strongest pull on an aligned moment by direction, in µN; line: allocated; grey: brute force, which may "
-        f"miss a direction as far: {head['direction_p99_deg']:.1f}°"
+        "strongest force on an aligned moment by direction, in µN; line: allocated; grey: brute force with the same "
+        f"direction error: {head['direction_p99_deg']:.1f}°"
     )
     around = float(columns["around_deg"][-1])
     shown = [("head first", 0.0), ("head first", 4.0), ("head first", 8.0)]

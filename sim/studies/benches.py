@@ -25,11 +25,11 @@ from smolbot.localization.localizer import Estimator, Localizer
 from smolbot.localization.noise.model import NoiseModel
 
 QUIET_SECONDS = 10.0
-"""Quiet time that a noise model is learned from."""
+"""Length, in s, of the background recordings from which a noise model is learned."""
 
 
 RING_DOWN = 0.02
-"""From the end of the drive to the first sample, in s."""
+"""Time from the end of the drive to the first sample, in s."""
 
 
 CYCLES = 5
@@ -37,11 +37,23 @@ CYCLES = 5
 
 
 REFERENCE_POSITION = (0.0, 0.0, 0.08)
-"""The paper's reference place, in m."""
+"""The paper's reference position, in m."""
 
 
 PRIOR_OFF = (1e-3, math.radians(3.0))
-"""How far a warm start is from the truth, standard deviation per axis in m and rad."""
+"""Standard deviations of a warm start from the truth, per axis, in m and rad."""
+
+MIN_HALF_WIDTH, WIDTH_SHARE = 0.05, 0.4
+"""Half width of a cold start's volume: least, in m, and as a share of the height."""
+
+VOLUME_HEIGHTS = (0.03, 0.12)
+"""Bottom and lowest top of that volume, in m."""
+
+MIN_SPACING, SPACING_SHARE = 0.008, 0.06
+"""Spacing of its grid: least, in m, and as a share of the height."""
+
+FLIP_DEG = 90.0
+"""Error of orientation, in degrees, above which a pose is flipped."""
 
 
 def reference_orientation() -> FloatArray:
@@ -87,8 +99,9 @@ def localizers(
 
     volume = SearchVolume()
     if reach is not None:
-        wide = max(0.05, 0.4 * reach)
-        volume = SearchVolume((-wide, -wide, 0.03), (wide, wide, max(reach, 0.12)), max(0.008, 0.06 * reach))
+        wide = max(MIN_HALF_WIDTH, WIDTH_SHARE * reach)
+        (bottom, top), spacing = VOLUME_HEIGHTS, max(MIN_SPACING, SPACING_SHARE * reach)
+        volume = SearchVolume((-wide, -wide, bottom), (wide, wide, max(reach, top)), spacing)
     noise = NoiseModel.learn(bench.quiet(quiet)) if "whitened" in estimators else None
     return {e: Localizer(bench.sensors, bench.device, noise, e, volume) for e in estimators}
 

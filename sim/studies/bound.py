@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sim.studies.benches import (
+    FLIP_DEG,
     REFERENCE_POSITION,
     characterised,
     localizers,
@@ -22,10 +23,13 @@ from sim.studies.cramer_rao import bound, position_bound
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
 
 HALF_PERIODS = (1, 2, 6, 20)
-CHUNK = 500
+CHUNK, MISMATCH_CHUNKS = 500, 10
+"""Poses of one bench without mismatch, and by how much fewer with it: each bench has its own."""
+
+DEFAULT_POSES = 1000
 PHASES = {1: 24, 2: 12}
-"""Phases of the oscillation, between 0 and pi, at which the bound is computed; poses take it from between them. Long
-windows hardly know the phase: 4 do."""
+"""Phases of the oscillation, from 0 to pi, at which the bound is computed; it is interpolated for a pose. For long
+windows, where the phase hardly matters, 4 are enough."""
 
 
 def work(chunk: Chunk) -> Columns:
@@ -51,11 +55,11 @@ def work(chunk: Chunk) -> Columns:
 
 def chunks(options: Options) -> list[Chunk]:
     """Mismatches off and, unless one scale is asked for, on: then many benches, for each draws its own."""
-    total = options.poses or 1000
+    total = options.poses or DEFAULT_POSES
     scales = (0.0, 1.0) if options.mismatch is None else (options.mismatch,)
     pieces = []
     for scale in scales:
-        sizes = split(total, CHUNK if scale == 0.0 else max(CHUNK // 10, 1))
+        sizes = split(total, CHUNK if scale == 0.0 else max(CHUNK // MISMATCH_CHUNKS, 1))
         pieces += [(f"x{scale:g}-{i:03d}", {"mismatch": scale, "poses": size}) for i, size in enumerate(sizes)]
     return cut(options, work, pieces)
 
@@ -66,7 +70,9 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     figures: dict[str, Any] = {"poses": 0, "cases": []}
     rows: list[tuple[str, str]] = []
     for scale in np.unique(columns["mismatch"]):
-        rows.append((f"mismatch x {scale:g}", "ideal" if scale == 0.0 else "sensors, device and noise drawn per bench"))
+        rows.append(
+            (f"mismatch x {scale:g}", "ideal" if scale == 0.0 else "sensors, device and noise sampled for each bench")
+        )
         for name in options.estimators:
             for half_periods in HALF_PERIODS:
                 case = summary(chosen(columns, mismatch=scale, estimator=name, half_periods=half_periods))
@@ -89,7 +95,7 @@ def summary(columns: Columns) -> dict[str, Any]:
     """Figures of one case."""
     errors, nees = position_errors(columns), columns["nees"]
     least = rms(columns["bound_mm"])
-    right = np.max(np.abs(rotation_errors(columns)), axis=1) <= 90.0
+    right = np.max(np.abs(rotation_errors(columns)), axis=1) <= FLIP_DEG
     return {
         "n": len(nees),
         "untrusted": int(np.sum(columns["trusted"] == 0.0)),
@@ -131,8 +137,9 @@ def draw(outcome: Outcome, path: Path) -> None:
     flips = sum(c["flipped"] for c in best)
     headline = f"{best[0]['estimator']}: within {worst:.2f} times the Cramer-Rao bound"
     label = "ideal: all mismatches off" if scale == 0.0 else f"mismatches x {scale:g}"
-    subline = f"device at (0, 0, 80 mm), noise learned from 10 s of quiet, {best[0]['n']} poses for each N, {label}" + (
-        f"; {flips} flips apart" if flips else ""
+    subline = (
+        f"device at (0, 0, 80 mm), noise learned from 10 s of background, {best[0]['n']} poses for each N, {label}"
+        + (f"; without {flips} flips" if flips else "")
     )
     with slide(path, headline, subline, 1, 2, width_ratios=[1.25, 1.0]) as (left, right):
         left.plot([c["half_periods"] for c in best], [1e3 * c["bound_mm"] for c in best], color=BOUND, lw=9,
@@ -153,16 +160,14 @@ def draw(outcome: Outcome, path: Path) -> None:
         left.set_yticks([20, 50, 100, 200, 500, 1000], ["20", "50", "100", "200", "500", "1000"])
         titled(left, "Rms position error per axis, in µm", "half-periods N")
         columns = chosen(outcome.columns, mismatch=scale, estimator=best[0]["estimator"])
-        kept = np.max(np.abs(rotation_errors(columns)), axis=1) <= 90.0
+        kept = np.max(np.abs(rotation_errors(columns)), axis=1) <= FLIP_DEG
         mean, top = float(np.mean(columns["nees"][kept])) / 6.0, 24.0
         right.hist(columns["nees"][kept], bins=60, range=(0, top), density=True, color="#5fa8d3")
         x = np.linspace(0, top, 200)
         right.plot(x, x**2 * np.exp(-x / 2) / 16.0, color=COLORS["whitened"], lw=2)
-        name_line(
-            right, 7.5, 0.082, "chi-square, 6 degrees\nof freedom: what an\nhonest covariance gives", COLORS["whitened"]
-        )
+        name_line(right, 7.5, 0.082, "chi-square, 6 degrees\nof freedom: a consistent\ncovariance", COLORS["whitened"])
         titled(right, f"Squared error over covariance; mean / 6 = {mean:.3f}", "NEES")
-        limit_line(right, 6.0, "mean of an honest one", vertical=True)
+        limit_line(right, 6.0, "mean if consistent", vertical=True)
         right.set_yticks([])
 
 

@@ -7,15 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.benches import characterised, localizers, open_bench, pose_row
+from sim.studies.benches import FLIP_DEG, characterised, localizers, open_bench, pose_row
 from sim.studies.columns import chosen, columns_of, joined, position_errors
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
 from smolbot.core.rotations import rotation_error
 
 HALF_PERIODS = 6
-CHUNK = 125
+CHUNK, DEFAULT_POSES = 125, 2000
+
 LOW, HIGH = (-0.04, -0.04, 0.05), (0.04, 0.04, 0.11)
+"""Corners of the volume, in m."""
+
 WRONG_MM, WRONG_DEG = 5.0, 20.0
+"""Errors above which a pose is wrong."""
+
+NEES_MEDIAN = 5.348
+"""Median of chi-square with 6 degrees of freedom."""
 
 
 def work(chunk: Chunk) -> Columns:
@@ -48,7 +55,7 @@ def work(chunk: Chunk) -> Columns:
 
 def chunks(options: Options) -> list[Chunk]:
     """Mismatches off, then on, each chunk on a bench of its own."""
-    total = options.poses or 2000
+    total = options.poses or DEFAULT_POSES
     scales = (0.0, 1.0) if options.mismatch is None else (options.mismatch,)
     pieces = [
         (f"x{scale:g}-{i:03d}", {"mismatch": scale, "poses": size})
@@ -74,21 +81,21 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
                 "estimator": name,
                 "poses": len(wrong),
                 "confident_wrong": int(np.sum(trusted & wrong)),
-                "confident_flips": int(np.sum(trusted & (part["off_deg"] > 90.0))),
+                "confident_flips": int(np.sum(trusted & (part["off_deg"] > FLIP_DEG))),
                 "untrusted": int(np.sum(~trusted)),
                 "untrusted_but_right": int(np.sum(~trusted & ~wrong)),
                 "trusted_share": float(np.mean(trusted)),
                 "median_off_mm": float(np.median(part["off_mm"][good])),
                 "p95_off_mm": float(np.percentile(part["off_mm"][good], 95)),
                 "median_off_deg": float(np.median(part["off_deg"][good])),
-                "nees_over_6_median": float(np.median(part["nees"][good])) / 5.348,
+                "nees_over_6_median": float(np.median(part["nees"][good])) / NEES_MEDIAN,
                 "rms_by_axis_mm": np.sqrt(np.mean(position_errors(part)[good] ** 2, axis=0)).tolist(),
             }
             figures["cases"].append(case)
             rows.append(
                 (
                     f"mismatch x {scale:g}, {name}",
-                    f"{case['confident_wrong']} of {case['poses']} confident and wrong "
+                    f"{case['confident_wrong']} of {case['poses']} trusted but wrong "
                     f"({case['confident_flips']} of them flips); trusted {case['trusted_share']:.1%}, "
                     f"{case['untrusted_but_right']} of "
                     f"{case['untrusted']} untrusted were right; median {case['median_off_mm']:.2f} mm, "
@@ -106,7 +113,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     first = cases[0]
     shown = chosen(outcome.columns, mismatch=first["mismatch"], estimator=first["estimator"])
     headline = (
-        f"{first['confident_wrong']} of {first['poses']} cold starts confident and wrong, "
+        f"{first['confident_wrong']} of {first['poses']} cold starts trusted but wrong, "
         f"{first['trusted_share']:.1%} trusted"
     )
     label = "ideal: all mismatches off" if first["mismatch"] == 0 else f"mismatches x {first['mismatch']:g}"

@@ -28,9 +28,9 @@ def study(
         str | None,
         typer.Argument(help="For margins: a shipped mission by name, or your own by path.", metavar="[MISSION]"),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same result, whatever --jobs.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed; results do not depend on --jobs.")] = 1,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
-    poses: Annotated[int | None, typer.Option(min=1, help="Poses, or repeats, of each kind.")] = None,
+    poses: Annotated[int | None, typer.Option(min=1, help="Number of poses, or of repeats, of each kind.")] = None,
     rig: Annotated[
         str | None, typer.Option(help="Rig file, by name or path; default: tank, or the mission's own.")
     ] = None,
@@ -38,11 +38,13 @@ def study(
     estimator: Annotated[str | None, typer.Option(help="whitened, paper or both; default: the study's own.")] = None,
     weights: Annotated[
         str | None,
-        typer.Option(help="For margins: mm off, degrees off and share of a full current that count alike."),
+        typer.Option(
+            help="For margins: cross-track error (mm), heading error (deg) and share of the full current of equal cost."
+        ),
     ] = None,
     set_: SetOption = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the study that --out holds.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; default: a new one in runs/.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the study in --out.")] = False,
     json: JsonOption = False,
 ) -> None:
     """A study of localization, or of a mission's loop: a table, a figure and results.csv in a folder of its own."""
@@ -54,11 +56,11 @@ def study(
         options = replace(_mission_options(loaded, mission, seed, jobs, rig, set_, given), weights=weights)
     elif mission is not None or set_ or weights is not None:
         what = f"MISSION '{mission}'" if mission is not None else "--set" if set_ else "--weights"
-        raise InputError(f"study {name} is of localization on a bench: it takes no {what}.")
+        raise InputError(f"study {name} simulates localization on a bench: it takes no {what}.")
     else:
         options = _options(loaded, seed, jobs, poses, rig or "tank", mismatch, estimator)
     if resume and out is None:
-        raise InputError("--resume needs --out: the folder of the study to go on with.")
+        raise InputError("--resume needs --out: the folder of the study to continue.")
     outcome, folder = carry_out(loaded, options, out, resume=resume)
     rows = [*outcome.rows, ("wall time", f"{outcome.figures['wall_s']:.1f} s"), ("folder", str(folder))]
     about = f"mission {mission}" if loaded.mission else f"rig {options.rig}"
@@ -131,7 +133,7 @@ def _mission_options(
         raise InputError(f"study {study.name} needs a mission: smolbot study {study.name} MISSION, such as r_path.")
     refused = [option for option, value in given.items() if value is not None]
     if refused:
-        raise InputError(f"study {study.name} draws no poses: it takes no {', '.join(refused)}.")
+        raise InputError(f"study {study.name} samples no poses: it takes no {', '.join(refused)}.")
     settings = tuple(sorted(settings_from(pairs).items()))
     return Options(study.name, seed, jobs, mission=mission, own_rig=rig, settings=settings)
 

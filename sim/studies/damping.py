@@ -15,6 +15,11 @@ from smolbot.localization.statistics import coefficient_of_determination
 
 DAMPINGS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 31.7, 40.0)
 HALF_PERIODS = (2, 20)
+GLYCEROL = 31.7
+"""Damping of the paper's device in glycerol, in 1/s."""
+
+DEFAULT_POSES, BENCHES = 300, 2
+"""Poses of each damping, and benches among which they are divided."""
 
 
 def work(chunk: Chunk) -> Columns:
@@ -30,11 +35,11 @@ def work(chunk: Chunk) -> Columns:
 
 def chunks(options: Options) -> list[Chunk]:
     """Two benches for each damping."""
-    total, scale = options.poses or 300, options.mismatch or 0.0
+    total, scale = options.poses or DEFAULT_POSES, options.mismatch or 0.0
     pieces = [
-        (f"eta-{eta:g}-{i}", {"damping": eta, "mismatch": scale, "poses": max(total // 2, 2)})
+        (f"eta-{eta:g}-{i}", {"damping": eta, "mismatch": scale, "poses": max(total // BENCHES, 2)})
         for eta in DAMPINGS
-        for i in range(2)
+        for i in range(BENCHES)
     ]
     return cut(options, work, pieces)
 
@@ -65,7 +70,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
             rows.append(
                 (
                     f"{name}, N = {n}",
-                    f"{1e3 * slope:.1f} µm s + {1e3 * start:.0f} µm, R² {r2:.2f}; sigma in µm {each}{left_out}",
+                    f"{1e3 * slope:.1f} µm s × damping + {1e3 * start:.0f} µm, R² {r2:.2f}; sigma {each} µm{left_out}",
                 )
             )
     rows.append(("damping, 1/s", ", ".join(f"{eta:g}" for eta in DAMPINGS)))
@@ -78,7 +83,7 @@ def draw(outcome: Outcome, path: Path) -> None:
 
     cases, trends = outcome.figures["cases"], outcome.figures["trends"]
     names = list(dict.fromkeys(c["estimator"] for c in cases))
-    strong = [c for c in cases if c["estimator"] == names[0] and c["damping_per_s"] == 31.7]
+    strong = [c for c in cases if c["estimator"] == names[0] and c["damping_per_s"] == GLYCEROL]
     at = {c["half_periods"]: 1e3 * c["sigma_xyz_without_flips_mm"] for c in strong}
     headline = f"In glycerol: {at[2]:.0f} µm at N = 2, {at[20]:.0f} µm at N = 20"
     flips = ", ".join(f"{name} {sum(c['flipped'] for c in cases if c['estimator'] == name)}" for name in names)
@@ -102,7 +107,7 @@ def draw(outcome: Outcome, path: Path) -> None:
                 panel.plot(x, trend["intercept_um"] + trend["slope_um_s"] * x, "--", color=COLORS[name], lw=1.4)
                 top = max(top, 1.5 * float(np.max(sigmas)))
             panel.set_ylim(0, top)
-            limit_line(panel, 31.7, "glycerol", vertical=True)
+            limit_line(panel, GLYCEROL, "glycerol", vertical=True)
             titled(panel, f"N = {n}: standard deviation, mean of x, y and z, in µm", "damping coefficient in 1/s")
             panel.legend(frameon=False, loc="upper left")
 

@@ -22,8 +22,19 @@ EDGE_MM = (math.pi / 4.0) ** (1.0 / 3.0)
 SIZES_MM = (0.5, 0.7, EDGE_MM, 1.2, 1.5, 2.0)
 CASES = {"characterised": (characterised, 2), "optimised": (optimised, 6)}
 LIMIT_MM = 1.0
+"""Largest standard deviation at the depth that is searched."""
+
 FIRST_GUESS_MM = {"characterised": 130.0, "optimised": 190.0}
-"""About where the limit lies for the paper's magnet; heights are taken around it."""
+"""Approximate limit for the paper's magnet; heights are chosen around it."""
+
+DEFAULT_POSES, BENCHES = 200, 2
+"""Poses of each size, and benches among which they are divided."""
+
+SMALL_EXPONENT = 0.75
+"""Depth against edge for magnets smaller than the paper's, whose array is not scaled."""
+
+VOLUME_FACTOR = 1.3
+"""Height of a cold start's volume, relative to the greatest height."""
 
 AROUND = (0.42, 0.55, 0.65, 0.75, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
 
@@ -41,7 +52,7 @@ def spread_of(size_mm: float) -> float:
 
 def heights(case: str, size_mm: float) -> FloatArray:
     """Heights in m, around the expected depth, which grows as the magnet does."""
-    scale = size_mm / EDGE_MM if size_mm > EDGE_MM else (size_mm / EDGE_MM) ** 0.75
+    scale = size_mm / EDGE_MM if size_mm > EDGE_MM else (size_mm / EDGE_MM) ** SMALL_EXPONENT
     return 1e-3 * FIRST_GUESS_MM[case] * scale * np.array(AROUND)
 
 
@@ -50,7 +61,7 @@ def work(chunk: Chunk) -> Columns:
     case, size = chunk["case"], chunk["size_mm"]
     bench = open_bench(chunk, device_with(case, size), chunk["mismatch"], spread=spread_of(size))
     reach = float(heights(case, size).max())
-    found, rng = localizers(bench, chunk["estimators"], reach=1.3 * reach), rng_of(chunk)
+    found, rng = localizers(bench, chunk["estimators"], reach=VOLUME_FACTOR * reach), rng_of(chunk)
     rows: list[dict[str, Any]] = []
     for height in heights(case, size):
         least = mean_bound(bench, float(height), CASES[case][1])
@@ -61,12 +72,15 @@ def work(chunk: Chunk) -> Columns:
 
 def chunks(options: Options) -> list[Chunk]:
     """Two benches for each size of each device."""
-    total, scale = options.poses or 200, options.mismatch or 0.0
+    total, scale = options.poses or DEFAULT_POSES, options.mismatch or 0.0
     pieces = [
-        (f"{case}-{size:.2f}-{i}", {"case": case, "size_mm": size, "mismatch": scale, "poses": max(total // 2, 2)})
+        (
+            f"{case}-{size:.2f}-{i}",
+            {"case": case, "size_mm": size, "mismatch": scale, "poses": max(total // BENCHES, 2)},
+        )
         for case in CASES
         for size in SIZES_MM
-        for i in range(2)
+        for i in range(BENCHES)
     ]
     return cut(options, work, pieces)
 
@@ -81,7 +95,7 @@ def crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) ->
     """
     above = np.flatnonzero(values >= limit)
     if not above.size or above[0] == 0:
-        return math.nan  # beyond, or below, all places
+        return math.nan  # above or below all heights
     i = int(above[0])
     low, high = math.log(values[i - 1]), math.log(values[i])
     part = (math.log(limit) - low) / (high - low)

@@ -22,22 +22,34 @@ from smolbot.localization.expected import expected_covariance
 
 HALF_PERIODS = 2
 ROOMS = 4
-"""Drawn directions of the mains, each learned; a layout is judged by all of them together."""
+"""Random directions of the mains, each learned; a layout is evaluated with all of them."""
 
 FRESH = 100
-"""First room of those that layouts are judged in: the search, which had others, must not have fitted itself to them."""
+"""First noise draw for the final evaluation: other draws than the search used."""
 
 WEIGHT = 0.1
-"""Of what sensors out of place leave beside the noise, as variances: calibration and differences take most of it."""
+"""Weight of the variance from misplaced sensors against that of noise: calibration removes most of it."""
 
 DESCENTS = 4
+"""Searches, each from its own start."""
+
 PATIENCE = 400
 """Changes in a row that may fail before a descent ends."""
 
+RANDOM_STARTS = 12
+"""Random layouts of which the best is a start."""
+
+CENTER_POSES, POSES_PER_PAPER = 8, 4
+"""Orientations at the reference, and of so many poses one for estimator paper."""
+
+ROUNDING = 1e-6
+"""Deviation of an axis, and height in m, that are rounding."""
+
 MAP_HEIGHT = 0.080
+"""z of the map, in m."""
 
 WORTHWHILE = 3
-"""Per cent of improvement below which a found layout counts as no better."""
+"""Improvement, in %, below which a layout counts as no better."""
 
 
 def devices() -> dict[str, Device]:
@@ -63,7 +75,9 @@ def work(chunk: Chunk) -> Columns:
     )  # fmt: skip
     rng = np.random.default_rng(chunk.seed)
     own = layout_of(rig.sensors)
-    start = own if chunk["from_own"] and own is not None else judged.best_of_random(len(rig.sensors), 12, rng)
+    start = (
+        own if chunk["from_own"] and own is not None else judged.best_of_random(len(rig.sensors), RANDOM_STARTS, rng)
+    )
     search = Search(judged, start, rng)
     search.run(chunk["patience"])
     return {
@@ -78,8 +92,8 @@ def work(chunk: Chunk) -> Columns:
 def layout_of(sensors: SensorArray) -> Layout | None:
     """The array as a `Layout`; None where a sensor lies off the plane or looks aslant."""
     axes = np.argmax(np.abs(sensors.axes), axis=1)
-    straight = bool(np.abs(sensors.axes[np.arange(len(axes)), axes]).min() > 1.0 - 1e-6)
-    flat = bool(np.abs(sensors.positions[:, 2]).max() < 1e-6)
+    straight = bool(np.abs(sensors.axes[np.arange(len(axes)), axes]).min() > 1.0 - ROUNDING)
+    flat = bool(np.abs(sensors.positions[:, 2]).max() < ROUNDING)
     return Layout(np.array(sensors.positions[:, :2]), axes) if straight and flat else None
 
 
@@ -125,7 +139,7 @@ LABELS = {
     "bound": "bound, rms per axis over the volume",
     "reference": "bound at (0, 0, 80 mm)",
     "correlation": "correlation of z with amplitude",
-    "systematic": "sensors 0.2 mm, 0.5 %, 0.3 deg off",
+    "systematic": "sensor errors of 0.2 mm, 0.5 %, 0.3 deg",
     "paper": "estimator paper, rms per axis",
 }
 
@@ -133,7 +147,7 @@ LABELS = {
 def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
     """Figures of one layout, over both devices and all rooms."""
     levels, listened = noise_levels(rig), window(rig)
-    center = Poses(np.array([[0.0, 0.0, MAP_HEIGHT]] * 8), Volume().poses(2, 1, 2).rotations)
+    center = Poses(np.array([[0.0, 0.0, MAP_HEIGHT]] * CENTER_POSES), Volume().poses(2, 1, 2).rotations)
     bound, reference, systematic, correlation, paper = [], [], [], [], []
     for device in devices().values():
         for room in range(ROOMS):
@@ -143,7 +157,7 @@ def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
             systematic.append(judged.systematic_rms)
             correlation.append(np.abs(judged.bound.height_amplitude_correlation))
             reference.append(judge(sensors, device, noise, listened, center, Mismatch()).bound.position_rms)
-        for place, turn in zip(poses.positions[::4], poses.rotations[::4], strict=True):
+        for place, turn in zip(poses.positions[::POSES_PER_PAPER], poses.rotations[::POSES_PER_PAPER], strict=True):
             pose = Pose(0.0, place, quaternion_from_matrix(turn), np.eye(6))
             covariance = expected_covariance(
                 sensors, device, levels, pose, HALF_PERIODS, listened.sample_rate, listened.since
@@ -209,9 +223,9 @@ def draw(outcome: Outcome, path: Path) -> None:
     figures, columns = outcome.figures, outcome.columns
     before, after = figures["layouts"]["rig"], figures["layouts"]["found"]
     less = [round(100 * (1 - after[key] / before[key])) for key in ("bound_um", "systematic_um")]
-    headline = f"Better sensor places: {less[0]} % less noise, {less[1]} % less from sensors slightly off"
+    headline = f"Better sensor positions: {less[0]} % less error by noise, {less[1]} % less by sensor errors"
     if max(less) < WORTHWHILE:
-        headline = "No better sensor places were found than those of the rig file"
+        headline = "No better sensor positions found than those of the rig file"
     subline = "Cramer-Rao bound, rms per axis, N = 2, |x|, |y| ≤ 20 mm, z 50 to 100 mm, moment across and along"
     both = np.concatenate([columns["_map_rig"], columns["_map_found"]])
     colors = dict(zip("xyz", (OTHERS[1], OTHERS[3], "#1d4e6b"), strict=True))
@@ -234,7 +248,7 @@ def draw(outcome: Outcome, path: Path) -> None:
                 panel.plot(place[0], place[1], "o", ms=19, color=colors[letter], mec="white", mew=1.5, zorder=3)
                 panel.text(place[0], place[1], letter, **style)
             one = figures["layouts"][name]
-            text = f"{title}: noise {one['bound_um']:.0f} µm, sensors off {one['systematic_um']:.0f} µm"
+            text = f"{title}: noise {one['bound_um']:.0f} µm, sensor errors {one['systematic_um']:.0f} µm"
             titled(panel, text, "x in mm", "y in mm")
             panel.set(xlim=(-80, 80), ylim=(-80, 80), aspect="equal")
         bar = axes[1].inset_axes((1.06, 0.0, 0.04, 1.0))

@@ -24,9 +24,28 @@ from smolbot.localization.noise.whitening import blocks
 IntArray = npt.NDArray[np.int64]
 
 BLOCK = 0.8e-3
-"""Coarser than the estimator's, in s: a search needs the order of layouts, not their last per cent."""
+"""Length of a block, in s, longer than the estimator's: a search needs the order of layouts only."""
 
 N_PHASES = 2
+"""Phases of the oscillation, over half a turn, across which a layout is evaluated."""
+
+TOP_FREQUENCY = 2500.0
+"""Highest frequency of the sensors' noise, in Hz."""
+
+START_HALF_WIDTH = 0.065
+"""Of a random layout, in m."""
+
+GRID_DIGITS, ROUNDING = 3, 1e-9
+"""Decimals, in m, to which positions are rounded, and slack of a distance."""
+
+TURN_AXIS, SWAP_AXES, JUMP = 0.15, 0.25, 0.4
+"""Cumulative probabilities of a new axis, of two axes swapped, and of a new position; otherwise a sensor is shifted."""
+
+SHIFTS = [0.025, 0.008, 0.0025]
+"""Standard deviations of a shift, in m."""
+
+PROGRESS = 0.999
+"""Ratio of scores below which a descent has made progress."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +82,8 @@ class Layout:
     def allowed(self) -> bool:
         """Within the square, far enough apart, and with at least two directions."""
         apart = np.linalg.norm(self.places[:, None] - self.places[None], axis=-1) + np.eye(len(self.places))
-        inside = bool(np.abs(self.places).max() <= HALF_WIDTH + 1e-9)
-        return inside and bool(apart.min() >= MIN_DISTANCE - 1e-9) and len(set(self.axes.tolist())) >= 2
+        inside = bool(np.abs(self.places).max() <= HALF_WIDTH + ROUNDING)
+        return inside and bool(apart.min() >= MIN_DISTANCE - ROUNDING) and len(set(self.axes.tolist())) >= 2
 
 
 class Judge:
@@ -100,7 +119,7 @@ class Judge:
         n_blocks, size = chain.weights.shape
         block = size / window.sample_rate
         one = SensorArray(np.zeros((1, 3)), np.eye(3)[2:], bandwidth)
-        own = replace(levels, mains=0.0, mains_gradient=0.0).model(one, 2500.0).covariance(n_blocks, block)
+        own = replace(levels, mains=0.0, mains_gradient=0.0).model(one, TOP_FREQUENCY).covariance(n_blocks, block)
         kept = np.linalg.qr(np.ones((n_blocks, 1)), mode="complete")[0][:, 1:]  # a constant is free
         whiten = np.linalg.inv(np.linalg.cholesky(kept.T @ own @ kept)) @ kept.T
         self._orders = np.array([1, *levels.harmonics])
@@ -160,7 +179,10 @@ class Judge:
         """The best of some layouts thrown at random: where a search may begin."""
         found: list[Layout] = []
         while len(found) < count:
-            layout = Layout(np.round(rng.uniform(-0.065, 0.065, (n_sensors, 2)), 3), rng.integers(0, 3, n_sensors))
+            layout = Layout(
+                np.round(rng.uniform(-START_HALF_WIDTH, START_HALF_WIDTH, (n_sensors, 2)), GRID_DIGITS),
+                rng.integers(0, 3, n_sensors),
+            )
             if layout.allowed():
                 found.append(layout)
         return min(found, key=lambda one: self.score(one, self.shares(one)))
@@ -174,6 +196,7 @@ class Judge:
         for draw in range(self.draws):
             phasors = self.levels.drawn_lines(sensors, np.random.default_rng(draw))
             mixers = [_mixer(phasors[:, j]) for j in range(len(sensors))]
+            # noise of the lines of the mains, by the Woodbury identity
             inside = np.linalg.inv(np.eye(len(overlap)) + sum(m @ overlap @ m.T for m in mixers))
             heard = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
             left = np.swapaxes(heard, -1, -2) @ inside
@@ -215,17 +238,17 @@ class Search:
         rng, places, axes = self._rng, self.layout.places.copy(), self.layout.axes.copy()
         i, kind = int(rng.integers(len(axes))), rng.random()
         changed = {i}
-        if kind < 0.15:
+        if kind < TURN_AXIS:
             axes[i] = rng.integers(3)
-        elif kind < 0.25:
+        elif kind < SWAP_AXES:
             k = int(rng.integers(len(axes)))
             axes[[i, k]] = axes[[k, i]]
             changed.add(k)
-        elif kind < 0.4:
+        elif kind < JUMP:
             places[i] = rng.uniform(-HALF_WIDTH, HALF_WIDTH, 2)
         else:
-            places[i] += rng.choice([0.025, 0.008, 0.0025]) * rng.standard_normal(2)
-        places = np.clip(np.round(places, 3), -HALF_WIDTH, HALF_WIDTH)
+            places[i] += rng.choice(SHIFTS) * rng.standard_normal(2)
+        places = np.clip(np.round(places, GRID_DIGITS), -HALF_WIDTH, HALF_WIDTH)
         layout = Layout(places, axes)
         if not layout.allowed():
             return False
@@ -243,5 +266,5 @@ class Search:
         while idle < patience and not until():
             self.step()
             idle += 1
-            if self.score < 0.999 * best:
+            if self.score < PROGRESS * best:
                 idle, best = 0, self.score

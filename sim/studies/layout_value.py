@@ -13,12 +13,15 @@ from smolbot.localization.bounds import Bound, Response, Window, channel_series
 from smolbot.localization.noise.model import NoiseModel
 
 HALF_WIDTH = 0.075
-"""Of the square that sensors may stand in, in m."""
+"""Half the side of the square in which sensors may be placed, in m."""
 
 MIN_DISTANCE = 0.010
-"""Between two sensors, in m: fluxgates have a body, and feel each other's drive."""
+"""Smallest distance of two sensors, in m: fluxgates have a body, and measure each other's drive."""
 
 AXES = np.eye(3)
+
+N_PHASES = 2
+"""Phases of the oscillation, over half a turn, across which errors are averaged."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def judge(
     values, slopes = response.series(poses.positions, poses.rotations)
     bound = response.bound(poses.positions, poses.rotations)
     changes = _sensor_changes(sensors, device, poses, mismatch, values, slopes)
-    phases = np.pi * np.arange(2) / 2.0
+    phases = np.pi * np.arange(N_PHASES) / N_PHASES
     total = np.zeros((len(poses), 3, 3))
     for phase in phases:
         jacobian = response.jacobian(values, slopes, float(phase))

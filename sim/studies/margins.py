@@ -22,19 +22,19 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
 PARTS = 4
-"""Pieces that the cycles of a flight are dealt out to."""
+"""Pieces among which the cycles of a flight are divided."""
 
 REACH = 4
-"""Cycles before and after one over which its loop is averaged: about what it takes to settle."""
+"""Cycles before and after one over which its loop is averaged: about its settling time."""
 
 FLIGHTS = 3
-"""Worlds of the reduced plant in which gains are flown, now and closest to the regulator."""
+"""Seeds of the reduced plant with which gains are flown: those now, and those closest to the regulator."""
 
 SHARES = (1.0, 0.5, 0.25)
-"""How far toward the regulator the gains are moved: the first share with which no fewer of these flights pass."""
+"""Shares of the way to the regulator that are tried: the first with which as many flights pass is taken."""
 
 MATRICES = {"motion": (2, 2), "feedback": (2, 2), "kalman": (3, 2), "sigma": (2,), "explained": (2,), "position": (2,)}
-"""What of a cycle is kept beside its numbers, and its shape."""
+"""Arrays of a cycle that are kept, and their shapes."""
 
 
 @lru_cache(maxsize=1)
@@ -236,9 +236,9 @@ STUDY = Study(
     rig_of=lambda options: mission_of(options).rig,
     files=files,
     notes={
-        "cut": "where the law's answer moves the robot: place across the path and heading together",
+        "cut": "at the motion by the law's command: cross-track position and heading together",
         "loop": "frozen at each cycle, averaged over four before and after; the tracker at its covariance there; "
-        "what a law learns in flight is held",
-        "feedback": "least squares over poses that err as tracked ones do, 0.05 mm and 1 degree at least",
+        "what a law learns in flight is kept constant",
+        "feedback": "least squares over poses with the errors of tracked ones, at least 0.05 mm and 1 degree",
     },
 )

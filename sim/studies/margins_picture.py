@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FARTHEST = 2.0
-"""Size from which on a response is not drawn."""
+"""Offset, in mm, above which a response is not drawn."""
 
 MOST_DB = 14.0
-"""Gain margin from which on the colour does not change."""
+"""Gain margin, in dB, above which the colour does not change."""
 
 
 def loop_at(columns: Columns, index: int) -> SampledLoop:
@@ -41,7 +41,9 @@ def draw_margins(outcome: Outcome, path: Path) -> None:
     headline = f"{figures['mission']}, {figures['law']}: margins of {_said(gain['median'], 'dB')}"
     headline += f" and {_said(delay['median'], 'ms')} at the median place"
     unstable = figures["unstable_places"]
-    held = f"holds at {figures['places'] - unstable} of {figures['places']} places" if unstable else "holds everywhere"
+    held = (
+        f"stable at {figures['places'] - unstable} of {figures['places']} places" if unstable else "stable everywhere"
+    )
     subline = (
         f"loop frozen at each cycle of {figures['cycle_ms']:.0f} ms, tracker included; {held}; worst "
         f"{figures['worst_place']['arc_mm']:.0f} mm along the path"
@@ -71,7 +73,7 @@ def _draw_path(axes: Axes, columns: Columns, worst: int) -> None:
     lines.set_clim(0.0, MOST_DB)
     axes.add_collection(lines)
     axes.plot(*points[worst], "o", ms=17, mfc="none", mec=PAPER, mew=2.5, zorder=3)
-    left = points[worst, 0] < points[:, 0].mean()  # the name goes toward the middle, where there is room
+    left = points[worst, 0] < points[:, 0].mean()  # the label is toward the middle, where there is room
     axes.annotate("worst place", points[worst], color=PAPER, fontweight="bold", xytext=(14 if left else -14, -22),
                   textcoords="offset points", ha="left" if left else "right",
                   bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.0})  # fmt: skip
@@ -80,7 +82,7 @@ def _draw_path(axes: Axes, columns: Columns, worst: int) -> None:
     bar = axes.figure.colorbar(lines, ax=axes, shrink=0.55, pad=0.02)
     bar.set_label(f"gain margin in dB ({MOST_DB:g} and more)", fontsize=10)
     bar.outline.set_visible(False)
-    titled(axes, "How much stronger the loop could be", "x in mm", "y in mm")
+    titled(axes, "Gain margin along the path", "x in mm", "y in mm")
 
 
 def _draw_loci(axes: Axes, columns: Columns, shown: list[tuple[int, str, str]]) -> None:
@@ -96,7 +98,7 @@ def _draw_loci(axes: Axes, columns: Columns, shown: list[tuple[int, str, str]]) 
             axes.plot(loci[order, column].real, loci[order, column].imag, ".", ms=2.2, color=color,
                       label=name if column == 0 else None)  # fmt: skip
     axes.plot([-1.0], [0.0], "+", color="#222222", ms=13, mew=2.2, zorder=5)
-    axes.annotate("-1: would ring on", (-1.0, 0.0), xytext=(0, 12), textcoords="offset points", ha="center",
+    axes.annotate("-1: limit of stability", (-1.0, 0.0), xytext=(0, 12), textcoords="offset points", ha="center",
                   fontsize=10, color="#222222")  # fmt: skip
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(-1.6, 1.2)
@@ -118,11 +120,11 @@ def _draw_steps(axes: Axes, columns: Columns, shown: list[tuple[int, str, str]])
     axes.set_xlim(0.0, length)
     axes.set_ylim(-0.6, 1.6)
     axes.legend(frameon=False, loc="upper right")
-    titled(axes, "After a push of 1 mm: offset in mm", "time in s")
+    titled(axes, "Response to an offset of 1 mm, in mm", "time in s")
 
 
 def _step(axes: Axes, loop: SampledLoop, length: float, **style: Any) -> None:
     response = loop.step(math.ceil(length / loop.period))[:, 0]
-    gone = np.flatnonzero(np.abs(response) > FARTHEST)  # from there on it is no longer the robot's
+    gone = np.flatnonzero(np.abs(response) > FARTHEST)  # a linear model is not valid there
     response = response[: gone[0] + 1] if gone.size else response
     axes.step(np.arange(len(response)) * loop.period, response, where="post", **style)

@@ -103,20 +103,16 @@ def rows_of(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]
     ]
     if unstable:
         at = np.asarray(table["arc_mm"])[np.asarray(table["largest_pole"]) > UNSTABLE]
-        rows.append(("does not hold", f"at {unstable} of {n} places, {at.min():.1f} to {at.max():.1f} mm"))
+        rows.append(("unstable", f"at {unstable} of {n} places, {at.min():.1f} to {at.max():.1f} mm"))
     across, turn = figures["explained"]
-    rows.append(
-        ("linear", f"{across:.0%} of the motion across, {turn:.0%} of the turn are linear in the pose (medians)")
-    )
+    rows.append(("linear", f"{across:.0%} of the cross-track motion and {turn:.0%} of the turn are linear (medians)"))
     regulator = figures["regulator"]
     now, then = regulator["distance_now"], regulator["distance"]
-    rows.append(
-        ("regulator", f"the law's feedback is {now:.2f} of its size away, with the gains nearest to it {then:.2f}")
-    )
+    rows.append(("regulator", f"relative distance of the law's feedback {now:.2f}, with the nearest gains {then:.2f}"))
     if regulator["share"] < 1.0:
-        rows.append(("", f"the gains below go {regulator['share']:.0%} of the way: beyond, fewer flights pass"))
+        rows.append(("", f"the gains below are {regulator['share']:.0%} of the way: farther, fewer flights pass"))
     if not figures["gains"]:
-        rows.append(("", "no gains of this law come closer at this pace"))
+        rows.append(("", "no gains of this law are nearer at this pace"))
     rows += [(name, f"{figures['gains_now'][name]:.4g} → {value:.4g}") for name, value in figures["gains"].items()]
     for key, name in (("before", "reduced plant, now"), ("after", "reduced plant, with them")):
         flown = figures["reduced_flights"][key]
@@ -133,10 +129,10 @@ def _least(summary: Mapping[str, Any], unit: str, digits: int = 1) -> str:
     x, y = summary["at_mm"]
 
     def shown(value: float) -> str:
-        return f"{value:.{digits}f}{gap}{unit}" if math.isfinite(value) else "without limit"
+        return f"{value:.{digits}f}{gap}{unit}" if math.isfinite(value) else "unlimited"
 
     return (
-        f"median {shown(summary['median'])}; {shown(summary['p5'])} or more at 95 % of places; least "
+        f"median {shown(summary['median'])}; at least {shown(summary['p5'])} at 95 % of places; minimum "
         f"{shown(summary['worst'])}, {summary['where_mm']:.1f} mm along, at ({x:.1f}, {y:.1f}) mm"
     )
 
@@ -154,7 +150,7 @@ def files(outcome: Outcome) -> dict[str, str]:
             [
                 f"Gains of {figures['law']} for {figures['mission']} whose feedback comes closest to a linear",
                 f"quadratic regulator: {weights['across_mm']:g} mm, {weights['heading_deg']:.0f} degrees and "
-                f"{weights['current_share']:g} of a full current count alike.",
+                f"{weights['current_share']:g} of the full current have equal cost.",
                 "A starting point for smolbot tune, not a result of one.",
             ],
             figures["gains"],

@@ -13,7 +13,7 @@ from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
 
 HALF_PERIODS = tuple(range(1, 21))
-BENCHES = 4
+BENCHES, DEFAULT_POSES = 4, 200
 
 
 def rate(half_periods: int) -> float:
@@ -36,7 +36,7 @@ def work(chunk: Chunk) -> Columns:
 
 def chunks(options: Options) -> list[Chunk]:
     """Mismatches off: they move the mean, not the scatter."""
-    total, scale = options.poses or 200, options.mismatch or 0.0
+    total, scale = options.poses or DEFAULT_POSES, options.mismatch or 0.0
     sizes = [max(total // BENCHES, 2)] * min(BENCHES, max(total // 2, 1))
     return cut(options, work, [(f"bench-{i}", {"mismatch": scale, "poses": size}) for i, size in enumerate(sizes)])
 
@@ -57,7 +57,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
                 texts[-1] += f" (without {case['flipped']} flips {case['sigma_xyz_without_flips_mm']:.3f})"
             texts[-1] += f" ({case['untrusted']} untrusted)" if case["untrusted"] else ""
         least = figures["cases"][-1]["bound_mm"]
-        rows.append((f"N = {n}", f"sigma in mm: {', '.join(texts)}; bound {least:.3f}; {rate(n):.2f} poses a second"))
+        rows.append((f"N = {n}", f"sigma in mm: {', '.join(texts)}; bound {least:.3f}; {rate(n):.2f} poses/s"))
     return Outcome(rows, figures, columns)
 
 
@@ -70,7 +70,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     by_name = {name: [c for c in cases if c["estimator"] == name] for name in names}
     first = by_name[names[0]]
     flips = ", ".join(f"{name} {sum(c['flipped'] for c in by_name[name])}" for name in names)
-    headline = f"{1e3 * first[1]['sigma_xyz_without_flips_mm']:.0f} µm at {first[1]['rate_hz']:.1f} poses a second"
+    headline = f"{1e3 * first[1]['sigma_xyz_without_flips_mm']:.0f} µm at {first[1]['rate_hz']:.1f} poses/s"
     subline = (
         f"{names[0]}, N = 2; device at (0, 0, 80 mm), linear damping 1.1 1/s, "
         f"{first[0]['n']} poses for each N, mismatch x {outcome.figures['mismatch']:g}; flips, left out here: {flips}"
@@ -97,9 +97,7 @@ def draw(outcome: Outcome, path: Path) -> None:
                            color=COLORS[names[0]], textcoords="offset points", fontsize=10)  # fmt: skip
         titled(left, "Standard deviation, mean of x, y and z, in µm", "half-periods N")
         even_ticks(left, [1, 2, 4, 6, 10, 15, 20])
-        titled(
-            right, "The same against the rate", "poses a second (5 cycles of drive, 20 ms ring-down, N half-periods)"
-        )
+        titled(right, "The same against the rate", "poses/s (5 cycles of drive, 20 ms ring-down, N half-periods)")
 
 
 STUDY = Study(

@@ -48,7 +48,7 @@ class StudyFolder:
             raise InputError(f"{path}: is a file; name a folder for the study.")
         if path.is_dir() and any(path.iterdir()):
             if not resume:
-                raise InputError(f"{path}: is not empty; name a new folder, or go on with --resume.")
+                raise InputError(f"{path}: is not empty; name a new folder, or continue with --resume.")
             self._check()
         with writing(path, "the study's folder", "made"):
             (path / "chunks").mkdir(parents=True, exist_ok=True)
@@ -58,12 +58,12 @@ class StudyFolder:
         try:
             found = json.loads((self.path / "asked.json").read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise InputError(f"{self.path}: holds no study that can be resumed (asked.json: {error}).") from error
+            raise InputError(f"{self.path}: contains no study that can be resumed (asked.json: {error}).") from error
         ours = json.loads(json.dumps(self.asked))
         keys = [k for k in {**ours, **found} if ours.get(k) != found.get(k)]
         if keys:
             differ = "; ".join(f"{k} was {found.get(k)!r}, is {ours.get(k)!r}" for k in sorted(keys))
-            raise InputError(f"{self.path}: holds another study: {differ}. Resume with the same options.")
+            raise InputError(f"{self.path}: contains another study: {differ}. Resume with the same options.")
 
     def load(self, name: str) -> Columns | None:
         """Rows of a finished chunk; None where it is not finished, or its file is broken."""

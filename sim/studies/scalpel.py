@@ -27,27 +27,33 @@ from smolbot.localization.forward import dipole_field
 from smolbot.localization.statistics import differential_mean_absolute_error
 
 HEIGHTS = (0.080, 0.085, 0.090, 0.095, 0.100)
-"""Of the device above the sensors, in m."""
+"""Heights of the device above the sensors, in m."""
 
 REPEATS = 20
 HALF_PERIODS = 10
 
 SCALPEL_MOMENT = np.array([0.0, 0.0, 15.97e-3])
-"""In A·m². Upright, as a hand holds a blade over the array, and the worst case: its field on the sensors is largest."""
+"""Moment of the scalpel, in A·m²: upright, as it is held, which is the worst case for the field at the sensors."""
 
 SCALPEL_SPEED = 0.030
-"""Toward -y, in m/s."""
+"""Speed of the scalpel toward -y, in m/s."""
 
 SCALPEL_PLACE = (0.040, 0.080)
-"""x and z, in m."""
+"""x and z of the scalpel, in m."""
 
 FIRST_START, START_STEP = 0.040, 0.004
-"""y of the scalpel when the first repeat begins, and how much further along each next one finds it, in m."""
+"""y of the scalpel at the start of the first repeat, and its advance from one repeat to the next, in m."""
 
 MAGNETS = (0.89e-3, 3.0e-3, 10.0e-3)
 """Moments of the static magnets in A·m²: the device's own, a cube of 1.4 mm, and one of 2.1 mm (N52)."""
 
 STATIC_SECONDS = 0.1
+"""Length of a recording of a static magnet, in s."""
+
+PLACE_SCALE, FIELD_SCALE = 0.01, 1e9
+"""Units of the fit: position in 10 mm, field in nT."""
+
+REPEATS_PER_CHUNK = 5
 
 
 def scalpel(repeat: int) -> Disturbance:
@@ -140,11 +146,11 @@ def fit_static(
         return vector / np.linalg.norm(vector)
 
     def residual(p: FloatArray) -> FloatArray:
-        b = dipole_field(sensors.positions - position - 0.01 * p[:3], moment * pointed(p))
-        return (np.einsum("ij,ij->i", b, sensors.axes) - field) * 1e9
+        b = dipole_field(sensors.positions - position - PLACE_SCALE * p[:3], moment * pointed(p))
+        return (np.einsum("ij,ij->i", b, sensors.axes) - field) * FIELD_SCALE
 
     result = least_squares(residual, np.zeros(5), method="lm")
-    return position + 0.01 * result.x[:3], pointed(result.x)
+    return position + PLACE_SCALE * result.x[:3], pointed(result.x)
 
 
 def chunks(options: Options) -> list[Chunk]:
@@ -152,7 +158,7 @@ def chunks(options: Options) -> list[Chunk]:
     total = options.poses or REPEATS
     scale = 0.0 if options.mismatch is None else options.mismatch
     pieces, first = [], 0
-    for size in split(total, 5):
+    for size in split(total, REPEATS_PER_CHUNK):
         pieces.append((f"from-{first:03d}", {"first": first, "repeats": size, "mismatch": scale}))
         first += size
     return cut(options, work, pieces)
@@ -219,7 +225,7 @@ def draw(outcome: Outcome, path: Path) -> None:
         palette[n] = color
     smol = min(c["mae_z_mm"] for c in cases if c["scalpel"] and c["method"] != "static")
     static = min(c["mae_z_mm"] for c in cases if c["scalpel"] and c["method"] == "static")
-    headline = f"A scalpel passes: SMOL is {1e3 * smol:.0f} µm off, the best static magnet {static:.1f} mm"
+    headline = f"A scalpel passes: error of SMOL {1e3 * smol:.0f} µm, of the best static magnet {static:.1f} mm"
     scale = outcome.figures["mismatch"]
     ideal = f"mismatches x {scale:g}" if scale else "ideal: all mismatches off"
     subline = (
@@ -271,7 +277,7 @@ STUDY = Study(
     notes={
         "half_periods": HALF_PERIODS,
         "scalpel_ma_m2": (1e3 * SCALPEL_MOMENT).tolist(),
-        "static": "nulled by a quiet window just before, known moment, no constant in its channels, mean of 100 ms",
+        "static": "background just before subtracted, known moment, no constant in its channels, mean of 100 ms",
         "magnets_mm": [round(1e3 * (m * 4e-7 * math.pi / 1.45) ** (1 / 3), 2) for m in MAGNETS],
     },
 )

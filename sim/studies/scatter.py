@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.benches import prior_near, reference_orientation
+from sim.studies.benches import FLIP_DEG, prior_near, reference_orientation
 from sim.studies.columns import position_errors, rms
 from sim.studies.cramer_rao import bound
 from sim.studies.study import Columns
@@ -15,7 +15,7 @@ from smolbot.localization.localizer import Localizer
 from smolbot.localization.statistics import standard_deviation
 
 PHASES = 6
-"""Phases at which the bound is averaged."""
+"""Phases of the oscillation, over half a turn, across which the bound is averaged."""
 
 
 def scatter_rows(
@@ -52,7 +52,7 @@ def scatter_of(columns: Columns) -> dict[str, Any]:
     """Mean over the axes of the standard deviation (Eq. S26), and what a reader needs beside it; lengths in mm."""
     errors = position_errors(columns)
     sigmas = [standard_deviation(errors[:, i]) if len(errors) > 1 else float("nan") for i in range(3)]
-    right = np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) <= 90.0
+    right = np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) <= FLIP_DEG
     kept = errors[right]
     apart = [standard_deviation(kept[:, i]) if len(kept) > 1 else float("nan") for i in range(3)]
     return {

@@ -31,10 +31,19 @@ from smolbot.localization.localizer import Localizer
 
 HALF_PERIODS = (2, 20)
 SCALES = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1, 0.1, 0.05])
-"""Units of the plain fit's parameters: m, rad, rad of phase, rad of amplitude."""
+"""Units of the reference fit's parameters: m, rad, rad of phase, rad of amplitude."""
 
 REPEATS = {2: (300, 12), 20: (100, 6)}
-"""Timed poses of `locate` and of the plain fit."""
+"""Timed poses of `locate` and of the reference fit, for each number of half-periods."""
+
+LEAD = 0.003
+"""Time, in s, computed before the first sample: the low pass starts in steady state."""
+
+RECORDINGS, COLD_REPEATS, COMPARED, WARM_UP = 50, 6, 5, 20
+"""Recordings used in turn, timed cold starts, poses compared with the reference fit, and poses before timing."""
+
+MAX_JOBS, DEFAULT_POSES = 2, 2000
+"""Processes of the Monte-Carlo run, and poses of each."""
 
 
 def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[FloatArray, FloatArray]:
@@ -54,7 +63,7 @@ def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[
     problem = localizer.prepare(recording)
     model, device = problem.model, localizer.device
     rate, n = recording.sample_rate, recording.field.shape[1]
-    lead = int(0.003 * rate)
+    lead = int(LEAD * rate)
     times = recording.time_since_drive + np.arange(-lead, n) / rate
     keep = np.exp(-2 * np.pi * localizer.sensors.bandwidth / rate)
     size = model.chain.weights.shape[1]
@@ -104,17 +113,17 @@ def work(chunk: Chunk) -> Columns:
     out: Columns = {}
     for n in HALF_PERIODS:
         fast, slow = REPEATS[n]
-        recordings = [bench.record(position, orientation, n, RING_DOWN) for _ in range(min(fast, 50))]
+        recordings = [bench.record(position, orientation, n, RING_DOWN) for _ in range(min(fast, RECORDINGS))]
         priors = [prior_near(position, orientation, rng) for _ in recordings]
         for name, localizer in found.items():
             locate = partial(_locate, localizer, recordings, priors)
             out[f"_{name}_{n}"] = seconds(locate, fast)
             cold = partial(_locate, localizer, recordings, [None] * len(recordings))
-            out[f"_{name}_cold_{n}"] = seconds(cold, 6)
+            out[f"_{name}_cold_{n}"] = seconds(cold, COLD_REPEATS)
         plain = partial(_plain, found["whitened"], recordings, priors)
         out[f"_plain_{n}"] = seconds(plain, slow)
         apart = []
-        for recording, prior in zip(recordings[:5], priors[:5], strict=True):
+        for recording, prior in zip(recordings[:COMPARED], priors[:COMPARED], strict=True):
             ours = found["whitened"].locate(recording, prior)
             apart.append(np.abs(plain_fit(found["whitened"], recording, prior)[0] - ours.position).max())
         out[f"_apart_{n}"] = np.array(apart)
@@ -138,7 +147,7 @@ def monte_carlo(chunk: Chunk) -> Columns:
     localizer = localizers(bench, ("whitened",))["whitened"]
     position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
     prior = prior_near(position, orientation, rng_of(chunk))
-    for _ in range(20):
+    for _ in range(WARM_UP):
         localizer.locate(bench.record(position, orientation, 2), prior)
     wall, processor = time.perf_counter(), time.thread_time()
     begun = time.time()
@@ -153,7 +162,7 @@ def monte_carlo(chunk: Chunk) -> Columns:
 
 def throughput(chunk: Chunk) -> Columns:
     """Poses a second of a Monte-Carlo over two processes."""
-    jobs = min(2, os.cpu_count() or 1)
+    jobs = min(MAX_JOBS, os.cpu_count() or 1)
     options = Options("speed", chunk.seed % 2**32, jobs, rig=chunk["rig"])
     pieces = cut(options, monte_carlo, [(f"throughput-{i}", {"poses": chunk["poses"]}) for i in range(jobs)])
     with executor_for(jobs) as executor:
@@ -169,7 +178,7 @@ def throughput(chunk: Chunk) -> Columns:
 
 def chunks(options: Options) -> list[Chunk]:
     """One piece, in this process: times are of one core."""
-    return cut(options, work, [("speed", {"poses": options.poses or 2000})])
+    return cut(options, work, [("speed", {"poses": options.poses or DEFAULT_POSES})])
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -190,7 +199,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         rows += [
             (
                 f"locate, N = {n}",
-                f"{ms['whitened']:.3f} ms (least {least:.3f}, 95 % {p95:.3f}), cold {cold:.1f} ms; "
+                f"{ms['whitened']:.3f} ms (minimum {least:.3f} ms, p95 {p95:.3f} ms), cold {cold:.1f} ms; "
                 f"estimator paper {ms['paper']:.3f} ms",
             ),
             (
@@ -209,11 +218,11 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     rows.append(
         (
             "Monte-Carlo, N = 2",
-            f"{poses / wall:.0f} poses a second on {jobs} processes; {1.0 / each:.0f} per second of processor time",
+            f"{poses / wall:.0f} poses/s with {jobs} processes; {1.0 / each:.0f} per second of processor time",
         )
     )
     rows.append(
-        ("load average", f"{os.getloadavg()[0]:.1f}: what else ran here; times are of the processor, not the wall")
+        ("load average", f"{os.getloadavg()[0]:.1f}, with other programs; times are processor time, not wall time")
     )
     columns = {key: np.array([c[key] for c in figures["cases"]]) for key in figures["cases"][0]}
     return Outcome(rows, figures, columns)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
 
 Columns = dict[str, Any]
-"""Rows of a study: one-dimensional arrays of equal length, named with their unit. Keys with a leading underscore hold
-arrays of any shape, which figures may use and ``results.csv`` leaves out."""
+"""Rows of a study: one-dimensional arrays of equal length, named with their unit. Keys with a leading underscore are
+arrays of any shape for figures, which ``results.csv`` omits."""
 
 
 @dataclass(frozen=True)

@@ -30,16 +30,32 @@ SECONDS = 2.4
 """Length of the paper's record."""
 
 TOP_SPEED, STEP, TRAVEL = 0.200, 0.005, 0.050
-"""Of the stage: m/s, m, m. A step takes 50 ms: its speed rises and falls as a squared sine."""
+"""Top speed (m/s), step and travel (m) of the stage. A step takes 50 ms with a squared sine as speed."""
 
 OUTLIERS_MM = (-1.0, 60.0)
-"""x beyond which the paper counts an outlier, seen from where the motion begins."""
+"""Range of x, from the start of the motion, outside which the paper counts an outlier."""
 
 BENCHES = 6
-BIN = 0.1
-"""Time, in s, over which sigma is taken."""
+BIN, MIN_SEGMENTS = 0.1, 5.0
+"""Time, in s, over which sigma is computed, and at least in segments."""
 
 LIMIT_MM = 1.0
+"""Sigma up to which a device counts as localized."""
+
+LINEAR_SECONDS = 0.85
+"""Length of a recording with linear damping, in s: the oscillation ends soon after."""
+
+SPEED_STEP = 1e-3
+"""Step, in s, of the difference quotient for the true speed."""
+
+MOVING_MM_S, EARLY = 10.0, 1.2
+"""Speed above which the stage moves, and the part of a recording, in s, whose errors are compared with the paper."""
+
+DRAG_RADIUS, VISCOSITY = 1.7e-3, 1.2
+"""Of the robot for the tracker, in m and Pa·s."""
+
+TRACKED_SEGMENT = 4
+"""Half-periods of the segments that are tracked."""
 
 
 def damped() -> dict[str, Device]:
@@ -76,7 +92,7 @@ def work(chunk: Chunk) -> Columns:
         for length in SEGMENTS:
             poses = localizer.locate_segments(recording, length)
             rows += [{**kind, "estimator": name, "half_periods": length, **r} for r in _rows(recording, poses, chunk)]
-            if name == "whitened" and length == 4 and not chunk["moving"]:
+            if name == "whitened" and length == TRACKED_SEGMENT and not chunk["moving"]:
                 tracked = _rows(recording, _tracked(localizer, recording, poses), chunk)
                 rows += [{**kind, "estimator": "tracked", "half_periods": length, **r} for r in tracked]
     return columns_of(rows)
@@ -85,7 +101,9 @@ def work(chunk: Chunk) -> Columns:
 def _rows(recording: Recording, poses: tuple[Pose, ...], chunk: Chunk) -> list[dict[str, Any]]:
     times = np.array([pose.time - recording.clock for pose in poses])
     places = stepping(times)[0] if chunk["moving"] else np.tile(REFERENCE_POSITION, (len(times), 1))
-    speed = np.linalg.norm(stepping(times + 1e-3)[0] - stepping(times - 1e-3)[0], axis=1) / 2e-3
+    speed = np.linalg.norm(stepping(times + SPEED_STEP)[0] - stepping(times - SPEED_STEP)[0], axis=1) / (
+        2.0 * SPEED_STEP
+    )
     rows = []
     for time, pose, place, pace in zip(times, poses, places, speed if chunk["moving"] else 0.0 * speed, strict=True):
         error = 1e3 * (pose.position - place)
@@ -108,10 +126,10 @@ def _tracked(localizer: Localizer, recording: Recording, poses: tuple[Pose, ...]
 
     device = localizer.device
     robot = Robot.in_liquid(
-        device.moment, 1.7e-3, 1.2, frequency=device.frequency, l0=device.l0, theta_max=device.theta_max
+        device.moment, DRAG_RADIUS, VISCOSITY, frequency=device.frequency, l0=device.l0, theta_max=device.theta_max
     )
     tracker = Tracker(robot, device, None)
-    shot = Shot((Listen(4, device.frequency),))
+    shot = Shot((Listen(TRACKED_SEGMENT, device.frequency),))
     return tuple(tracker.update(shot, pose) or pose for pose in poses)
 
 
@@ -121,7 +139,7 @@ def chunks(options: Options) -> list[Chunk]:
     pieces = []
     for bench in range(options.poses or BENCHES):
         for damping, moving, seconds in (
-            ("exponential", False, SECONDS), ("exponential", True, SECONDS), ("linear", False, 0.85),
+            ("exponential", False, SECONDS), ("exponential", True, SECONDS), ("linear", False, LINEAR_SECONDS),
         ):  # fmt: skip
             name = f"{damping}-{'steps' if moving else 'rests'}-{bench:02d}"
             arguments = {"bench": bench, "damping": damping, "moving": moving, "seconds": seconds, "mismatch": scale}
@@ -161,7 +179,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 def at_rest(part: Columns) -> dict[str, Any]:
     """Sigma of each axis in bins of time, about each bench's own mean in the bin (at least two segments)."""
     length = part["half_periods"][0] / (2.0 * characterised().frequency)
-    width = max(BIN, 5.0 * length)
+    width = max(BIN, MIN_SEGMENTS * length)
     number = np.floor(part["time_s"] / width).astype(int)
     errors = position_errors(part)
     times, sigmas, offs = [], [], []
@@ -207,9 +225,9 @@ def crossing(times: FloatArray, sigma: FloatArray, limit: float = LIMIT_MM) -> f
 
 def in_motion(part: Columns) -> dict[str, Any]:
     """Errors of x at rest and on the move, and outliers, of a device that steps."""
-    x, error, moves = part["x_mm"], part["error_x_mm"], part["speed_mm_s"] > 10.0
+    x, error, moves = part["x_mm"], part["error_x_mm"], part["speed_mm_s"] > MOVING_MM_S
     outside = (x < OUTLIERS_MM[0]) | (x > OUTLIERS_MM[1])
-    early = part["time_s"] < 1.2
+    early = part["time_s"] < EARLY
     return {
         "n": len(x),
         "outliers": int(outside.sum()),
@@ -227,13 +245,14 @@ def _rest_line(case: dict[str, Any]) -> str:
     lasting = f"{until:.2f} s" if until is not None else f"never, over {case['lasts_s']:.2f} s"
     last = max(case["rms_mm"][-1])
     near = f"{absolute:.2f} s" if absolute is not None else f"never, {last:.2f} mm at last"
-    return f"{lasting} ({case['rate_hz']:.1f} poses a second; at first {max(first):.3f} mm; rms error: {near})"
+    return f"{lasting} ({case['rate_hz']:.1f} poses/s; at first {max(first):.3f} mm; rms error: {near})"
 
 
 def _step_line(case: dict[str, Any]) -> str:
     return (
-        f"first 1.2 s: {case['rest_rms_mm']:.2f} mm at rest, {case['move_rms_mm']:.2f} moving (z "
-        f"{case['move_z_mm']:.2f}); to 2.4 s {case['rms_to_the_end_mm']:.2f} mm; {case['outliers']} of {case['n']} out"
+        f"first {EARLY:g} s: {case['rest_rms_mm']:.2f} mm at rest, {case['move_rms_mm']:.2f} mm moving (z "
+        f"{case['move_z_mm']:.2f} mm); to {SECONDS:g} s {case['rms_to_the_end_mm']:.2f} mm; {case['outliers']} of "
+        f"{case['n']} outliers"
     )
 
 
@@ -245,7 +264,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     best = str(next(n for n in ("whitened", "paper") if n in columns["estimator"]))
     case = _rest_case(cases, best, 4)
     until = case["under_limit_s"]
-    headline = f"Superfast, 51.8 poses a second from one excitation: under 1 mm for {until or case['lasts_s']:.1f} s"
+    headline = f"Superfast, 51.8 poses/s from one excitation: under 1 mm for {until or case['lasts_s']:.1f} s"
     scale = outcome.figures["mismatch"]
     label = f"mismatches x {scale:g}" if scale else "ideal: all mismatches off"
     subline = "z = 80 mm, exponential damping 1.6 1/s, steps of 5 mm at up to 200 mm/s; "
@@ -269,13 +288,13 @@ def draw(outcome: Outcome, path: Path) -> None:
         for name, color, text in (("paper", COLORS["paper"], "paper, 4"), ("tracked", "#222222", "4, tracked, rms")):
             if name != best and name in columns["estimator"]:
                 line = _rest_case(cases, name, 4)
-                # a filter's scatter within a bin says nothing: of the tracker, what it is off
+                # for the tracker its rms error: the scatter of a filter within a bin is not its uncertainty
                 worst = np.max(line["rms_mm" if name == "tracked" else "sigma_mm"], axis=1)
                 right.plot(line["time_s"], worst, lw=2, ls="--", color=color)
                 labels.append((float(worst[-1]), text, color))
         height = 0.0
         for value, text, color in sorted(labels):
-            height = max(value, 1.32 * height)  # so that names do not lie on each other
+            height = max(value, 1.32 * height)  # labels must not overlap
             name_line(right, SECONDS, height, text, color)
         right.set(yscale="log", xlim=(0, 1.32 * SECONDS), ylim=(0.05, 20))
         right.set_yticks([0.1, 1, 10], ["0.1", "1", "10"])

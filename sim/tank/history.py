@@ -8,13 +8,19 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.errors import InputError
 
+FIRST_ROWS = 4096
+"""Rows reserved at first; more are added by doubling."""
+
+ROUNDING = 1e-9
+"""Slack on a time, in s."""
+
 
 class History:
     """Where the robot truly was at the start of every physics step; grows as the tank runs."""
 
     def __init__(self) -> None:
-        self._times = np.empty(4096)
-        self._poses = np.empty((4096, 7))
+        self._times = np.empty(FIRST_ROWS)
+        self._poses = np.empty((FIRST_ROWS, 7))
         self._count = 0
 
     def reserve(self, more: int) -> tuple[FloatArray, FloatArray]:
@@ -49,15 +55,15 @@ class History:
     def at(self, time: float) -> FloatArray:
         """Pose (7,) at `time` s: rotation centre in m, quaternion scalar first, straight between steps."""
         times = self._times[: self._count]
-        if not self._count or not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
+        if not self._count or not times[0] - ROUNDING <= time <= times[-1] + ROUNDING:
             span = f"{times[0]:.3f} to {times[-1]:.3f} s" if self._count else "nothing yet"
-            raise InputError(f"The witness knows {span}; got {time:.3f} s. Only times already played can be asked.")
+            raise InputError(f"The true pose is recorded for {span}; got {time:.3f} s.")
         i = min(max(int(np.searchsorted(times, time)) - 1, 0), self._count - 2) if self._count > 1 else 0
         if self._count == 1:
             return self._poses[0].copy()
         a = min(max((time - times[i]) / (times[i + 1] - times[i]), 0.0), 1.0)
         pose = np.array((1 - a) * self._poses[i] + a * self._poses[i + 1])
-        if self._poses[i, 3:] @ self._poses[i + 1, 3:] < 0:  # q and -q are the same turn
+        if self._poses[i, 3:] @ self._poses[i + 1, 3:] < 0:  # q and -q are the same rotation
             pose[3:] = (1 - a) * self._poses[i, 3:] - a * self._poses[i + 1, 3:]
         pose[3:] /= np.linalg.norm(pose[3:])
         return pose

@@ -11,7 +11,9 @@ from sim.tank.settings import TankSettings
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
 
-CLIP = 3.0  # standard deviations: a tank is not built with a coil 2 mm off
+CLIP = 3.0  # standard deviations to which mismatches are clipped: no lab builds a coil 2 mm away
+START_CLIP = 2.0  # standard deviations to which the start is clipped
+MIN_FACTOR = 0.05  # least factor on a value: it must stay positive
 
 
 class DrawnValues:
@@ -36,7 +38,7 @@ class Spreads:
 
     def factor(self, deviation: float, *shape: int) -> FloatArray:
         """Factors about 1, all of them above 0."""
-        return np.maximum(1.0 + self.spread(deviation, *shape), 0.05)
+        return np.maximum(1.0 + self.spread(deviation, *shape), MIN_FACTOR)
 
     def one(self, deviation: float) -> float:
         """A single factor."""
@@ -142,6 +144,6 @@ def draw(settings: TankSettings, n_coils: int, n_sensors: int, streams: Streams,
         mains_frequency=one(section.mains_frequency),
         compensation_gain=one(settings.earth.compensation_gain),
         compensation_tilt=spread(settings.earth.compensation_axis, 3),
-        start_offset=settings.start_scatter * np.clip(streams.start.standard_normal(2), -2.0, 2.0),
+        start_offset=settings.start_scatter * np.clip(streams.start.standard_normal(2), -START_CLIP, START_CLIP),
         start_heading=float(streams.start.uniform(-np.pi, np.pi)),
     )

@@ -11,9 +11,9 @@ from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
 from smolbot.core.sensing import Device, Recording
 
-HOLDER_PLACE, HOLDER_TURN = 1e-4, float(np.radians(0.5))  # m, rad: glued by hand into what the stage carries
-STAGE_ERROR = 1e-5  # m, per axis and pose: of a good manual or motorised stage
-DRIVES = (0.6, 0.9)  # share of the stops that a drive reaches: it is not known, and not the same twice
+HOLDER_PLACE, HOLDER_TURN = 1e-4, float(np.radians(0.5))  # m, rad: the device is glued into its holder by hand
+STAGE_ERROR = 1e-5  # m, per axis and pose: a good manual or motorised stage
+DRIVES = (0.6, 0.9)  # amplitude after a drive, as a share of theta_max: unknown, and different each time
 
 
 class TankStage:

@@ -19,6 +19,9 @@ from smolbot.core.sensing import Recording
 from smolbot.core.shots import Excite, Listen, MoveMagnet, Rest, Shot, magnet_near_after
 from smolbot.errors import RigError
 
+MIN_REST = 1e-3
+"""Rest after a probe, in s, where the rig file has no turnaround."""
+
 
 class TankRig(Closing):
     """A rig whose world is simulated. What it says about itself is nominal; the truth leaves only by the witness.
@@ -89,14 +92,14 @@ class TankRig(Closing):
         tank, begin = self._tank, self._tank.time
         windows = (*shot.windows, Rest(self._turnaround)) if self._turnaround > 0 else shot.windows
         for window in shot.windows:
-            if isinstance(window, MoveMagnet):  # a move that is cut short leaves the magnet near
+            if isinstance(window, MoveMagnet):  # an interrupted move leaves the magnet near
                 self._magnet_near = True
         self._stopped, heard = False, None
         played = tank.advance(windows)
         if played:
             self._magnet_near = magnet_near_after(shot, near=self._magnet_near)
             heard = self._recording(shot, begin)
-        if self._stopped or not played:  # while it moved, or while its samples were made
+        if self._stopped or not played:  # during motion, or while samples were computed
             raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
         return heard
 
@@ -116,7 +119,7 @@ class TankRig(Closing):
         tank, begin = self._tank, self._tank.time
         self._stopped = False
         step = Step(HELD, self._driven.index(coil), current)
-        played = tank.advance((Rest(BEFORE), step, Rest(AFTER), Rest(max(self._turnaround, 1e-3))))
+        played = tank.advance((Rest(BEFORE), step, Rest(AFTER), Rest(max(self._turnaround, MIN_REST))))
         if self._stopped or not played:
             raise RigError(
                 f"Stopped at {tank.time:.3f} s, while {coil} was probed; every output is at zero.", channel=coil

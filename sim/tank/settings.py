@@ -14,6 +14,9 @@ from smolbot.config.document import FileModel
 from smolbot.config.units import SI, NotNegative, Positive, SIVector, Vector
 from smolbot.core.arrays import FloatArray
 
+MIN_DISTANCE_MM = 1.0
+"""Between two points of a route: closer ones make a spline loop."""
+
 
 class MismatchSection(FileModel):
     """Standard deviations from which one tank is drawn; draws beyond three of them are drawn in."""
@@ -80,9 +83,13 @@ class RouteSection(FileModel):
     @classmethod
     def _apart(cls, value: list[Vector]) -> list[Vector]:
         for number, (a, b) in enumerate(pairwise(value), 1):
-            if math.dist(a, b) < 1.0:
-                raise ValueError(f"points {number} and {number + 1} must lie at least 1 mm apart.")
+            if math.dist(a, b) < MIN_DISTANCE_MM:
+                raise ValueError(f"points {number} and {number + 1} must lie at least {MIN_DISTANCE_MM:g} mm apart.")
         return value
+
+
+MIN_PIECES = 2
+"""Of a shaft: each is magnetised at random."""
 
 
 class ShaftSection(FileModel):
@@ -98,7 +105,7 @@ class ShaftSection(FileModel):
 
     @property
     def pieces(self) -> int:
-        return max(round(self.length_mm / self.piece_mm), 2)
+        return max(round(self.length_mm / self.piece_mm), MIN_PIECES)
 
     def fields(self, size: float) -> tuple[float, float]:
         """At the magnet and at the shaft's surface, in T, of one that is `size` times as strong."""

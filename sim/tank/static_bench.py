@@ -22,10 +22,11 @@ from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.core.shots import Excite
 from smolbot.errors import InputError
 
-DRIVE_CYCLES = 5
-LONGEST_QUIET = 2.0  # s: of one quiet recording
-TRACK_STEP = 2.5e-4  # s: between two poses of a moving device; straight between them
-GAP = (0.05, 1.05)  # s: drawn between two recordings, so that the mains' phase is another one each time
+DRIVE_CYCLES, DRIVE_CURRENT = 5, 5.0  # of the drive that a recording names; the current in A, in both coils
+LONGEST_QUIET = 2.0  # s: of one background recording
+TRACK_STEP = 2.5e-4  # s: between two poses of a moving device; linear between them
+GAP = (0.05, 1.05)  # s: random pause between recordings, for another phase of the mains each time
+ROUNDING = 1e-9  # share of a sample or recording
 
 Track = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Positions (n, 3) in m and orientations (n, 4) at times (n,) in s from a recording's first sample."""
@@ -158,16 +159,15 @@ class StaticBench:
         places, turns = track(times)
         turns = as_floats(turns, (len(times), 4), "track orientations")
         signs = np.cumprod(np.concatenate([[1.0], np.sign(np.sum(turns[1:] * turns[:-1], axis=1))]))
-        poses = np.concatenate(
-            [as_floats(places, (len(times), 3), "track positions"), turns * signs[:, None]], axis=1
-        )  # one sign for all quaternions: they are interpolated
+        # one sign for all quaternions: they are interpolated
+        poses = np.concatenate([as_floats(places, (len(times), 3), "track positions"), turns * signs[:, None]], axis=1)
         field = self._clean(n, time_since_drive, swing, times, poses)
         return self._measured(field, time_since_drive, disturbance)
 
     def quiet(self, seconds: float, disturbance: Disturbance | None = None) -> list[Recording]:
         """Recordings without an oscillation, `seconds` long together, none longer than two seconds."""
-        count = max(math.ceil(seconds / LONGEST_QUIET - 1e-9), 1)
-        n = math.ceil(seconds * self.rate / count - 1e-9)
+        count = max(math.ceil(seconds / LONGEST_QUIET - ROUNDING), 1)
+        n = math.ceil(seconds * self.rate / count - ROUNDING)
         return [self._measured(np.zeros((len(self.sensors), n)), np.inf, disturbance) for _ in range(count)]
 
     def clean(
@@ -185,7 +185,7 @@ class StaticBench:
         return self._clean(n, time_since_drive, Swing(size, phase), np.array([-1.0, n / self.rate]), poses)
 
     def _drawn(self, amplitude: float | None, phase: float | None) -> Swing:
-        drawn = float(self._rng.uniform(-np.pi, np.pi))  # drawn even where it is given, so that nothing else changes
+        drawn = float(self._rng.uniform(-np.pi, np.pi))  # sampled even if given: what follows does not change
         size = self.true_device.theta_max if amplitude is None else amplitude
         self.last = Swing(size, drawn if phase is None else phase)
         return self.last
@@ -211,7 +211,9 @@ class StaticBench:
         clock = self.clock
         saturated: BoolArray = self.true_sensors.measure(field, clock)
         self.clock = clock + n / self.rate + float(self._rng.uniform(*GAP))
-        drive = Excite((5.0, 5.0), self.device.frequency, DRIVE_CYCLES) if np.isfinite(since) else None
+        drive = (
+            Excite((DRIVE_CURRENT, DRIVE_CURRENT), self.device.frequency, DRIVE_CYCLES) if np.isfinite(since) else None
+        )
         return Recording(field / self._gains, self.rate, since, saturated, drive, clock)
 
     def _heard(self, disturbance: Disturbance, n: int) -> FloatArray:

@@ -11,7 +11,8 @@ import numpy as np
 from sim.tank.carriers.carrier import Carrier, Drawn, Magnetised, Turned
 from sim.tank.carriers.choose import make_carrier
 from sim.tank.history import History
-from sim.tank.magnetics.cantilever import STATE_LENGTH, swing
+from sim.tank.magnetics.cantilever import DEFLECTION, DRIVE, MIDDLE, RATE, STATE_LENGTH, TIME, swing
+from sim.tank.magnetics.coil_fields import COMMAND, CURRENT, SINE
 from sim.tank.magnetics.coils import TankCoils, volume
 from sim.tank.magnetics.magnet import true_device
 from sim.tank.magnetics.sensors import TrueSensors
@@ -24,8 +25,9 @@ from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rest, Rotate, Window
 from smolbot.errors import RigError
 
-STRIDES = 500  # of a mechanical window between two looks at whether to stop
-SUBSTEP = 2e-5  # s: the sample clock; the cantilever's period is 500 of them
+STRIDES = 500  # steps of a mechanical window between two checks whether to stop
+SUBSTEP = 2e-5  # s: period of the sample clock; the cantilever's period is 500 times longer
+ROUNDING = 1e-9  # share of a step that is rounding, not one more step
 NO_SAMPLES = np.zeros((0, 1))
 
 
@@ -70,7 +72,7 @@ class Tank:
         self._state = np.zeros(STATE_LENGTH)
         self._trace_times = np.zeros(1)
         self._trace = np.zeros((1, 1 + len(self.coils.circuits)))
-        self._trace[0, 1:] = self.coils.circuits[:, 0]
+        self._trace[0, 1:] = self.coils.circuits[:, CURRENT]
         self._used = 1
         self._note_pose(*self.history.reserve(1))
 
@@ -80,7 +82,7 @@ class Tank:
         Afterwards every command is zero."""
         lengths = [(w, *self._strides(w)) for w in windows]
         steps = sum(n for _, n, _ in lengths)
-        self.history.drop_last()  # the first row of this shot repeats the closing row of the last
+        self.history.drop_last()  # the first row of this shot repeats the last row of the one before
         times, poses = self.history.reserve(steps + 1)
         self._begin_trace(sum(1 if _is_mechanical(w) else n * _substeps(h) for w, n, h in lengths))
         done, self.running = 0, True
@@ -122,7 +124,7 @@ class Tank:
     def silence(self) -> None:
         """Command zero to every driven coil; its current decays."""
         driven = self.coils.n_actuation + self.coils.n_excitation
-        self.coils.circuits[:driven, 1:3] = 0.0
+        self.coils.circuits[:driven, COMMAND : SINE + 1] = 0.0
 
     def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray, commands: FloatArray = NO_SAMPLES) -> int:
         """Advance by `n` steps, as commanded for the window, or by a row of `commands` (in A) for each substep."""
@@ -158,16 +160,16 @@ class Tank:
     def _turn(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
         """A mechanical window: the magnet's own field stills the swing, and nobody listens."""
         carrier, start, played = self.carrier, self.time, 0
-        assert isinstance(carrier, Turned)  # no other rig's limits let such a window pass
+        assert isinstance(carrier, Turned)  # the limits of other rigs refuse such windows
         while self.running and played < n:
             stride = min(STRIDES, n - played)
             carrier.turn(step, poses[played : played + stride])
             played += stride
         times[:played] = start + step * np.arange(played)
         self.time = start + played * step
-        self._state[:2] = 0.0
+        self._state[DEFLECTION : RATE + 1] = 0.0
         self._trace_times[self._used], self._trace[self._used] = self.time, 0.0
-        self._trace[self._used, 1:] = self.coils.circuits[:, 0]
+        self._trace[self._used, 1:] = self.coils.circuits[:, CURRENT]
         self._used += 1
         return played
 
@@ -179,16 +181,16 @@ class Tank:
     def _command(self, window: Window) -> None:
         self.silence()
         self.carrier.begin(window, self.time)
-        self._state[2:4] = 0.0
+        self._state[TIME : DRIVE + 1] = 0.0
         actuation = self.coils.n_actuation
         if isinstance(window, Step):
-            self.coils.circuits[window.coil, 1] = window.current
+            self.coils.circuits[window.coil, COMMAND] = window.current
         elif isinstance(window, Actuate):
-            self.coils.circuits[:actuation, 1] = window.currents
+            self.coils.circuits[:actuation, COMMAND] = window.currents
         elif isinstance(window, Excite):
             n = self.coils.n_excitation
-            self.coils.circuits[actuation : actuation + n, 2] = window.currents[:n]
-            self._state[3] = 2 * math.pi * window.frequency
+            self.coils.circuits[actuation : actuation + n, SINE] = window.currents[:n]
+            self._state[DRIVE] = 2 * math.pi * window.frequency
 
     def _begin_trace(self, rows: int) -> None:
         """Keep what the sensors' low pass still remembers of the past, and make room for `rows` more."""
@@ -210,7 +212,7 @@ class Tank:
         position, quaternion, _, _ = self.carrier.state()
         turn = matrix_from_quaternion(np.array(quaternion))
         time[0] = self.time
-        pose[0, :3] = position - turn @ self.device[10:13]
+        pose[0, :3] = position - turn @ self.device[MIDDLE : MIDDLE + 3]
         pose[0, 3:] = quaternion
 
 
@@ -220,9 +222,9 @@ def _is_mechanical(window: Window) -> bool:
 
 def _divide(duration: float, longest: float) -> tuple[int, float]:
     """Number and length of equal steps, none longer than `longest`, that exactly fill `duration`."""
-    n = max(math.ceil(duration / longest - 1e-9), 1)
+    n = max(math.ceil(duration / longest - ROUNDING), 1)
     return n, duration / n
 
 
 def _substeps(step: float) -> int:
-    return max(math.ceil(step / SUBSTEP - 1e-9), 1)
+    return max(math.ceil(step / SUBSTEP - ROUNDING), 1)

@@ -32,7 +32,7 @@ class TankWorld:
         if "hand" in rig.sections.tank or "place" in rig.sections.tank:
             return None
         return (
-            f"'{rig.name}' says nothing of what holds a bare device such as '{robot.name}'; "
+            f"'{rig.name}' does not define what holds a bare device such as '{robot.name}'; "
             "its rig file needs [tank.hand] or [tank.place]."
         )
 

@@ -8,11 +8,23 @@ from typing import Any
 import nidaqmx._stubs.nidaqmx_pb2 as messages
 from nidaqmx._stubs.nidaqmx_pb2_grpc import NiDAQmxServicer
 
-from sim.twin.cardmodel import CardError, CardModel
+from sim.twin.cardmodel import UNKNOWN_DEVICE, CardError, CardModel
 from sim.twin.tasks import Tasks, TwinTask
 
+# Attributes by their numbers in the driver's header, NIDAQmx.h: of a task, of reading and writing
+TASK_NAME, TASK_CHANNELS = 0x1276, 0x1273
+READ_CHANNELS, READ_N_CHANNELS, READ_LINES, AVAILABLE, ACQUIRED = 0x1823, 0x217B, 0x217C, 0x1223, 0x192A
+WRITE_N_CHANNELS, WRITE_LINES = 0x217E, 0x217F
+# Of a channel, of timing, of the device, of the system, of a watchdog
+CHANNEL_TYPE, MEASUREMENT_TYPE = 0x187F, 0x0695
+CLOCK_RATE, SAMPLE_MODE, SAMPLES_PER_CHANNEL = 0x1344, 0x1300, 0x1310
+PRODUCT_TYPE, SERIAL, SIMULATED = 0x0631, 0x0632, 0x22CA
+DEVICE_NAMES, MAJOR_VERSION, MINOR_VERSION, UPDATE_VERSION = 0x193B, 0x1272, 0x1923, 0x2F22
+EXPIRED = 0x21A8
+
 SERIAL_NUMBER = 0x0000_7013
-DRIVER_VERSION = {0x1272: 23, 0x1923: 3, 0x2F22: 0}
+DRIVER_VERSION = {MAJOR_VERSION: 23, MINOR_VERSION: 3, UPDATE_VERSION: 0}
+# Values of attributes in the same header
 _CHANNEL_TYPE = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
 _FINITE, _VOLTAGE = 10178, 10322
 
@@ -47,55 +59,60 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
     def must_be_ours(self, name: str) -> None:
         """Raise `CardError` for the name of another device."""
         if name != self.tasks.device:
-            raise CardError(-200220, f"Device identifier is invalid: '{name}'; this machine has '{self.tasks.device}'.")
+            raise CardError(
+                UNKNOWN_DEVICE, f"Device identifier is invalid: '{name}'; this machine has '{self.tasks.device}'."
+            )
 
     def GetTaskAttributeString(self, request: Any, context: Any) -> Any:
-        answers: dict[int, Answer] = {0x1276: lambda task: task.name, 0x1273: self._names}
+        answers: dict[int, Answer] = {TASK_NAME: lambda task: task.name, TASK_CHANNELS: self._names}
         return self._of_task(request, context, messages.GetTaskAttributeStringResponse, answers)
 
     def GetReadAttributeString(self, request: Any, context: Any) -> Any:
-        return self._of_task(request, context, messages.GetReadAttributeStringResponse, {0x1823: self._names})
+        return self._of_task(request, context, messages.GetReadAttributeStringResponse, {READ_CHANNELS: self._names})
 
     def GetReadAttributeUInt32(self, request: Any, context: Any) -> Any:
-        answers: dict[int, Answer] = {0x217B: _channels, 0x217C: _lines_each, 0x1223: self._available}
+        answers: dict[int, Answer] = {READ_N_CHANNELS: _channels, READ_LINES: _lines_each, AVAILABLE: self._available}
         return self._of_task(request, context, messages.GetReadAttributeUInt32Response, answers)
 
     def GetReadAttributeUInt64(self, request: Any, context: Any) -> Any:
-        answers: dict[int, Answer] = {0x192A: lambda task: self.card.acquired() if task.kind == "ai" else 0}
+        answers: dict[int, Answer] = {ACQUIRED: lambda task: self.card.acquired() if task.kind == "ai" else 0}
         return self._of_task(request, context, messages.GetReadAttributeUInt64Response, answers)
 
     def GetWriteAttributeUInt32(self, request: Any, context: Any) -> Any:
-        answers: dict[int, Answer] = {0x217E: _channels, 0x217F: _lines_each}
+        answers: dict[int, Answer] = {WRITE_N_CHANNELS: _channels, WRITE_LINES: _lines_each}
         return self._of_task(request, context, messages.GetWriteAttributeUInt32Response, answers)
 
     def GetChanAttributeInt32(self, request: Any, context: Any) -> Any:
-        answers: dict[int, Answer] = {0x187F: lambda task: _CHANNEL_TYPE[task.kind], 0x0695: lambda task: _VOLTAGE}
+        answers: dict[int, Answer] = {
+            CHANNEL_TYPE: lambda task: _CHANNEL_TYPE[task.kind],
+            MEASUREMENT_TYPE: lambda task: _VOLTAGE,
+        }
         return self._of_task(request, context, messages.GetChanAttributeInt32Response, answers, "value_raw")
 
     def GetTimingAttributeDouble(self, request: Any, context: Any) -> Any:
         return self._of_task(
-            request, context, messages.GetTimingAttributeDoubleResponse, {0x1344: lambda task: task.rate}
+            request, context, messages.GetTimingAttributeDoubleResponse, {CLOCK_RATE: lambda task: task.rate}
         )
 
     def GetTimingAttributeInt32(self, request: Any, context: Any) -> Any:
         return self._of_task(
-            request, context, messages.GetTimingAttributeInt32Response, {0x1300: lambda task: _FINITE}, "value_raw"
+            request, context, messages.GetTimingAttributeInt32Response, {SAMPLE_MODE: lambda task: _FINITE}, "value_raw"
         )
 
     def GetTimingAttributeUInt64(self, request: Any, context: Any) -> Any:
         return self._of_task(
-            request, context, messages.GetTimingAttributeUInt64Response, {0x1310: lambda task: task.count}
+            request, context, messages.GetTimingAttributeUInt64Response, {SAMPLES_PER_CHANNEL: lambda task: task.count}
         )
 
     def GetDeviceAttributeString(self, request: Any, context: Any) -> Any:
-        answers = {0x0631: self.card.section.product}
+        answers = {PRODUCT_TYPE: self.card.section.product}
         return self._of_device(request, context, messages.GetDeviceAttributeStringResponse, answers)
 
     def GetDeviceAttributeUInt32(self, request: Any, context: Any) -> Any:
-        return self._of_device(request, context, messages.GetDeviceAttributeUInt32Response, {0x0632: SERIAL_NUMBER})
+        return self._of_device(request, context, messages.GetDeviceAttributeUInt32Response, {SERIAL: SERIAL_NUMBER})
 
     def GetDeviceAttributeBool(self, request: Any, context: Any) -> Any:
-        return self._of_device(request, context, messages.GetDeviceAttributeBoolResponse, {0x22CA: True})
+        return self._of_device(request, context, messages.GetDeviceAttributeBoolResponse, {SIMULATED: True})
 
     def GetSystemInfoAttributeUInt32(self, request: Any, context: Any) -> Any:
         return self._call(
@@ -103,14 +120,14 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         )
 
     def GetSystemInfoAttributeString(self, request: Any, context: Any) -> Any:
-        answers = {0x193B: self.tasks.device}
+        answers = {DEVICE_NAMES: self.tasks.device}
         return self._call(
             context, lambda: messages.GetSystemInfoAttributeStringResponse(value=_chosen(request, answers))
         )
 
     def GetWatchdogAttributeBool(self, request: Any, context: Any) -> Any:
         return self._of_task(
-            request, context, messages.GetWatchdogAttributeBoolResponse, {0x21A8: lambda task: self.card.expired}
+            request, context, messages.GetWatchdogAttributeBoolResponse, {EXPIRED: lambda task: self.card.expired}
         )
 
     def _names(self, task: TwinTask) -> str:

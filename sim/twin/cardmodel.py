@@ -18,27 +18,40 @@ from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.core.arrays import FloatArray
 
 TICK = 2e-3
-"""Seconds between two looks at the clock; a reader who waits for a sample is served when it is there."""
+"""Time, in s, between two checks of the clock; a waiting reader is served as soon as its sample exists."""
 
 STEP = 250
-"""Samples that are played in one go, with nobody else at the card."""
+"""Samples that are played in one step, while the card is locked."""
 
 BREATH = 1e-4
-"""Seconds for which the card lets others at it between two steps, where it has to catch up: a lock that is let go and
-taken at once goes to nobody else."""
+"""Time, in s, for which the card is unlocked between two steps while it catches up: a lock that is released and taken
+at once goes to no other thread."""
 
 FRESH = 0.02
-"""Seconds that a look at a contact waits for the card to have played until now."""
+"""Longest time, in s, that reading a contact waits until the card has played up to now."""
 
 LATE = 0.03
-"""Seconds between two such looks that are worth an entry in the journal: this machine had no time for the twin."""
+"""Time, in s, between two checks of the clock above which the journal notes that this computer was busy."""
 
 BACKLOG = 0.5
-"""Seconds that the card makes up for in one go when its machine was busy; what is older is skipped by the clock."""
+"""Delay, in s, that the card makes up for when this computer was busy; older time is skipped by the clock."""
 
 ACTUATION_BEGINS = 0.010
 LISTENING_LEFT = 0.004
-"""Seconds into a shot, and before its end, at which faults of these phases come."""
+"""Times, in s, after the start of a shot and before its end, at which faults of these phases occur."""
+
+ALL_LINES = 0xFFFFFFFF
+"""Mask of the 32 lines of a port."""
+
+SATURATED = 10.0
+"""Voltage of a saturated sensor, in V."""
+
+JOIN_TIMEOUT = 2.0
+"""Longest time, in s, for the card's thread to end."""
+
+# Error codes of the driver that occur in several places
+UNSUPPORTED, UNKNOWN_DEVICE, UNKNOWN_TASK, DEVICE_GONE = -200077, -200220, -200088, -201003
+WRONG_COUNT, NOT_STARTED, WRONG_SOURCE = -200524, -200547, -200040
 
 
 class CardError(Exception):
@@ -109,10 +122,10 @@ class CardModel:
         self.outputs: Generation | None = None
         self.clocked: Generation | None = None
         self.inputs: Acquisition | None = None
-        self._watchdog: float | None = None  # its time-out
+        self._watchdog: float | None = None  # its timeout, in s
         self._fed = 0.0
         self._expired = False
-        self._safe_lines = 0xFFFFFFFF  # ands the lines once expired
+        self._safe_lines = ALL_LINES  # mask of the lines after the watchdog has expired
         self._awaited: list[int] = []
         self._shots = 0
         self._end = False
@@ -120,7 +133,7 @@ class CardModel:
         self._epoch = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="card", daemon=True)
 
-    # what happens by itself
+    # the card's own thread
 
     def start(self) -> None:
         """Let time pass."""
@@ -133,7 +146,7 @@ class CardModel:
         with self._changed:
             self._changed.notify_all()
         if self._thread.is_alive():
-            self._thread.join(2.0)
+            self._thread.join(JOIN_TIMEOUT)
 
     def time_of(self, sample: int) -> float:
         """When a sample is played, on the monotonic clock in s."""
@@ -149,7 +162,7 @@ class CardModel:
                 latest = now
                 try:
                     behind = self._step_on()
-                except Exception as error:  # the tank broke: say so to whoever reads, do not die in silence
+                except Exception as error:  # the tank failed: readers are told, the thread does not end silently
                     self.broken = f"{type(error).__name__}: {error}"
                     self.journal.note("broken", error=self.broken)
                     self._end, behind = True, False
@@ -170,7 +183,7 @@ class CardModel:
         rate = self.plant.rate
         target = int((time.monotonic() - self._epoch) * rate)
         late = target - self.plant.played - int(BACKLOG * rate)
-        if late > 0:  # this machine stood still: time goes on from here, nothing is played in a burst
+        if late > 0:  # this computer was busy: time continues from here, nothing is played in a burst
             self._epoch += late / rate
             target -= late
             self.journal.note("stood still", seconds=late / rate)
@@ -244,7 +257,7 @@ class CardModel:
             self.journal.note("phase", phase=phase, shot=going.shot)
             self.faults.moment(phase, going.shot)
 
-    # what a client asks for
+    # calls of a client
 
     def arm(self, outputs: FloatArray | None = None, lines: NDArray[np.uint32] | None = None) -> None:
         """Let outputs, or lines on the outputs' clock, wait for the trigger."""
@@ -287,7 +300,7 @@ class CardModel:
         with self._changed:
             going = self.inputs
             if going is None:
-                raise CardError(-200088, "The task is not running, so that no samples come.")
+                raise CardError(UNKNOWN_TASK, "The task is not running, so that no samples come.")
             if going.taken + count > going.count:
                 raise CardError(-200278, "Attempted to read a sample beyond the final sample acquired.", read=0)
             needed, until = going.start + going.taken + count, time.monotonic() + timeout
@@ -301,7 +314,7 @@ class CardModel:
             if self.inputs is not going:
                 raise CardError(-88709, "The task was aborted.", read=0)
             if self._end:
-                raise CardError(-201003, "Device cannot be accessed: the twin's tank has ended.", read=0)
+                raise CardError(DEVICE_GONE, "Device cannot be accessed: the twin's tank has ended.", read=0)
             if self.faults.takes("overrun"):
                 raise CardError(
                     -200279, "The application is not able to keep up with the hardware acquisition.", read=0
@@ -316,7 +329,7 @@ class CardModel:
             if self.faults.holds("sensor_dead"):
                 volts[0] = 0.0
             if self.faults.holds("sensors_saturated"):
-                volts[:] = 10.0
+                volts[:] = SATURATED
             return volts
 
     def acquired(self) -> int:
@@ -393,7 +406,7 @@ class CardModel:
             if timeout is not None and self._watchdog is None and not self._shots:
                 self.faults.moment("before", 1)
             self._watchdog, self._fed = timeout, time.monotonic()
-            self._safe_lines = 0xFFFFFFFF & ~safe_lines
+            self._safe_lines = ALL_LINES & ~safe_lines
             if timeout is None:
                 self._expired = False
 

@@ -12,22 +12,30 @@ import typer
 
 from smolbot.ui.cli.show import echo_json, table
 
+POLL = 0.2
+"""Time, in s, between two checks whether the tank has failed."""
+
+HARDWARE_STOP = 3
+"""Exit code of a hardware or interlock stop."""
+
 
 def twin(
     mission: Annotated[
-        str, typer.Argument(help="Mission whose robot is put down at its start.", metavar="MISSION")
+        str, typer.Argument(help="Mission at whose start its robot is placed.", metavar="MISSION")
     ] = "r_path",
     rig: Annotated[
         str | None, typer.Option(help="Twin of a bench; default: twin, or twin_gel for a helical robot.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the tank that is drawn, and its noise.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the tank and its noise.")] = 1,
     fault: Annotated[
         list[str] | None,
         typer.Option(help="NAME@MOMENT[:once|good], such as overrun@listening#30 or button@12.5s; see --list-faults."),
     ] = None,
-    list_faults: Annotated[bool, typer.Option("--list-faults", help="List the faults by name, and end.")] = False,
-    control: Annotated[str, typer.Option(help="Address (host:port) of the side door for faults.")] = "127.0.0.1:31765",
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object once everything listens.")] = False,
+    list_faults: Annotated[bool, typer.Option("--list-faults", help="List the faults by name and exit.")] = False,
+    control: Annotated[
+        str, typer.Option(help="Address (host:port) of the control server, for faults.")
+    ] = "127.0.0.1:31765",
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object when all servers listen.")] = False,
 ) -> None:
     """Be a bench: NI card behind a device server, magnet stage behind a serial port, a simulated tank behind both."""
     from sim.twin.faults import FAULTS, parse_fault
@@ -76,10 +84,10 @@ def twin(
                     "seed": seed,
                 }
             )
-        while not end.wait(0.2):
+        while not end.wait(POLL):
             if running.card.broken is not None:
                 typer.echo(f"The tank has ended: {running.card.broken}", err=True)
-                raise typer.Exit(3)
+                raise typer.Exit(HARDWARE_STOP)
     finally:
         running.close()
 

@@ -43,7 +43,7 @@ class Contacts:
         self._open = round(section.relays.opening * rate)
         self.closed: BoolArray = np.zeros(len(order), np.bool_)
         self._told: BoolArray = np.zeros(len(order), np.bool_)
-        self._due: list[tuple[int, int, bool]] = []  # sample, load, closes
+        self._due: list[tuple[int, int, bool]] = []  # sample, load, whether it closes
         self.stuck: int | None = None
 
     def mend(self) -> None:

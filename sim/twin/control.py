@@ -83,7 +83,7 @@ class TwinControl(Closing):
         try:
             self._socket = socket.create_connection((host, int(port)), timeout)
         except (OSError, ValueError) as error:
-            raise RigError(f"No twin's control answers at {address}: {error}.") from error
+            raise RigError(f"No twin answers at its control address {address}: {error}.") from error
         self._stream = self._socket.makefile("rw", encoding="utf-8")
 
     def ask(self, do: str, **detail: Any) -> Any:
@@ -99,12 +99,12 @@ class TwinControl(Closing):
             self._stream.flush()
             line = self._stream.readline()
         except OSError as error:
-            raise RigError(f"The twin's control is gone: {error}.") from error
+            raise RigError(f"The connection to the twin's control is lost: {error}.") from error
         if not line:
-            raise RigError("The twin's control is gone.")
+            raise RigError("The connection to the twin's control is lost.")
         answer = json.loads(line)
         if "error" in answer:
-            raise RigError(f"The twin says: {answer['error']}")
+            raise RigError(f"The twin reports: {answer['error']}")
         return answer["ok"]
 
     def inject(self, fault: str) -> None:

@@ -14,7 +14,7 @@ from smolbot.bench.hardware.deadline import MESSAGE_LIMIT
 from smolbot.errors import RigError
 
 THREADS = 32
-"""Every read that waits holds one."""
+"""Threads of the server: every waiting read holds one."""
 
 
 class DeviceServer:

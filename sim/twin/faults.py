@@ -11,17 +11,17 @@ from dataclasses import dataclass
 from smolbot.errors import InputError
 
 FAULTS = {
-    "device_gone": "the card does not answer any more (-201003)",
+    "device_gone": "the card no longer answers (-201003)",
     "overrun": "samples were overwritten before they were read (-200279)",
     "read_timeout": "samples do not come in time (-200284)",
-    "stalled": "the device server takes calls and does not answer them",
-    "killed": "the device server dies; the card lives on",
+    "stalled": "the device server accepts calls but does not answer them",
+    "killed": "the device server ends; the card continues",
     "watchdog_expired": "the card's watchdog opens every relay as if it had not been fed",
     "value_out_of_range": "the card refuses what is written to its outputs (-200077)",
     "relay_stuck": "the contacts of the relay that closed first stay closed",
     "sensor_dead": "the first sensor reads 0 V",
     "sensors_saturated": "every sensor reads its upper limit",
-    "outputs_frozen": "outputs and lines stay as they are, as when the host dies under its driver",
+    "outputs_frozen": "outputs and lines keep their values, as when the host computer crashes",
     "button": "the operator's button is pressed",
     "serial_unplugged": "the magnet stage's cable is pulled",
     "serial_garbled": "a line to or from the magnet stage arrives garbled",
@@ -31,7 +31,7 @@ FAULTS = {
 }
 
 STATE_LASTS = 0.3
-"""Seconds for which a state such as a dead sensor lasts that comes once."""
+"""Duration, in s, of a state, such as a dead sensor, that occurs once."""
 
 _MOMENT = re.compile(r"^(?:(?P<phase>before|actuation|listening)#(?P<shot>\d+)|(?P<seconds>\d+(?:\.\d+)?)s|now)$")
 
@@ -72,7 +72,7 @@ def parse_fault(text: str) -> Fault:
     name, _, rest = text.partition("@")
     moment, _, lasting = rest.partition(":")
     if name not in FAULTS:
-        raise InputError(f"--fault {text}: no fault is named '{name}'; there are {', '.join(FAULTS)}.")
+        raise InputError(f"--fault {text}: no fault is named '{name}'; known faults: {', '.join(FAULTS)}.")
     found = _MOMENT.match(moment or "now")
     if found is None:
         raise InputError(

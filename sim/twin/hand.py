@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+MAX_SIGMAS = 3.0
+"""Standard deviations to which the operator's delay is clipped."""
+
 
 class Hand:
     """Where the magnet is, moved at the lamp's request.
@@ -38,5 +41,5 @@ class Hand:
             if time >= arrives:
                 self.place, self._going = to, None
         elif lamp is not None and lamp != self.place:
-            late = self._lateness * abs(float(np.clip(self._rng.standard_normal(), -3.0, 3.0)))
+            late = self._lateness * abs(float(np.clip(self._rng.standard_normal(), -MAX_SIGMAS, MAX_SIGMAS)))
             self.place, self._going = None, (lamp, time + self._duration * (1.0 + late))

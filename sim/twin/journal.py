@@ -13,13 +13,13 @@ import numpy as np
 from smolbot.core.arrays import BoolArray, FloatArray
 
 KEPT = 50_000
-"""Entries; a mission of some minutes writes ten a shot."""
+"""Entries that are kept; each shot of a mission adds about ten."""
 
 DRIVES = 1e-6
-"""A of a commanded current that counts as driven: far below one step of a converter of 16 bits."""
+"""Commanded current, in A, above which a load is driven: far below one step of a 16-bit converter."""
 
 PAUSE = 1e-3
-"""Seconds at zero after which a load is not driven any more: a sine passes zero without being switched off."""
+"""Time at zero, in s, after which a load is no longer driven: a sine passes through zero."""
 
 
 class Journal:

@@ -28,7 +28,7 @@ class Overhead:
         heard = np.einsum("ij,ij->i", self._axes, field)
         rows = self._rows
         if len(rows) > 1 and not heard.any() and not rows[-1][1].any() and not rows[-2][1].any():
-            rows.pop()  # away and still away
+            rows.pop()  # away, as before
         rows.append((time, heard))
         while len(rows) > 1 and rows[1][0] < time - self._memory:
             rows.popleft()

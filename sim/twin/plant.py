@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim.tank.carriers.gel.embedded import Embedded
+from sim.tank.magnetics.cantilever import DEFLECTION, RATE
 from sim.tank.settings import TankSettings
 from sim.tank.tank import SUBSTEP, Tank
 from sim.twin.overhead import Overhead
@@ -14,7 +15,10 @@ from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.errors import InputError
 
 REMEMBERED = 4.0
-"""Seconds of currents, deflection and poses that are kept: the longest recording, and what a slow reader needs."""
+"""Time, in s, for which currents, deflection and poses are kept: the longest recording, and a slow reader."""
+
+RATE_TOLERANCE = 1e-9
+"""Relative difference of the sample rate from the tank's clock that is rounding."""
 
 
 class Plant(Tank):
@@ -47,7 +51,7 @@ class Plant(Tank):
     ) -> None:  # fmt: skip
         super().__init__(rig, robot, settings, start, seed, ideal=ideal)
         self.rate = self.sensors.rate
-        if abs(self.rate * SUBSTEP - 1.0) > 1e-9:
+        if abs(self.rate * SUBSTEP - 1.0) > RATE_TOLERANCE:
             raise InputError(f"The twin samples at {1 / SUBSTEP:g} Hz; got sensors.sample_rate_hz = {self.rate:g}.")
         self.loads = rig.driven
         self.played = 0
@@ -95,18 +99,18 @@ class Plant(Tank):
             self._mirror(n * length)
             at += n * length
             self.played += n * length
-            self.time = self.played / self.rate  # no drift by adding up
+            self.time = self.played / self.rate  # no accumulated rounding
         if turned is not None:
             self._overhead.note(self.time, turned.magnet_at(self.sensors.positions))
         self._stays(place)
 
     def _steps(self, n: int, length: int, commands: FloatArray) -> FloatArray:
         """Play `n` steps of `length` samples; return where the robot is then."""
-        self.history.drop_last()  # the first row repeats the closing row of the last steps
+        self.history.drop_last()  # the first row repeats the last row of the steps before
         times, poses = self.history.reserve(n + 1)
         self._run(n, length / self.rate, times, poses, commands)
         if self._near:
-            self._state[:2] = 0.0  # the magnet's field stills the swing
+            self._state[DEFLECTION : RATE + 1] = 0.0  # the magnet's field stops the oscillation
         self._note_pose(times[n:], poses[n:])
         return poses[n, :3]
 
@@ -134,7 +138,7 @@ class Plant(Tank):
         clock, sensors = first / self.rate, self.sensors
         oldest = max(self.played - round((REMEMBERED - 2 * sensors.lead) * self.rate), 0)
         if not oldest <= first <= first + n <= self.played:
-            raise InputError(f"The plant knows samples {oldest} to {self.played}; got {first} to {first + n}.")
+            raise InputError(f"The plant keeps samples {oldest} to {self.played}; got {first} to {first + n}.")
         since = clock - 2 * sensors.lead
         begin = max(int(np.searchsorted(self._trace_times[: self._used], since)) - 1, 0)
         end = min(int(np.searchsorted(self._trace_times[: self._used], clock + n / self.rate)) + 2, self._used)
@@ -159,7 +163,7 @@ class Plant(Tank):
     def _make_room(self, count: int) -> None:
         """At the end of the room go on in its first half, which holds the same rows."""
         if count > self._keep:
-            raise InputError(f"The plant moves on by at most {self._keep} samples at once; got {count}.")
+            raise InputError(f"The plant advances by at most {self._keep} samples at once; got {count}.")
         if self._used + count > len(self._trace_times):
             self._used -= self._keep
             self.history.forget_before(self.time - REMEMBERED)

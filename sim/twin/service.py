@@ -12,11 +12,11 @@ import numpy as np
 from session_pb2 import Session
 
 from sim.twin.attributes import Attributes
-from sim.twin.cardmodel import CardError, CardModel
+from sim.twin.cardmodel import DEVICE_GONE, UNKNOWN_DEVICE, UNSUPPORTED, CardError, CardModel
 from sim.twin.tasks import Tasks, TwinTask
 
 PATIENCE = 0.01
-"""Seconds between two looks at whether a stalled server goes on."""
+"""Time, in s, between two checks whether a stalled server continues."""
 
 # Actions by their numbers in the driver
 ABORT, FOR_ALL_LINES = 6, 1
@@ -35,11 +35,13 @@ class TwinServicer(Attributes):
         faults = self.card.faults
         while faults.holds("stalled") and context.is_active():
             time.sleep(PATIENCE)
-        if not context.is_active():  # its client has given up: nothing is done late
+        if not context.is_active():  # its client has given up: the call is not carried out late
             context.abort(grpc.StatusCode.CANCELLED, "the call is over")
         try:
             if faults.takes("device_gone"):
-                raise CardError(-201003, "Device cannot be accessed: it was disconnected, or the system was suspended.")
+                raise CardError(
+                    DEVICE_GONE, "Device cannot be accessed: it was disconnected, or the system was suspended."
+                )
             return action()
         except CardError as error:
             trailing = [("ni-error", str(error.code))]
@@ -67,7 +69,7 @@ class TwinServicer(Attributes):
     def CreateWatchdogTimerTaskEx(self, request: Any, context: Any) -> Any:
         def run() -> Any:
             if request.device_name != self.tasks.device:
-                raise CardError(-200220, f"Device identifier is invalid: '{request.device_name}'.")
+                raise CardError(UNKNOWN_DEVICE, f"Device identifier is invalid: '{request.device_name}'.")
             response = self._created(messages.CreateWatchdogTimerTaskExResponse, request.session_name, "watchdog")
             self.tasks.get(response.task.name).timeout = request.timeout
             return response
@@ -91,7 +93,7 @@ class TwinServicer(Attributes):
         def run(task: TwinTask) -> None:
             action = request.action_raw or request.action
             if action != ABORT:
-                raise CardError(-200077, f"The twin aborts tasks; it does not know action {action}.")
+                raise CardError(UNSUPPORTED, f"The twin can only abort a task; got action {action}.")
             self.tasks.stop(task)
             task.buffer = None
 
@@ -242,5 +244,5 @@ def _terminal(request: Any) -> str:
     """How inputs are wired; by default as the card prefers it."""
     number = request.terminal_config_raw or request.terminal_config
     if number not in TERMINALS:
-        raise CardError(-200077, f"Requested value is not supported: terminal configuration {number}.")
+        raise CardError(UNSUPPORTED, f"Requested value is not supported: terminal configuration {number}.")
     return TERMINALS[number]

@@ -14,14 +14,26 @@ from typing import Literal, get_args
 from smolbot.core.closing import Closing
 
 SupplyFault = Literal["off", "stalled", "wrong id", "garbled"]
-"""``off``: no power, connections break. ``stalled``: takes commands, says nothing. ``wrong id``: says it is another
-model. ``garbled``: answers with noise."""
+"""``off``: no power, connections are lost. ``stalled``: accepts commands, does not answer. ``wrong id``: identifies as
+another model. ``garbled``: answers with noise."""
 
 LOAD = 6.0
-"""What hangs on each output, in ohm: an idle amplifier."""
+"""Load of each output, in ohm: an idle amplifier."""
 
 QUEUE = 16
-"""Errors that are kept; when full, the last one says so, as SCPI-99 asks."""
+"""Length of the error queue; when full, its last entry is the overflow error of SCPI-99."""
+
+MIN_CURRENT = 0.001
+"""Smallest current limit, in A."""
+
+DIGITS = 3
+"""Decimals, in V and A, of a setting."""
+
+LONGEST_LINE = 1000
+"""Bytes of a command."""
+
+POLL = 0.05
+"""Time, in s, between two checks whether the server ends."""
 
 NO_ERROR = '0,"No error"'
 OVERFLOW = '-350,"Queue overflow"'
@@ -156,7 +168,7 @@ def _numeric(text: str, low: float, high: float) -> float:
         raise _ScpiError('-104,"Data type error"' if text else '-109,"Missing parameter"') from None
     if not low <= value <= high:
         raise _ScpiError('-222,"Data out of range"')
-    return round(value, 3)
+    return round(value, DIGITS)
 
 
 def _boolean(text: str) -> bool:
@@ -201,7 +213,7 @@ def _apply(supply: SupplyModel, text: str) -> None:
     if output:
         _choose(supply, output.strip())
     _set_number("voltage", 0.0, _max_voltage)(supply, voltage.strip())
-    _set_number("current", 0.001, _max_current)(supply, current.strip())
+    _set_number("current", MIN_CURRENT, _max_current)(supply, current.strip())
 
 
 def _general(supply: SupplyModel, text: str) -> None:
@@ -247,7 +259,7 @@ _COMMANDS: list[tuple[re.Pattern[str], Act]] = [
         ("APPLy", _apply),
         ("[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]", _set_number("voltage", 0.0, _max_voltage)),
         ("[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]?", _get("voltage")),
-        ("[SOURce:]CURRent[:LEVel][:IMMediate][:AMPLitude]", _set_number("current", 0.001, _max_current)),
+        ("[SOURce:]CURRent[:LEVel][:IMMediate][:AMPLitude]", _set_number("current", MIN_CURRENT, _max_current)),
         ("[SOURce:]CURRent[:LEVel][:IMMediate][:AMPLitude]?", _get("current")),
         ("[SOURce:]VOLTage:PROTection[:STATe]", _set_flag("ovp_on")),
         ("[SOURce:]VOLTage:PROTection[:STATe]?", _get("ovp_on")),
@@ -297,7 +309,7 @@ class SupplyServer(Closing):
 
         self._server = Server(("127.0.0.1", port), Handler)
         self._thread = threading.Thread(
-            target=self._server.serve_forever, kwargs={"poll_interval": 0.05}, name="supply", daemon=True
+            target=self._server.serve_forever, kwargs={"poll_interval": POLL}, name="supply", daemon=True
         )
         self._thread.start()
 
@@ -335,7 +347,7 @@ class SupplyServer(Closing):
         with self._lock:
             self._clients.add(client)
         try:
-            while line := handler.rfile.readline(1000):
+            while line := handler.rfile.readline(LONGEST_LINE):
                 with self._lock:
                     if self.fault == "off":
                         return
@@ -349,7 +361,7 @@ class SupplyServer(Closing):
                     answer = "HAMEG,HMP4040,103029,HW50020003/SW2.70"
                 handler.wfile.write(b"\x7f#!?\n" if fault == "garbled" else answer.encode() + b"\n")
         except OSError:
-            return  # the other side hung up, as clients do
+            return  # the client has disconnected
         finally:
             with self._lock:
                 self._clients.discard(client)
@@ -359,4 +371,4 @@ def _hang_up(client: socket.socket) -> None:
     try:
         client.shutdown(socket.SHUT_RDWR)
     except OSError:
-        return  # it was gone already
+        return  # already disconnected

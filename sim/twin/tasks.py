@@ -9,10 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from sim.twin.cardmodel import CardError, CardModel
+from sim.twin.cardmodel import (
+    NOT_STARTED,
+    UNKNOWN_DEVICE,
+    UNKNOWN_TASK,
+    UNSUPPORTED,
+    WRONG_COUNT,
+    WRONG_SOURCE,
+    CardError,
+    CardModel,
+)
 from smolbot.bench.hardware.products import PRODUCTS, Product
 from smolbot.bench.hardware.waveform import line_bit
 from smolbot.core.arrays import FloatArray
+
+RATE_TOLERANCE = 1e-6
+"""Relative difference of two sample rates that is rounding."""
+
+MIN_SAMPLES = 2
+"""Fewest samples of a finite task, as in the driver."""
 
 
 @dataclass
@@ -72,7 +87,7 @@ class Tasks:
         """A task by its session name."""
         found = self._tasks.get(name)
         if found is None:
-            raise CardError(-200088, f"Task specified is invalid or does not exist: '{name}'.")
+            raise CardError(UNKNOWN_TASK, f"Task specified is invalid or does not exist: '{name}'.")
         return found
 
     def clear(self, name: str) -> None:
@@ -101,7 +116,9 @@ class Tasks:
         for name in expanded(names):
             device, _, channel = name.partition("/")
             if device != self.device:
-                raise CardError(-200220, f"Device identifier is invalid: '{device}'; this machine has '{self.device}'.")
+                raise CardError(
+                    UNKNOWN_DEVICE, f"Device identifier is invalid: '{device}'; this machine has '{self.device}'."
+                )
             if channel not in exist:
                 raise CardError(-200170, f"Physical channel specified does not exist on this device: '{name}'.")
             if channel in task.channels:
@@ -109,17 +126,17 @@ class Tasks:
             task.channels.append(channel)
         ranges = self.product.input_ranges if kind == "ai" else self.product.output_ranges
         if span is not None and max(abs(span[0]), abs(span[1])) > max(ranges):
-            raise CardError(-200077, f"Requested value is not supported: ±{max(ranges):g} V is the widest range.")
+            raise CardError(UNSUPPORTED, f"Requested value is not supported: ±{max(ranges):g} V is the widest range.")
         task.kind = kind
 
     def clock(self, task: TwinTask, rate: float, source: str, count: int) -> None:
         """Give a task a sample clock and a length."""
         if task.kind in ("", "di"):
-            raise CardError(-200077, "This task cannot have a sample clock.")
+            raise CardError(UNSUPPORTED, "This task cannot have a sample clock.")
         if task.running:
             raise CardError(-200557, "The task is running; its timing cannot be changed.")
         if task.kind == "do" and not set(task.channels) <= set(self.product.clocked_lines):
-            raise CardError(-200077, "Only lines of port 0 follow a sample clock.")
+            raise CardError(UNSUPPORTED, "Only lines of port 0 follow a sample clock.")
         most = (
             self.product.max_input_rate / max(len(task.channels), 1)
             if task.kind == "ai"
@@ -127,11 +144,11 @@ class Tasks:
         )
         wanted = self.card.plant.rate if task.kind == "ai" else self.card.section.outputs.rate_hz
         if not 0 < rate <= most:
-            raise CardError(-200077, f"Sample rate {rate:g} exceeds the {most:g} Hz that this task can have.")
-        if abs(rate - wanted) > 1e-6 * wanted:
-            raise CardError(-200077, f"The twin of this bench runs at {wanted:g} Hz; got {rate:g}.")
-        if count < 2:
-            raise CardError(-200077, "A finite task has at least 2 samples a channel.")
+            raise CardError(UNSUPPORTED, f"Sample rate {rate:g} exceeds the {most:g} Hz that this task can have.")
+        if abs(rate - wanted) > RATE_TOLERANCE * wanted:
+            raise CardError(UNSUPPORTED, f"The twin of this bench runs at {wanted:g} Hz; got {rate:g}.")
+        if count < MIN_SAMPLES:
+            raise CardError(UNSUPPORTED, f"A finite task has at least {MIN_SAMPLES} samples per channel.")
         task.rate, task.count, task.source, task.buffer = rate, int(count), source, None
 
     def read(self, task: TwinTask, count: int, timeout: float) -> FloatArray:
@@ -154,16 +171,18 @@ class Tasks:
         """Volts (n_channels, n) for a task's outputs."""
         if self.card.faults.takes("value_out_of_range") or np.any(np.abs(values) > self.card.section.outputs.range_v):
             raise CardError(
-                -200077,
+                UNSUPPORTED,
                 "Requested value is not a supported value for this property: a voltage beyond the range.",
                 written=0,
             )
         if task.count:
             if values.shape[1] != task.count:
-                raise CardError(-200524, f"Write {task.count} samples a channel; got {values.shape[1]}.", written=0)
+                raise CardError(
+                    WRONG_COUNT, f"Write {task.count} samples per channel; got {values.shape[1]}.", written=0
+                )
             task.buffer = values
         elif not auto_start:
-            raise CardError(-200547, "An on-demand write starts the task by itself.", written=0)
+            raise CardError(NOT_STARTED, "An on-demand write starts the task by itself.", written=0)
         else:
             self._must_be_free("ao")
             self.card.set_outputs(self._spread(task, values[:, -1]))
@@ -173,10 +192,10 @@ class Tasks:
         mask = np.uint32(sum(1 << line_bit(line) for line in task.channels))
         if task.count:
             if len(levels) != task.count:
-                raise CardError(-200524, f"Write {task.count} samples; got {len(levels)}.", written=0)
+                raise CardError(WRONG_COUNT, f"Write {task.count} samples; got {len(levels)}.", written=0)
             task.buffer = levels & mask
         elif not auto_start:
-            raise CardError(-200547, "An on-demand write starts the task by itself.", written=0)
+            raise CardError(NOT_STARTED, "An on-demand write starts the task by itself.", written=0)
         else:
             self._must_be_free("do")
             self.card.set_lines(int(levels[-1] & mask))
@@ -196,13 +215,14 @@ class Tasks:
             if task.kind == "ao":
                 if task.trigger != f"/{self.device}/ai/StartTrigger":
                     raise CardError(
-                        -200040, f"The twin's outputs wait for /{self.device}/ai/StartTrigger; got '{task.trigger}'."
+                        WRONG_SOURCE,
+                        f"The twin's outputs wait for /{self.device}/ai/StartTrigger; got '{task.trigger}'.",
                     )
                 self.card.arm(outputs=self._ordered(task))
             else:
                 if task.source != f"/{self.device}/ao/SampleClock":
                     raise CardError(
-                        -200040, f"The twin's lines follow /{self.device}/ao/SampleClock; got '{task.source}'."
+                        WRONG_SOURCE, f"The twin's lines follow /{self.device}/ao/SampleClock; got '{task.source}'."
                     )
                 self.card.arm(lines=task.buffer)
         task.running = True

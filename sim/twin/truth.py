@@ -16,7 +16,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import RigError
 
 BACKLOG = 4096
-"""Blocks of rows that wait for a slow listener, who is let go after that."""
+"""Blocks of rows that wait for a slow listener before it is disconnected."""
 
 
 class TruthServer:
@@ -39,7 +39,9 @@ class TruthServer:
         try:
             self._socket = socket.create_server((host, port))
         except OSError as error:
-            raise RigError(f"The twin's truth cannot listen on {host}:{port}: {error.strerror or error}.") from error
+            raise RigError(
+                f"The twin's truth server cannot listen on {host}:{port}: {error.strerror or error}."
+            ) from error
         self.port: int = self._socket.getsockname()[1]
         self._greeting = (json.dumps(dict(drawn), default=_plain) + "\n").encode("utf-8")
         self._listeners: list[_Listener] = []
@@ -53,7 +55,7 @@ class TruthServer:
             for listener in tuple(self._listeners):
                 try:
                     listener.waiting.put_nowait(data)
-                except queue.Full:  # it must know that rows are missing
+                except queue.Full:  # a listener must not miss rows silently
                     self._listeners.remove(listener)
                     listener.hang_up()
 
@@ -64,7 +66,7 @@ class TruthServer:
                 listener.hang_up()
             self._listeners.clear()
         with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts, which holds the port
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes the accepting thread, which holds the port
         self._socket.close()
 
     def _accept(self) -> None:
@@ -78,13 +80,13 @@ class TruthServer:
     def _send(self, connection: socket.socket) -> None:
         listener = _Listener(connection)
         listener.waiting.put_nowait(self._greeting)
-        with self._lock:  # whoever has read the greeting misses no row
+        with self._lock:  # from the greeting on, no row is missed
             self._listeners.append(listener)
         with connection:
             try:
                 while (data := listener.waiting.get()) is not None:
                     connection.sendall(data)
-            except OSError:  # the listener is gone
+            except OSError:  # the listener has disconnected
                 pass
             with self._lock:
                 if listener in self._listeners:
@@ -102,7 +104,7 @@ class _Listener:
         """End the connection at once, whatever still waits; its thread, if it sleeps, wakes."""
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
-        with contextlib.suppress(queue.Full):  # then it is not asleep
+        with contextlib.suppress(queue.Full):  # then it is not waiting
             self.waiting.put_nowait(None)
 
 

@@ -34,13 +34,22 @@ if TYPE_CHECKING:
 CONTROL = "127.0.0.1:31765"
 
 LOOK = 0.02
-"""Seconds between two looks at whether a fault is over."""
+"""Time, in s, between two checks whether a fault is over."""
 
 SWITCH = 5e-4
-"""Seconds after which one thread lets another go on: a reader must not wait for the card's thread, nor it for him."""
+"""Time, in s, after which a thread yields to another: readers and the card's thread must not wait for each other."""
+
+STREAM = 5
+"""Random stream of a seed for the operator's delays; the tank uses 0 to 4."""
+
+CLEAR_TIMEOUT = 2.0
+"""Longest time, in s, for the stage to reset after its faults are cleared."""
+
+WARM_UP = (500, 250)
+"""Samples that are played and read at first, so that all kernels are compiled."""
 
 FOR_GOOD = 1_000_000
-"""Lines of the serial port: more than any mission sends."""
+"""Lines of the serial port for which a permanent fault lasts: more than any mission sends."""
 
 SERIAL_FAULTS = ("serial_unplugged", "serial_garbled", "serial_truncated", "firmware_reset", "firmware_hung")
 
@@ -80,7 +89,7 @@ class Twin:
         self.card = CardModel(section, self.plant, self._between)
         self.card.faults.add_listener(self._fault)
         drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.drawn()}
-        own = np.random.default_rng([seed, 5])
+        own = np.random.default_rng([seed, STREAM])
         self._hand = Hand(rig.magnet.move_s, settings.lateness, own) if section.stage else None
         self._told = -math.inf
         self._seen = 0
@@ -110,14 +119,14 @@ class Twin:
             raise
         sys.setswitchinterval(SWITCH)
         gc.collect()
-        gc.freeze()  # a look through all that was imported would stop the card's thread for a tenth of a second
+        gc.freeze()  # garbage collection of all imports would stop the card's thread for 0.1 s
         self.card.start()
 
     def _warm_up(self) -> None:
         """Compile what the card's thread must not wait for."""
-        self.plant.advance(np.zeros((len(self.plant.loads), 500)))
+        self.plant.advance(np.zeros((len(self.plant.loads), WARM_UP[0])))
         self.plant.begin_acquisition()
-        self.plant.volts(0, 250)
+        self.plant.volts(0, WARM_UP[1])
 
     def _open_stage(self, section: StageSection) -> None:
         from sim.twin.uno import SimulatedUno
@@ -186,7 +195,7 @@ class Twin:
             self.stage.garble(0)
             self.stage.truncate(0)
             self.stage.reset()
-            end = time.monotonic() + 2.0
+            end = time.monotonic() + CLEAR_TIMEOUT
             while self.stage.lamp is not None and time.monotonic() < end:
                 time.sleep(LOOK)
             self._hand.put_away()

@@ -18,7 +18,13 @@ from sim.twin.unostate import MAGIC, SharedState
 from smolbot.errors import RigError
 
 PATIENCE = 5.0
-"""Seconds within which the board starts, and carries out an order."""
+"""Longest time, in s, for the board to start, and to carry out an order."""
+
+POLL = 5e-4
+"""Time, in s, between two checks of the board's state."""
+
+NEAR_LAMP, AWAY_LAMP = 1, 2
+"""Values of the lamp in the shared state."""
 
 
 class SimulatedUno:
@@ -38,7 +44,7 @@ class SimulatedUno:
         self._link: Path | None = None
         self._switches: tuple[bool, bool] | None = None
         self._orders = 0
-        self._ordering = threading.Lock()  # switches are set in one thread, faults come in another
+        self._ordering = threading.Lock()  # switches are set in one thread, faults in another
         self.state = SharedState(Path(self._folder.name) / "state")
 
     def start(self, link: Path, firmware: Path | None = None) -> None:
@@ -68,7 +74,7 @@ class SimulatedUno:
     def lamp(self) -> Literal["near", "away"] | None:
         """What the lamps ask the operator for."""
         lit = self.state.number("lamp")
-        return "near" if lit == 1 else "away" if lit == 2 else None
+        return "near" if lit == NEAR_LAMP else "away" if lit == AWAY_LAMP else None
 
     @property
     def resets(self) -> int:
@@ -123,7 +129,7 @@ class SimulatedUno:
         process, self._process = self._process, None
         if process is not None:
             assert process.stdin is not None
-            with contextlib.suppress(BrokenPipeError):  # it may have ended by itself, and its last word with it
+            with contextlib.suppress(BrokenPipeError):  # it may have ended by itself
                 process.stdin.close()
             try:
                 process.wait(PATIENCE)
@@ -157,7 +163,7 @@ class SimulatedUno:
                 raise RigError(
                     f"simulated magnet stage: '{action}' took more than {PATIENCE:g} s.", device="magnet stage"
                 )
-            time.sleep(0.0005)
+            time.sleep(POLL)
 
     def _ended(self, action: str) -> None:
         code = None if self._process is None else self._process.poll()

@@ -8,7 +8,11 @@ from pathlib import Path
 import numpy as np
 
 MAGIC = 0x31554E4F
+"""First word of the state when the board has started, as in uno.c."""
+
 RING = 131072
+"""Edges that are kept."""
+
 EDGE = np.dtype([("cycle", "<u8"), ("time", "<f8"), ("pin", "<u4"), ("level", "<u4")])
 STATE = np.dtype(
     [

@@ -16,7 +16,7 @@ IntArray = npt.NDArray[np.int64]
 
 
 SMALL = 64
-"""Elements up to which a dot product is the quickest look at an array."""
+"""Elements up to which a dot product is the fastest check that an array is finite."""
 
 
 def _sums_up(value: FloatArray) -> bool:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 @contextmanager
 def one_thread() -> Iterator[None]:
     """While the block runs, numpy's and scipy's linear algebra use one thread."""
-    import numpy.linalg  # noqa: F401  (what is not loaded yet cannot be limited)
+    import numpy.linalg  # noqa: F401  (a library that is not loaded yet cannot be limited)
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1, user_api="blas"):

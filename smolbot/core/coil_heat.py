@@ -15,22 +15,25 @@ from dataclasses import dataclass
 from smolbot.core.shots import Actuate, Excite, Window
 
 DENSITY = 8960.0
-"""Of copper, in kg/m³."""
+"""Density of copper, in kg/m³."""
 
 HEAT = 385.0
 """Specific heat of copper, in J/(kg K)."""
 
 RESISTIVITY = 1.72e-8
-"""Of copper at 20 degrees Celsius, in ohm m."""
+"""Resistivity of copper at the reference temperature, in ohm m."""
 
 ALPHA = 3.93e-3
-"""Rise of copper's resistance, in 1/K, of that at 20 degrees Celsius."""
+"""Relative rise of copper's resistance per kelvin, in 1/K, from the reference temperature."""
+
+REFERENCE_TEMPERATURE = 20.0
+"""Temperature, in °C, at which copper's constants are given."""
 
 FILM = 10.0
-"""Heat that a surface gives off in still air, in W/(m² K): half by convection, half by radiation."""
+"""Heat transfer from a surface to still air, in W/(m² K): half by convection, half by radiation."""
 
 FILL = 0.8
-"""Largest share of a winding's cross-section that round wire can fill with copper."""
+"""Largest share of a winding's cross-section that is copper, with round wire."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +85,11 @@ def wound_capacity(resistance: float, turns: float, mean_turn: float, section: f
 
 def stepped(coil: Coil, temperature: float, mean_square: float, duration: float, ambient: float) -> float:
     """Temperature in degrees Celsius after `duration` s at a mean square current in A², from `temperature` on."""
+    # heat balance C dT/dt = R I² (1 + alpha (T - T_ref)) - (T - T_ambient) / R_th, linear in T: solved exactly
     power = mean_square * coil.resistance
     rate = (1.0 / coil.thermal_resistance - ALPHA * power) / coil.capacity
-    slope = (power * (1.0 + ALPHA * (temperature - 20.0)) - (temperature - ambient) / coil.thermal_resistance) / (
-        coil.capacity
-    )
+    heating = power * (1.0 + ALPHA * (temperature - REFERENCE_TEMPERATURE))
+    slope = (heating - (temperature - ambient) / coil.thermal_resistance) / coil.capacity
     x = rate * duration
     return temperature + slope * duration * (-math.expm1(-x) / x if x else 1.0)
 

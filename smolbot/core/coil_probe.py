@@ -11,7 +11,7 @@ from smolbot.core.shots import Actuate, Excite, Shot
 from smolbot.errors import InputError
 
 BEFORE, HELD, AFTER = 0.020, 0.040, 0.040
-"""Lengths of a probe, in s: baseline, current, and what is left; 20 ms are a whole period of mains of 50 Hz."""
+"""Durations of a probe's parts, in s: baseline, current on, decay; 20 ms is one period of 50 Hz mains."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,13 @@ from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
 
 WEAKEST = 0.02
-"""Least share of the greatest current that a burst is made with."""
+"""Smallest share of the maximum current that a burst uses."""
+
+MIN_USEFUL_FIELD = 1e-12
+"""Field across the moment, in T per A, below which no coil can drive the cantilever."""
+
+NEGLIGIBLE_DECAY = 1e-6
+"""Damping times duration below which the amplitude grows linearly: the closed form would divide by it."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,7 @@ def drive(
     x, y, z = (pose.rotation @ device.drive_direction_in_body).tolist()
     useful = [bx * x + by * y + bz * z for bx, by, bz in fields.tolist()]
     largest = max(abs(field) for field in useful)
-    if largest < 1e-12:
+    if largest < MIN_USEFUL_FIELD:
         return Drive(max_current * np.eye(len(fields))[0], 0.0)
     mix = [field / largest for field in useful]
     per_ampere = sum(field * part for field, part in zip(useful, mix, strict=True))
@@ -72,6 +78,6 @@ def amplitude_after(field: float, device: Device, inertia: float, cycles: int) -
     omega = 2.0 * math.pi * device.frequency
     growth = device.moment * field / (2.0 * inertia * omega)
     time = cycles / device.frequency
-    if device.damping_model == "linear" or device.damping * time < 1e-6:
+    if device.damping_model == "linear" or device.damping * time < NEGLIGIBLE_DECAY:
         return growth * time
     return growth / device.damping * -math.expm1(-device.damping * time)

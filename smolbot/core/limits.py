@@ -8,6 +8,12 @@ from dataclasses import dataclass
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rotate, Shot
 from smolbot.errors import InterlockError
 
+ROUNDING = 1e-9
+"""Slack on every limit, in its SI unit: values that differ by rounding are equal."""
+
+AXIS_TOLERANCE = 1e-6
+"""Slack on the direction of the stage's axis, in rad."""
+
 
 @dataclass(frozen=True)
 class BrokenLimit:
@@ -82,7 +88,7 @@ class Limits:
                 found.append(
                     BrokenLimit(
                         f"{type(window).__name__} at {at * 1e3:.1f} ms needs the actuation magnet away: near, it "
-                        "saturates the sensors and holds the swing; move it away first."
+                        "saturates the sensors and stops the oscillation; move it away first."
                     )
                 )
             if isinstance(window, Actuate):
@@ -92,13 +98,13 @@ class Limits:
                 found += self._excitation_faults(window)
                 quiet_since = 0.0
             elif isinstance(window, Listen):
-                if quiet_since < self.min_ring_down - 1e-9:
+                if quiet_since < self.min_ring_down - ROUNDING:
                     said = (
                         f"Listening at {at * 1e3:.1f} ms follows a drive after {quiet_since * 1e3:.1f} ms; "
                         f"the coils need {self.min_ring_down * 1e3:.1f} ms of ring-down."
                     )
                     found.append(BrokenLimit(said, self.min_ring_down, quiet_since, "s"))
-                if window.duration > self.max_listen + 1e-9:
+                if window.duration > self.max_listen + ROUNDING:
                     said = f"Listen window must last at most {self.max_listen:g} s; got {window.duration:.3f} s."
                     found.append(BrokenLimit(said, self.max_listen, window.duration, "s"))
             elif isinstance(window, Rotate | MoveMagnet):
@@ -133,9 +139,9 @@ class Limits:
                 name,
             )
             for name, current in zip(self.coils, window.currents, strict=True)
-            if not low - 1e-9 <= current <= self.max_current + 1e-9
+            if not low - ROUNDING <= current <= self.max_current + ROUNDING
         ]
-        if window.duration > self.max_actuation + 1e-9:
+        if window.duration > self.max_actuation + ROUNDING:
             said = f"Actuate must last at most {self.max_actuation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
             found.append(BrokenLimit(said, self.max_actuation, window.duration, "s"))
         return found
@@ -151,9 +157,9 @@ class Limits:
                 f"excitation {name}",
             )
             for name, current in zip("xy", window.currents, strict=True)
-            if not abs(current) <= most + 1e-9
+            if not abs(current) <= most + ROUNDING
         ]
-        if window.duration > self.max_excitation + 1e-9:
+        if window.duration > self.max_excitation + ROUNDING:
             said = f"Excite must last at most {self.max_excitation * 1e3:g} ms; got {window.duration * 1e3:.1f} ms."
             found.append(BrokenLimit(said, self.max_excitation, window.duration, "s"))
         return found
@@ -170,17 +176,17 @@ class Limits:
         if not near:
             found.append(BrokenLimit("Rotate needs the actuation magnet near; it is away."))
         fastest = self.max_rotation_frequency
-        if not 0 < window.frequency <= fastest + 1e-9:
+        if not 0 < window.frequency <= fastest + ROUNDING:
             said = f"Rotate must stay within {fastest:g} Hz; got {window.frequency:g} Hz."
             found.append(BrokenLimit(said, fastest, window.frequency, "Hz"))
         length = math.sqrt(sum(a * a for a in window.axis))
-        if not length > 0 or abs(window.axis[2]) > 1e-6 * length:
+        if not length > 0 or abs(window.axis[2]) > AXIS_TOLERANCE * length:
             found.append(BrokenLimit(f"The stage's axis lies in the horizontal plane; got {window.axis}."))
         elif before is not None:
             along = abs(sum(a * b for a, b in zip(window.axis, before, strict=True)))
             change = math.acos(min(along / length / math.sqrt(sum(a * a for a in before)), 1.0))
             most = self.max_steering_rate * window.duration
-            if change > most + 1e-6:
+            if change > most + AXIS_TOLERANCE:
                 said = (
                     f"The stage steers at most {math.degrees(most):.1f}° within {window.duration:g} s; "
                     f"got {math.degrees(change):.1f}°."

@@ -16,7 +16,7 @@ from smolbot.errors import RigError
 
 DONE = ("", "y", "yes", "done", "ok")
 ABORT = ("q", "quit", "n", "no", "abort")
-_POLL = 0.05  # s
+_POLL = 0.05  # s: between two checks whether the operator has acted
 
 
 class Operator(Protocol):
@@ -88,7 +88,7 @@ class TerminalOperator:
     def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
         """See `Operator.ask`. An answer that says neither is asked for again; the time-out is of them all."""
         with self._alone():
-            out = self._out or sys.stderr  # a progress bar that steps aside gives it back
+            out = self._out or sys.stderr  # a progress bar that is paused restores it
             lines = self._reader()
             lines.forget()
             end = time.monotonic() + timeout
@@ -115,7 +115,7 @@ class TerminalOperator:
             left = end - time.monotonic()
             if left <= 0.0:
                 raise RigError(f"The operator did not answer within {timeout:g} s: '{question}'.")
-            if ended:  # only `until` can tell now
+            if ended:  # only `until` can answer now
                 time.sleep(min(left, _POLL))
                 continue
             try:
@@ -176,7 +176,7 @@ class _DescriptorLines:
             if not read:
                 if not self._held:
                     raise EOFError
-                self._held += b"\n"  # a last line without its end
+                self._held += b"\n"  # a last line without a line break
                 break
             self._held += read
         line, _, self._held = self._held.partition(b"\n")

@@ -11,6 +11,9 @@ from smolbot.core.results import Readable
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.errors import InputError
 
+UNIT_LENGTH = (0.99, 1.01)
+"""Lengths of a quaternion that are accepted and normalised; others are mistakes, not rounding."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose(Readable):
@@ -54,7 +57,7 @@ class Pose(Readable):
         position = as_floats(self.position, (3,), "Pose position")
         orientation = as_floats(self.orientation, (4,), "Pose orientation")
         length = math.sqrt(orientation @ orientation)
-        if not 0.99 < length < 1.01:
+        if not UNIT_LENGTH[0] < length < UNIT_LENGTH[1]:
             raise InputError(f"Pose orientation must be a unit quaternion; got length {length:.4g}.")
         object.__setattr__(self, "position", frozen(position))
         object.__setattr__(self, "orientation", frozen(orientation / length))

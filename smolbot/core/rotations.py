@@ -14,6 +14,7 @@ from numba import njit, types
 from smolbot.core.arrays import FloatArray
 
 _VECTOR, _MATRIX = (types.Array(types.float64, n, "A", readonly=True) for n in (1, 2))
+_SMALL_ANGLE = 1e-12  # rad: below it, sin(x) / x is its limit
 
 
 @njit((types.float64,) * 4, cache=True, error_model="numpy")
@@ -50,7 +51,7 @@ def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
     """Unit quaternion (4,) with non-negative scalar part of a rotation matrix (3, 3)."""
     m = matrix
     xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
-    # the largest component is computed by a root, the others by division with it
+    # the largest component from a square root, the others by division by it: no loss of digits
     if xx + yy + zz >= max(xx, yy, zz):
         w, x, y, z = 1.0 + xx + yy + zz, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     elif xx >= max(yy, zz):
@@ -81,7 +82,7 @@ def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
     """Unit quaternion exp(e) of a rotation vector `e`, shape (3,), in rad."""
     angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     half = 0.5 * angle
-    scale = 0.5 if angle < 1e-12 else np.sin(half) / angle
+    scale = 0.5 if angle < _SMALL_ANGLE else np.sin(half) / angle
     return _quaternion(np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2])
 
 
@@ -89,7 +90,7 @@ def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
 def rotation_vector(quaternion: FloatArray) -> FloatArray:
     """Rotation vector (3,), in rad, of at most pi, of a unit quaternion (4,)."""
     sine = np.sqrt(quaternion[1] ** 2 + quaternion[2] ** 2 + quaternion[3] ** 2)
-    scale = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, abs(quaternion[0])) / sine
+    scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * np.arctan2(sine, abs(quaternion[0])) / sine
     out = np.empty(3)
     for i in range(3):
         out[i] = -scale * quaternion[1 + i] if quaternion[0] < 0.0 else scale * quaternion[1 + i]

@@ -14,6 +14,18 @@ from smolbot.errors import InputError
 
 DampingModel = Literal["linear", "exponential"]
 
+MIN_LENGTH = 1e-9
+"""Length below which a vector has no direction."""
+
+PARALLEL = 1 - 1e-9
+"""Cosine above which the moment lies along the cantilever."""
+
+OUT_OF_PLANE = 1e-6
+"""Component of the moment across the plane of oscillation that is more than rounding."""
+
+PRIOR_AMPLITUDE, PRIOR_AMPLITUDE_STD = 0.75, 0.3
+"""Amplitude and its standard deviation before one is measured, as shares of theta_max."""
+
 
 @dataclass(frozen=True, eq=False)
 class SensorArray:
@@ -50,7 +62,7 @@ class SensorArray:
                 f"SensorArray has {len(positions)} positions but {len(axes)} axes; each sensor needs both."
             )
         lengths = np.linalg.norm(axes, axis=1)
-        if np.any(lengths < 1e-9):
+        if np.any(lengths < MIN_LENGTH):
             raise InputError(f"SensorArray axis {int(np.argmin(lengths))} has no direction.")
         if not self.bandwidth > 0:
             raise InputError(f"SensorArray bandwidth must be positive, in Hz; got {self.bandwidth}.")
@@ -112,7 +124,7 @@ class Device:
     def __post_init__(self) -> None:
         direction = as_floats(self.moment_in_body, (3,), "Device moment_in_body")
         length = float(np.linalg.norm(direction))
-        if length < 1e-9:
+        if length < MIN_LENGTH:
             raise InputError("Device moment_in_body has no direction.")
         object.__setattr__(self, "moment_in_body", frozen(direction / length))
         for name in ("moment", "theta_max", "frequency"):
@@ -123,7 +135,7 @@ class Device:
                 raise InputError(f"Device {name} must not be negative; got {getattr(self, name)}.")
         if self.damping_model not in get_args(DampingModel):
             raise InputError(f"Device damping_model must be 'linear' or 'exponential'; got {self.damping_model!r}.")
-        if abs(self.moment_in_body[1]) > 1e-6:
+        if abs(self.moment_in_body[1]) > OUT_OF_PLANE:
             raise InputError("Device moment_in_body must lie in the plane of oscillation (body x, z).")
 
     @property
@@ -131,7 +143,7 @@ class Device:
         """Mean and standard deviation of the amplitude at the end of a drive, in rad."""
         if self.amplitude is not None and self.amplitude_std is not None:
             return self.amplitude, self.amplitude_std
-        return 0.75 * self.theta_max, 0.3 * self.theta_max
+        return PRIOR_AMPLITUDE * self.theta_max, PRIOR_AMPLITUDE_STD * self.theta_max
 
     @property
     def drive_direction_in_body(self) -> FloatArray:
@@ -142,7 +154,7 @@ class Device:
     @property
     def along_cantilever(self) -> bool:
         """True where the moment lies along the cantilever, so that a half turn about it changes no signal."""
-        return bool(abs(self.moment_in_body[2]) > 1 - 1e-9)
+        return bool(abs(self.moment_in_body[2]) > PARALLEL)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 TURN = 0.5e-3
-"""Seconds after which a thread that computes lets one go on that waits; Python's own 5 ms are long for a watchdog."""
+"""Time, in s, after which a computing thread yields to a waiting one; Python's 5 ms is too long for a watchdog."""
 
 
 @contextmanager

@@ -24,17 +24,23 @@ from smolbot.localization.chain import Taps
 from smolbot.localization.forward import envelope
 
 DEGREE = 6
-"""Highest power of the deflection that is kept; the rest is below 1e-6 of the signal at 30 degrees."""
+"""Highest power of the deflection in the series; the rest is below 1e-6 of the signal at 30 degrees."""
 
 REFERENCE_ANGLE = float(np.radians(30.0))
-"""Deflection that the power series is scaled by, in rad; the series holds up to 40 degrees."""
+"""Deflection, in rad, that scales the power series; the series is valid up to 40 degrees."""
+
+NODE_SPREAD = 1.3
+"""Half range of the Chebyshev nodes, in units of the reference angle: 39 degrees."""
+
+FREQUENCY_STEP, DAMPING_STEP = 0.02, 0.02
+"""Steps, in Hz and 1/s, of the difference quotients for frequency and damping."""
 
 ComplexArray = npt.NDArray[np.complex128]
 
 
 def nodes() -> FloatArray:
     """Chebyshev nodes in theta / REFERENCE_ANGLE at which the field is evaluated, shape (DEGREE + 1,)."""
-    spread: FloatArray = 1.3 * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+    spread: FloatArray = NODE_SPREAD * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
     return spread
 
 
@@ -83,6 +89,7 @@ def time_basis(
     for k in range(1, DEGREE + 1):
         damped = np.where(damping > 0, damping, 0.0) ** k
         for h in range(k % 2, k + 1, 2):
+            # first-order low pass of the sensors, for a wave exp((i h omega - k rate) t)
             lag = 1.0 + (1j * h * omega - k * np.where(damping > 0, rate, 0.0)) / (2.0 * np.pi * bandwidth)
             out[k, h] = harmonic_weight(k, h) * np.sum(chain.weights * damped * wave**h / lag, axis=1)
     return out
@@ -109,7 +116,7 @@ def functions_and_slopes(
         changed = replace(device, frequency=frequency, damping=damping)
         return real_functions(time_basis(changed, chain, sample_rate, time_since_drive, bandwidth))
 
-    df, dd = 0.02, 0.02
+    df, dd = FREQUENCY_STEP, DAMPING_STEP
     f, d = device.frequency, max(device.damping, dd)
     by_frequency = (of(f + df, device.damping) - of(f - df, device.damping)) / (2.0 * df)
     by_damping = (of(f, d + dd) - of(f, d - dd)) / (2.0 * dd)

@@ -21,7 +21,7 @@ from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.noise.whitening import BLOCK, blocks
 
 N_PHASES = 4
-"""Phases of the oscillation, half a turn in all, over which a bound is averaged."""
+"""Phases of the oscillation, over half a turn, across which a bound is averaged."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,9 @@ class Response:
         self.amplitude = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
         covariance = noise.covariance(n_blocks, size / window.sample_rate)
         free = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True), mode="complete")[0]
-        kept = free[:, trend + 1 :]  # what the free polynomials leave
+        kept = free[:, trend + 1 :]  # complement of the free polynomials
         n = len(sensors)
+        # noise of the blocks after the polynomials are removed, and the matrix that makes it white
         middle = np.einsum("ta,itju,ub->iajb", kept, covariance.reshape(n, n_blocks, n, n_blocks), kept, optimize=True)
         whiten = _inverse_factor(middle.reshape(n * kept.shape[1], -1), noise, size / window.sample_rate)
         self._whiten = np.einsum("mja,ta->mjt", whiten.reshape(len(whiten), n, -1), kept, optimize=True)

@@ -19,6 +19,19 @@ WINDOW = 50
 """Length of each moving mean, in samples: 1 ms at the paper's 50 kS/s."""
 
 _REACH = 2 * WINDOW + 4
+"""Samples either side that two moving means and a central difference use."""
+
+_ROUNDING = 1e-9
+"""Share of a half-period that is rounding."""
+
+SAME_AXIS = np.cos(np.radians(2.0))
+"""Cosine of the angle within which two sensors have the same axis."""
+
+EDGE_SHARE = 8
+"""A short recording is inset by at most this part of its length."""
+
+POINTS_PER_HALF_PERIOD = 4
+"""Samples of the filtered signal that are used per half-period."""
 
 
 def moving_mean(signal: FloatArray, window: int = WINDOW, *, later: bool = False) -> FloatArray:
@@ -51,7 +64,7 @@ def filtered(signal: FloatArray, sample_rate: float) -> FloatArray:
 
 def whole_half_periods(n_samples: int, sample_rate: float, frequency: float) -> int:
     """Number N of half-periods that a recording holds; one sample short still counts."""
-    return int(np.floor((n_samples + 1) * 2.0 * frequency / sample_rate + 1e-9))
+    return int(np.floor((n_samples + 1) * 2.0 * frequency / sample_rate + _ROUNDING))
 
 
 def sample_points(n_samples: int, sample_rate: float, frequency: float) -> FloatArray:
@@ -72,12 +85,12 @@ def sample_points(n_samples: int, sample_rate: float, frequency: float) -> Float
             f"lasts {500.0 / frequency:.2f} ms, and at least one is needed."
         )
     cut = min(n_samples - 1, round(half_periods * sample_rate / (2.0 * frequency)))
-    inset = min(EDGE, cut // 8)
-    return np.round(np.linspace(inset, cut - inset, 4 * half_periods + 1))
+    inset = min(EDGE, cut // EDGE_SHARE)
+    return np.round(np.linspace(inset, cut - inset, POINTS_PER_HALF_PERIOD * half_periods + 1))
 
 
 EDGE = WINDOW // 2
-"""How far the outermost samples are drawn in: half a moving mean, see docs/decisions."""
+"""Samples by which the outermost points are inset: half a moving mean, see docs/decisions."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +154,7 @@ def difference_matrix(axes: FloatArray, positions: FloatArray) -> FloatArray:
     left = list(range(len(axes)))
     while left:
         lead = left[0]
-        group = [i for i in left if abs(axes[i] @ axes[lead]) > np.cos(np.radians(2.0))]
+        group = [i for i in left if abs(axes[i] @ axes[lead]) > SAME_AXIS]
         left = [i for i in left if i not in group]
         middle = positions[group].mean(axis=0)
         reference = min(group, key=lambda i: float(np.linalg.norm(positions[i] - middle)))

@@ -17,10 +17,25 @@ from smolbot.localization.basis import labels
 from smolbot.localization.problem import Fit, Problem
 
 TURNS = 12
-"""Orientations tried about the direction of swing."""
+"""Orientations that are tried about the direction of the oscillation."""
 
 FINALS = 10
-"""Fits that are followed to their end."""
+"""Fits that are continued to convergence."""
+
+FIRST_STEPS, FINAL_STEPS = 4, 60
+"""Iterations of the fit from every start, and of the best ones."""
+
+MIN_AMPLITUDE, MAX_AMPLITUDE = 0.1, 0.95
+"""Range of the first amplitude, as shares of the largest: a fit must not start at its bound."""
+
+SAME_POSITION, SAME_ROTATION = 1e-3, 1.0 + 2.0 * np.cos(np.radians(5.0))
+"""Two fits are one within this distance, in m, and above this trace of their relative rotation (5 degrees)."""
+
+MIN_DISTANCE = 2.0
+"""Distance of two starts, in grid spacings."""
+
+GRID_ROUNDING = 1e-9
+"""Length, in m, by which the end of a grid may be missed."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +55,7 @@ class SearchVolume:
 
     def grid(self) -> FloatArray:
         """Grid points, shape (n, 3)."""
-        axes = [np.arange(a, b + 1e-9, self.spacing) for a, b in zip(self.low, self.high, strict=True)]
+        axes = [np.arange(a, b + GRID_ROUNDING, self.spacing) for a, b in zip(self.low, self.high, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -63,8 +78,9 @@ def likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list
     gains = kernels.grid_moments(design.T @ design, design.T @ problem.data, model.positions, model.axes, grid, moments)
     starts: list[Start] = []
     for index in np.argsort(-gains):
-        if all(np.linalg.norm(grid[index] - s.magnet) > 2.0 * volume.spacing for s in starts):
+        if all(np.linalg.norm(grid[index] - s.magnet) > MIN_DISTANCE * volume.spacing for s in starts):
             phasor = moments[index, :3] + 1j * moments[index, 3:]
+            # the oscillating moment is linear: the phase that makes its phasor real
             phase = 0.5 * float(np.angle(np.sum(phasor**2)))
             starts.append(Start(grid[index], np.real(phasor * np.exp(-1j * phase)), phase))
         if len(starts) == keep:
@@ -78,12 +94,12 @@ def best_fits(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Fit
     top = problem.model.amplitude_max
     for start in likely_starts(problem, volume, keep):
         size = float(np.linalg.norm(start.swing)) / problem.model.device.moment
-        amplitude = min(max(size, 0.1 * top), 0.95 * top)
+        amplitude = min(max(size, MIN_AMPLITUDE * top), MAX_AMPLITUDE * top)
         for rotation, phase in _orientations(problem, start.swing, start.phase):
             center = start.magnet - problem.model.device.l0 * rotation[:, 2]
-            tries.append(problem.fit(center, rotation, phase, amplitude, iterations=4))
+            tries.append(problem.fit(center, rotation, phase, amplitude, iterations=FIRST_STEPS))
     tries.sort(key=lambda t: t.sse)
-    finals = [problem.fit(t.position, t.rotation, t.phase, t.amplitude, iterations=60) for t in tries[:FINALS]]
+    finals = [problem.fit(t.position, t.rotation, t.phase, t.amplitude, iterations=FINAL_STEPS) for t in tries[:FINALS]]
     finals.sort(key=lambda t: t.sse)
     distinct: list[Fit] = []
     for fit in finals:
@@ -93,8 +109,8 @@ def best_fits(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Fit
 
 
 def _alike(a: Fit, b: Fit) -> bool:
-    near = float(np.linalg.norm(a.position - b.position)) < 1e-3
-    return near and float(np.trace(a.rotation.T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(5.0))
+    near = float(np.linalg.norm(a.position - b.position)) < SAME_POSITION
+    return near and float(np.trace(a.rotation.T @ b.rotation)) > SAME_ROTATION
 
 
 def _orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tuple[FloatArray, float]]:

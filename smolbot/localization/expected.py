@@ -9,8 +9,21 @@ from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device, SensorArray
 from smolbot.localization import basis as time_functions
 from smolbot.localization.chain import Taps
+from smolbot.localization.noise.model import GRADIENT_ISOTROPY
 from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.problem import paper_model
+
+N_PHASES = 4
+"""Phases of the oscillation, over half a turn, across which the covariance is averaged."""
+
+LOW_BAND, LOW_POINTS = (0.5, 50.0), 40
+"""Frequencies, in Hz, where 1/f noise dominates, and points there, evenly spaced in their logarithm."""
+
+HIGH_START, HIGH_STEP = 55.0, 10.0
+"""First of the frequencies above, and their spacing, in Hz."""
+
+BANDWIDTHS, RATE_SHARE = 4.0, 0.45
+"""Highest frequency: in bandwidths of the sensors, and as a share of the sample rate."""
 
 
 def expected_covariance(
@@ -44,7 +57,8 @@ def expected_covariance(
     size = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
     parts = noise_parts(sensors, noise, model.chain, sample_rate, model.mixing)
     covariances = []
-    for phase in np.pi * np.arange(4) / 4.0:
+    # linear propagation for each phase: pose covariance = (J^T J)^-1 J^T C J (J^T J)^-1
+    for phase in np.pi * np.arange(N_PHASES) / N_PHASES:
         _, jacobian = model.response(pose.position, pose.rotation, float(phase), size)
         scale = np.sqrt(np.sum(jacobian**2, axis=0))
         scaled = (jacobian / scale).reshape(len(model.mixing), -1, 8)
@@ -65,12 +79,11 @@ def noise_parts(
     alignment = sensors.axes @ sensors.axes.T
     uniform = noise.mains**2 / 3.0 * alignment
     place, axes = sensors.positions, sensors.axes
-    # isotropic symmetric trace-free G with Frobenius norm sqrt(3) g:
-    # <G_ab G_cd> = 0.3 g² (δac δbd + δad δbc - 2/3 δab δcd)
+    # isotropic symmetric trace-free gradient with Frobenius norm sqrt(3) g
     along = np.einsum("ja,ka->jk", axes, axes) * (place @ place.T)
     crossed = (axes @ place.T) * (axes @ place.T).T
     own = np.einsum("ja,ja->j", axes, place)
-    gradient = 0.3 * noise.mains_gradient**2 * (along + crossed - 2.0 / 3.0 * np.outer(own, own))
+    gradient = GRADIENT_ISOTROPY * noise.mains_gradient**2 * (along + crossed - 2.0 / 3.0 * np.outer(own, own))
     for order, relative in {1: 1.0, **noise.harmonics}.items():
         space = relative**2 * (uniform + gradient).reshape(n, n)
         wave = _response(chain, sample_rate, order * noise.mains_frequency)
@@ -85,9 +98,8 @@ def _response(chain: Taps, sample_rate: float, frequency: float) -> np.ndarray[t
 
 def _sensor_noise(noise: NoiseLevels, chain: Taps, sample_rate: float, bandwidth: float) -> FloatArray:
     """Covariance between output samples of one sensor's own noise."""
-    frequency = np.concatenate(
-        [np.geomspace(0.5, 50.0, 40), np.arange(55.0, min(4.0 * bandwidth, 0.45 * sample_rate), 10.0)]
-    )
+    top = min(BANDWIDTHS * bandwidth, RATE_SHARE * sample_rate)
+    frequency = np.concatenate([np.geomspace(*LOW_BAND, LOW_POINTS), np.arange(HIGH_START, top, HIGH_STEP)])
     density = (noise.floor**2 + max(noise.at_1hz**2 - noise.floor**2, 0.0) / frequency) / (
         1.0 + (frequency / bandwidth) ** 2
     )

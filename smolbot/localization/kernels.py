@@ -12,7 +12,43 @@ import numpy as np
 from numba import njit
 
 N_PARAMETERS = 8
+"""Of a fit: position (3), rotation error (3), phase, amplitude."""
+
 _MU0_OVER_4PI = 1e-7
+"""In T·m/A."""
+
+_FIRST_DAMPING, _MIN_DAMPING, _DAMPING_UP, _DAMPING_DOWN = 1e-3, 1e-12, 10.0, 0.1
+"""Levenberg-Marquardt damping: its start and smallest value, and its factors after a worse and a better step."""
+
+_REFUSED_DAMPING, _WORSE_DAMPING = 1e-6, 1e-9
+"""Damping from which it grows after a matrix that is not positive definite, and after a worse step."""
+
+_ATTEMPTS = 8
+"""Dampings that are tried in one iteration."""
+
+_MAX_SHIFT, _MAX_TURN = 0.02, 0.7
+"""Longest step of a fit, in m and rad: the linear model is not valid farther away."""
+
+_STILL, _STILL_TURN = 1e-9, 1e-8
+"""Step, in m and rad, below which a fit has converged."""
+
+_MIN_AMPLITUDE = 0.02
+"""Smallest amplitude of a fit, as a share of the largest."""
+
+_SINGULAR = 1e-12
+"""Share of its largest value below which a determinant is zero."""
+
+_MAX_INVERSE = 1e11
+"""Entry of a scaled inverse above which a direction carries no information."""
+
+_RIDGE = 1e-9
+"""Share of the trace added to a normal matrix, so that it can be inverted."""
+
+_SMALL_ANGLE = 1e-14
+"""Angle, in rad, below which a rotation is none."""
+
+_TINY = 1e-30
+"""Length, in m or rad, that keeps a quotient finite."""
 
 
 @njit(cache=True, error_model="python", fastmath=True)
@@ -42,19 +78,22 @@ def series(positions, axes, moment, l0, angles, powers, position, rotation, valu
             dm = dx * m[0] + dy * m[1] + dz * m[2]
             da = dx * ax + dy * ay + dz * az
             ma = m[0] * ax + m[1] * ay + m[2] * az
-            # field along the axis; g its gradient for d = sensor - magnet; h its gradient for the moment
+            # field along the sensor's axis; g: its gradient with respect to d = sensor - magnet, h: to the moment
             raw[j, node, 0] = f5 * dm * da - f3 * ma
             common = f5 * (ma - 5.0 * dm * da * inverse)
             gx = common * dx + f5 * (m[0] * da + ax * dm)
             gy = common * dy + f5 * (m[1] * da + ay * dm)
             gz = common * dz + f5 * (m[2] * da + az * dm)
             hx, hy, hz = f5 * da * dx - f3 * ax, f5 * da * dy - f3 * ay, f5 * da * dz - f3 * az
+            # derivatives for the position, and for a rotation about the rotation centre (world frame): the magnet
+            # moves by e x r2, its moment turns by e x m
             raw[j, node, 1] = -gx
             raw[j, node, 2] = -gy
             raw[j, node, 3] = -gz
             raw[j, node, 4] = -(r2[1] * gz - r2[2] * gy) + (m[1] * hz - m[2] * hy)
             raw[j, node, 5] = -(r2[2] * gx - r2[0] * gz) + (m[2] * hx - m[0] * hz)
             raw[j, node, 6] = -(r2[0] * gy - r2[1] * gx) + (m[0] * hy - m[1] * hx)
+    # coefficients of the powers of the deflection
     for j in range(n_sensors):
         for k in range(n_nodes):
             for p in range(7):
@@ -95,7 +134,7 @@ def model(
             turn[f, 0], turn[f, 1] = -np.sin(h * phase), -h * np.cos(h * phase)
     out[:] = 0.0
     jacobian[:] = 0.0
-    now = np.empty(n_out)  # what one power of one channel adds, and per rad of phase
+    now = np.empty(n_out)  # contribution of one power of one channel, and its derivative for the phase
     ahead = np.empty(n_out)
     first = 0
     while first < n_functions:
@@ -168,7 +207,7 @@ _solve_six, _solve_eight = _solver(6), _solver(8)
 def rotate(rotation, e):
     """exp(e) R for a world rotation vector `e`."""
     angle = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
-    if angle < 1e-14:
+    if angle < _SMALL_ANGLE:
         return rotation.copy()
     x, y, z = e[0] / angle, e[1] / angle, e[2] / angle
     s, c = np.sin(angle), np.cos(angle)
@@ -196,7 +235,7 @@ def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
     for i in range(n_out):
         left[i] = data[i] - out[i]
         sse += left[i] * left[i]
-    for a in range(8):
+    for a in range(N_PARAMETERS):
         total = 0.0
         for i in range(n_out):
             total += jacobian[a, i] * left[i]
@@ -224,46 +263,46 @@ def fit(
     """
     n_out = data.shape[0]
     out = np.zeros(n_out)
-    jacobian = np.zeros((8, n_out))
-    normal = np.zeros((8, 8))
-    gradient = np.zeros(8)
+    jacobian = np.zeros((N_PARAMETERS, n_out))
+    normal = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    gradient = np.zeros(N_PARAMETERS)
     position, rotation = position.copy(), rotation.copy()
     model(
         matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
     )
     cost, sse = normal_equations(data, out, jacobian, amplitude, belief, normal, gradient)
-    damping = 1e-3
+    damping = _FIRST_DAMPING
     converged = False
-    trial_normal, trial_gradient = np.zeros((8, 8)), np.zeros(8)
-    right, step = np.zeros((8, 1)), np.zeros(8)
+    trial_normal, trial_gradient = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
+    right, step = np.zeros((N_PARAMETERS, 1)), np.zeros(N_PARAMETERS)
     for _ in range(iterations):
         held = amplitude >= amplitude_max and gradient[7] > 0.0
         accepted = False
-        for _attempt in range(8):
+        for _attempt in range(_ATTEMPTS):
             system = normal.copy()
-            for a in range(8):
+            for a in range(N_PARAMETERS):
                 right[a, 0] = gradient[a]
                 system[a, a] *= 1.0 + damping
-            if held:
-                for a in range(8):
+            if held:  # the amplitude stays at its bound
+                for a in range(N_PARAMETERS):
                     system[a, 7] = 0.0
                     system[7, a] = 0.0
                 system[7, 7] = 1.0
                 right[7, 0] = 0.0
             if not _solve_eight(system, right):
-                damping = max(damping, 1e-6) * 10.0
+                damping = max(damping, _REFUSED_DAMPING) * _DAMPING_UP
                 continue
             length = np.sqrt(right[0, 0] ** 2 + right[1, 0] ** 2 + right[2, 0] ** 2)
             turned = np.sqrt(right[3, 0] ** 2 + right[4, 0] ** 2 + right[5, 0] ** 2)
-            shrink = min(1.0, 0.02 / (length + 1e-30), 0.7 / (turned + 1e-30))
+            shrink = min(1.0, _MAX_SHIFT / (length + _TINY), _MAX_TURN / (turned + _TINY))
             new_position = position.copy()
-            for a in range(8):
+            for a in range(N_PARAMETERS):
                 step[a] = right[a, 0] * shrink
                 if a < 3:
                     new_position[a] += step[a]
             new_rotation = rotate(rotation, step[3:6])
             new_phase = phase + step[6]
-            new_amplitude = min(max(amplitude + step[7], 0.02 * amplitude_max), amplitude_max)
+            new_amplitude = min(max(amplitude + step[7], _MIN_AMPLITUDE * amplitude_max), amplitude_max)
             model(
                 matrix, labels, positions, axes, moment, l0, angles, powers,
                 new_position, new_rotation, new_phase, new_amplitude, out, jacobian,
@@ -277,15 +316,15 @@ def fit(
                 cost, sse = new_cost, new_sse
                 normal, trial_normal = trial_normal, normal
                 gradient, trial_gradient = trial_gradient, gradient
-                damping = max(damping * 0.1, 1e-12)
+                damping = max(damping * _DAMPING_DOWN, _MIN_DAMPING)
                 accepted = True
                 if gain < tolerance and shrink == 1.0:
                     converged = True
                 break
-            if length < 1e-9 and turned < 1e-8:
+            if length < _STILL and turned < _STILL_TURN:
                 converged = True
                 break
-            damping = max(damping, 1e-9) * 10.0
+            damping = max(damping, _WORSE_DAMPING) * _DAMPING_UP
         if converged or not accepted:
             converged = converged or not accepted
             break
@@ -297,18 +336,18 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
     """Phase and amplitude that fit `data` best at a fixed pose; exact for small amplitudes."""
     n_out = data.shape[0]
     first = np.zeros(n_out)
-    jacobian = np.zeros((8, n_out))
+    jacobian = np.zeros((N_PARAMETERS, n_out))
     model(matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
     aa, ab, bb, ay, by = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n_out):
-        second = -jacobian[6, i]  # of the first harmonic, a quarter of a turn away
+        second = -jacobian[6, i]  # first harmonic, a quarter of a period later
         aa += first[i] * first[i]
         ab += first[i] * second
         bb += second * second
         ay += first[i] * data[i]
         by += second * data[i]
     determinant = aa * bb - ab * ab
-    if determinant <= 1e-12 * aa * bb:
+    if determinant <= _SINGULAR * aa * bb:
         return 0.0, guess
     u, v = (bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant
     return np.arctan2(-v, u), guess * np.sqrt(u * u + v * v)
@@ -317,26 +356,26 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
 @njit(cache=True, error_model="numpy")
 def covariance(normal, variance):
     """Covariance (8, 8) of position, rotation, phase and amplitude; infinite where undetermined."""
-    out = np.full((8, 8), np.inf)
-    scale = np.zeros(8)
-    for a in range(8):
+    out = np.full((N_PARAMETERS, N_PARAMETERS), np.inf)
+    scale = np.zeros(N_PARAMETERS)
+    for a in range(N_PARAMETERS):
         if normal[a, a] <= 0.0:
             return out
         scale[a] = 1.0 / np.sqrt(normal[a, a])
-    system = np.zeros((8, 8))
-    inverse = np.eye(8)
-    for a in range(8):
-        for b in range(8):
+    system = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    inverse = np.eye(N_PARAMETERS)
+    for a in range(N_PARAMETERS):
+        for b in range(N_PARAMETERS):
             system[a, b] = normal[a, b] * scale[a] * scale[b]
     if not _solve_eight(system, inverse):
         return out
     worst = 0.0
-    for a in range(8):
+    for a in range(N_PARAMETERS):
         worst = max(worst, inverse[a, a])
-    if worst > 1e11:  # a direction with no information to speak of
+    if worst > _MAX_INVERSE:
         return out
-    for a in range(8):
-        for b in range(8):
+    for a in range(N_PARAMETERS):
+        for b in range(N_PARAMETERS):
             out[a, b] = variance * inverse[a, b] * scale[a] * scale[b]
     return out
 
@@ -439,7 +478,7 @@ def grid_moments(gram, right, positions, axes, grid, moments):
         for i in range(6):
             trace += normal[i, i]
         for i in range(6):
-            normal[i, i] += 1e-9 * trace
+            normal[i, i] += _RIDGE * trace
         saved = solution.copy()
         if _solve_six(normal, solution):
             for i in range(6):

@@ -19,7 +19,16 @@ from smolbot.localization import kernels as compiled
 from smolbot.localization.chain import Taps, difference_matrix, taps
 from smolbot.localization.forward import envelope
 
-_kernels: Any = compiled  # the type of a compiled function says nothing of its arguments
+_kernels: Any = compiled  # a compiled function's type does not cover its arguments
+
+AMPLITUDE_SLACK = 1.1
+"""Largest amplitude of a fit, relative to theta_max, which itself is not exact."""
+
+FIRST_AMPLITUDE, MIN_FIRST, MAX_FIRST = 0.5, 0.05, 0.98
+"""Amplitude at which the linear start is computed, and the range of its result, as shares of the largest."""
+
+MAX_CONDITION = 1e10
+"""Condition number above which frequency and damping are not determined."""
 
 
 class Fit(NamedTuple):
@@ -80,7 +89,7 @@ class LinearModel:
     @property
     def amplitude_max(self) -> float:
         """Stop of the deflection, with room for its own error, as a fraction of the reference angle."""
-        return 1.1 * self.device.theta_max / time_functions.REFERENCE_ANGLE
+        return AMPLITUDE_SLACK * self.device.theta_max / time_functions.REFERENCE_ANGLE
 
     @property
     def of_all_arrays(self) -> LinearModel:
@@ -213,6 +222,7 @@ class Problem:
 
         One Gauss-Newton step from a finished fit, with pose, phase and amplitude left free.
         """
+        # what a change of frequency or damping does to the samples, less what the eight parameters explain
         model = self.model
         place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
         out, jacobian = model.response(*place)
@@ -221,7 +231,7 @@ class Problem:
         solve = np.linalg.solve(fit.normal, jacobian.T @ change)
         free = change - jacobian @ solve
         information = free.T @ free
-        if not np.isfinite(information).all() or np.linalg.cond(information) > 1e10:
+        if not np.isfinite(information).all() or np.linalg.cond(information) > MAX_CONDITION:
             return np.zeros(2), np.full((2, 2), np.inf)
         inverse = np.linalg.inv(information)
         uncertainty = np.asarray(variance * inverse, dtype=np.float64)
@@ -231,19 +241,19 @@ class Problem:
         """Best phase and amplitude at a fixed pose, from a linear solve."""
         place = (np.array(position), np.array(rotation, order="C"))
         top = self.model.amplitude_max
-        phase, size = _kernels.linear_start(self.data, *self.model.constants, *place, 0.5 * top)
-        return phase, min(max(size, 0.05 * top), 0.98 * top)
+        phase, size = _kernels.linear_start(self.data, *self.model.constants, *place, FIRST_AMPLITUDE * top)
+        return phase, min(max(size, MIN_FIRST * top), MAX_FIRST * top)
 
 
 MIN_OUTPUTS = 6
-"""Fewest differences, or channels, that can hold the eight unknowns of a fit."""
+"""Fewest differences, or channels, that determine the eight unknowns of a fit."""
 
 
 LEAST_RATE = 10.0
-"""Samples per period of the device, below which its swing is not followed."""
+"""Samples per period of the device below which its oscillation is not resolved."""
 
 FADED = 1e-6
-"""Share of the swing below which nothing is left to hear."""
+"""Share of the amplitude below which an oscillation is not measurable."""
 
 
 def usable_channels(recording: Recording, sensors: SensorArray, device: Device) -> BoolArray:
@@ -260,7 +270,7 @@ def usable_channels(recording: Recording, sensors: SensorArray, device: Device) 
     if not np.isfinite(recording.time_since_drive) or recording.time_since_drive < 0:
         raise InputError(
             "A pose needs a recording after a drive, with time_since_drive of at least 0 s; "
-            f"got {recording.time_since_drive}."
+            f"got {recording.time_since_drive} s."
         )
     if recording.sample_rate < LEAST_RATE * device.frequency:
         raise InputError(
@@ -270,7 +280,7 @@ def usable_channels(recording: Recording, sensors: SensorArray, device: Device) 
     since = recording.time_since_drive
     if not float(envelope(device, np.array([since]))[0]) > FADED:
         raise InputError(
-            f"Nothing is left of the swing {1e3 * since:g} ms after the drive (damping {device.damping:g} 1/s, "
+            f"The oscillation has decayed {1e3 * since:g} ms after the drive (damping {device.damping:g} 1/s, "
             f"{device.damping_model}). Is the time in ms?"
         )
     moving: BoolArray = _kernels.moving(recording.field)
@@ -283,7 +293,7 @@ def require_enough(count: int, what: str, usable: BoolArray) -> None:
         bad = ", ".join(str(i) for i in np.flatnonzero(~usable)) or "none"
         raise InputError(
             f"Only {count} {what} can be used; at least {MIN_OUTPUTS} are needed. "
-            f"Channels saturated, silent or not finite: {bad}."
+            f"Channels saturated, constant or not finite: {bad}."
         )
 
 

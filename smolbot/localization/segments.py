@@ -11,19 +11,25 @@ from smolbot.errors import InputError
 from smolbot.localization.chain import whole_half_periods
 
 STEP = 0.95
-"""Share of the amplitude by which the models of a linear damping are spaced."""
+"""Ratio of amplitudes between neighbouring models of a linear damping."""
 
 LEAST = 1e-3
-"""Share of the amplitude below which an oscillation counts as ended, and no new model is made."""
+"""Share of the amplitude below which an oscillation has ended, and no new model is built."""
 
 DAMPING_ERROR = 0.05
-"""How far the damping may be off; it is what makes an amplitude that was learned early uncertain later."""
+"""Relative standard deviation of the damping: it makes an early amplitude uncertain later."""
 
 AMPLITUDE_FLOOR = 0.002
-"""Share of the amplitude that sensors slightly out of place leave in what is learned of it."""
+"""Smallest relative standard deviation of an amplitude: sensors are not exactly where they should be."""
 
 GATE = 4.0
-"""Standard deviations beyond which an amplitude is not believed; what is believed is widened instead."""
+"""Standard deviations above which an amplitude is rejected; the standard deviation is widened instead."""
+
+WIDENING = 2.0
+"""Factor on the standard deviation after a rejected amplitude."""
+
+ROUNDED_SAMPLES = 1e-6
+"""Share of a sample that is rounding."""
 
 
 def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Recording]:
@@ -39,7 +45,7 @@ def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Rec
     if not 1 <= half_periods <= total:
         raise InputError(f"half_periods must lie within 1 to {total}, what the recording holds; got {half_periods}.")
     length = half_periods * rate / (2.0 * device.frequency)
-    size = min(int(length + 1e-6), n)
+    size = min(int(length + ROUNDED_SAMPLES), n)
     for i in range(total // half_periods):
         first = min(round(i * length), n - size)
         offset = first / rate
@@ -98,7 +104,7 @@ class SharedAmplitude:
         if not math.isfinite(std):
             return self
         if abs(amplitude - self.mean) > GATE * self.std:
-            return replace(self, std=2.0 * self.std)
+            return replace(self, std=WIDENING * self.std)
         return replace(self, mean=amplitude, std=max(std, AMPLITUDE_FLOOR * amplitude))
 
     def scaled(self, device: Device, share: float) -> Device:

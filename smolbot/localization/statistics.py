@@ -17,6 +17,9 @@ import numpy.typing as npt
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
+NO_DIRECTION = 1e-12
+"""Length of a mean of unit vectors below which it has no direction."""
+
 
 def sum_squared_error(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
     """SSE = sum (d - f)²  (Eq. S20).
@@ -112,7 +115,7 @@ def circular_mean(angles: npt.ArrayLike) -> float:
     10.0
     """
     total = np.sum(np.exp(1j * _datasets(angles, "angles"))) / np.size(angles)
-    if abs(total) < 1e-12:
+    if abs(total) < NO_DIRECTION:
         raise InputError("These directions cancel each other; they have no mean.")
     return float(np.angle(total))
 

@@ -9,10 +9,23 @@ import numpy as np
 
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
+from smolbot.localization.kernels import N_PARAMETERS
 from smolbot.localization.problem import Fit, Problem
 
 MIN_ODDS = 12.0
-"""A cold start is trusted if every other solution is worse by this much in chi-square (odds of 400 to 1)."""
+"""Chi-square by which every other solution must be worse for a cold start to be trusted (odds of 400 to 1)."""
+
+SAME_POSITION = 2e-3
+"""Distance, in m, within which two fits have one position."""
+
+SAME_ROTATION = 1.0 + 2.0 * np.cos(np.radians(10.0))
+"""Trace of the relative rotation of two fits above which they have one orientation (10 degrees)."""
+
+FLIPPED_STEPS, FLIPPED_TOLERANCE = 8, 1e-3
+"""Iterations of the fit of the flipped orientation, and the relative gain at which it ends."""
+
+TINY = 1e-300
+"""Residual that keeps a quotient finite."""
 
 
 class Chosen(NamedTuple):
@@ -30,7 +43,7 @@ def choose(problem: Problem, found: list[Fit], device: Device, prior: Pose | Non
     variance = 1.0 if problem.model.white else mean_square(problem, best)
     if not along:
         best, other = _both_twins(problem, best, device)
-        flip_margin = max(1.0, math.sqrt(other.sse / max(best.sse, 1e-300)))
+        flip_margin = max(1.0, math.sqrt(other.sse / max(best.sse, TINY)))
         odds = (other.sse - best.sse) / variance
         if prior is not None and odds < MIN_ODDS and _turned(other, prior) < _turned(best, prior):
             best = other
@@ -42,7 +55,7 @@ def choose(problem: Problem, found: list[Fit], device: Device, prior: Pose | Non
 
 def freedom(problem: Problem) -> int:
     """Degrees of freedom of the residuals of a fit."""
-    return max(problem.data.size - 8, 1)
+    return max(problem.data.size - N_PARAMETERS, 1)
 
 
 def mean_square(problem: Problem, fit: Fit) -> float:
@@ -54,8 +67,11 @@ def _both_twins(problem: Problem, best: Fit, device: Device) -> tuple[Fit, Fit]:
     """Fit the other member of the two-fold ambiguity as well; the better one first."""
     moment = best.rotation @ device.moment_in_body
     turned = 2.0 * moment[:, None] * device.moment_in_body - best.rotation
+    # half a turn about the moment; the magnet stays where it is
     position = best.position + device.l0 * (best.rotation[:, 2] - turned[:, 2])
-    other = problem.fit(position, turned, best.phase + np.pi, best.amplitude, iterations=8, tolerance=1e-3)
+    other = problem.fit(
+        position, turned, best.phase + np.pi, best.amplitude, iterations=FLIPPED_STEPS, tolerance=FLIPPED_TOLERANCE
+    )
     low, high = sorted((best, other), key=lambda t: t.sse)
     return low, high
 
@@ -66,11 +82,11 @@ def _turned(fit: Fit, prior: Pose) -> float:
 
 
 def _same(a: Fit, b: Fit) -> bool:
-    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
-    return near and float(np.trace(a.rotation.T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
+    near = float(np.linalg.norm(a.position - b.position)) < SAME_POSITION
+    return near and float(np.trace(a.rotation.T @ b.rotation)) > SAME_ROTATION
 
 
 def _is_twin(a: Fit, b: Fit) -> bool:
     half_turn = np.array([-1.0, -1.0, 1.0])
-    near = float(np.linalg.norm(a.position - b.position)) < 2e-3
-    return near and float(np.trace((a.rotation * half_turn).T @ b.rotation)) > 1.0 + 2.0 * np.cos(np.radians(10.0))
+    near = float(np.linalg.norm(a.position - b.position)) < SAME_POSITION
+    return near and float(np.trace((a.rotation * half_turn).T @ b.rotation)) > SAME_ROTATION

@@ -11,13 +11,34 @@ from smolbot.paths.outline import Outline
 from smolbot.paths.polylines import arc_of, nearest_place, place_at
 
 CORNER = np.radians(20.0)
-"""Turns beyond it are corners; below, samples of a bend."""
+"""Turns above this angle, in rad, are corners; smaller ones are samples of a bend."""
 
 REVERSAL = np.radians(170.0)
-"""Turns beyond it go back the way they came, and cannot be rounded."""
+"""Turns above this angle, in rad, reverse the path and cannot be rounded."""
 
 FINE = np.radians(5.0)
-"""Turn between two points of an arc."""
+"""Turn between two points of an arc, in rad."""
+
+MERGED = 1e-6
+"""Distance, in mm, below which two points are one."""
+
+SHORT = 1.0 - 1e-6
+"""Share of the radius asked for below which a fillet counts as short."""
+
+TINY = 1e-12
+"""Chord of two equal points: keeps the quotient finite."""
+
+ROUNDING = 1e-9
+"""Slack on a length along a side, in mm."""
+
+ROUNDED_STEPS = 1e-6
+"""Share of a step of an arc that is rounding, not one more step."""
+
+RADIUS_STEPS, CENTER_STEPS = 30, 40
+"""Bisections for the largest radius that fits, and for the centre of an arc along a bend."""
+
+SCAN_POINTS = 33
+"""Places along a bend at which a first centre of the arc is looked for."""
 
 
 def directions(points: FloatArray) -> FloatArray:
@@ -51,7 +72,7 @@ def curvature(points: FloatArray) -> FloatArray:
     found = np.zeros(len(points))
     turn = turns(points)
     chord = np.linalg.norm(points[2:] - points[:-2], axis=1)
-    found[1:-1] = np.where(turn > CORNER, 0.0, 2.0 * np.sin(turn) / np.maximum(chord, 1e-12))
+    found[1:-1] = np.where(turn > CORNER, 0.0, 2.0 * np.sin(turn) / np.maximum(chord, TINY))
     return found
 
 
@@ -82,13 +103,13 @@ def rounded(points: FloatArray, radius: float) -> Outline:
         back, arc, size, onward = fillet or (0.0, points[corner][None], 0.0, 0.0)
         if turn[corner - 1] > REVERSAL:
             kept += 1
-        elif size < radius * (1.0 - 1e-6):
+        elif size < radius * SHORT:
             short.append((size, points[corner]))
         parts += [_part(sides[k], start, lengths[k] - back), arc]
         start = onward
     parts.append(_part(sides[-1], start, lengths[-1]))
     whole = np.vstack(parts)
-    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > 1e-6])
+    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > MERGED])
     remarks = []
     if short:
         least, where = min(short, key=lambda item: item[0])
@@ -105,12 +126,12 @@ def rounded(points: FloatArray, radius: float) -> Outline:
 def _part(side: FloatArray, low: float, high: float) -> FloatArray:
     """What two arcs leave of a side: a point, where it is nothing."""
     arc = arc_of(side)
-    inner = side[(arc > low + 1e-9) & (arc < high - 1e-9)]
+    inner = side[(arc > low + ROUNDING) & (arc < high - ROUNDING)]
     return np.vstack([place_at(side, min(low, high)), inner, place_at(side, high)])
 
 
 Fillet = tuple[float, FloatArray, float, float]
-"""Length that an arc takes of the side before, its points, its radius, and length that it takes of the side after."""
+"""Length of the side before that the arc replaces, its points, its radius, and the same length of the side after."""
 
 
 def _largest_arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float) -> Fillet | None:
@@ -119,7 +140,7 @@ def _largest_arc(before: FloatArray, after: FloatArray, room: tuple[float, float
     if found is not None:
         return found
     low, high = 0.0, radius
-    for _ in range(30):
+    for _ in range(RADIUS_STEPS):
         middle = 0.5 * (low + high)
         tried = _arc(before, after, room, middle)
         if tried is None:
@@ -144,7 +165,7 @@ def _arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radiu
         back, onward, center = bent
     p, q = place_at(before, back) - center, place_at(after, onward) - center
     angle = float(np.arccos(np.clip(p @ q / np.linalg.norm(p) / np.linalg.norm(q), -1.0, 1.0)))
-    share = np.linspace(0.0, 1.0, max(int(np.ceil(angle / FINE - 1e-6)), 2) + 1)[:, None]
+    share = np.linspace(0.0, 1.0, max(int(np.ceil(angle / FINE - ROUNDED_STEPS)), 2) + 1)[:, None]
     sweep = (np.sin((1.0 - share) * angle) * p + np.sin(share * angle) * q) / np.sin(angle)
     return back, center + sweep, radius, onward
 
@@ -159,7 +180,7 @@ def _bent(
     ways, arc = directions(before), arc_of(before)
     beside = directions(after)[0]
     normals = []
-    for way in ways:  # carried along the bend without turning about it
+    for way in ways:  # parallel transport: no turn about the bend's own direction
         beside = beside - (beside @ way) * way
         beside = beside / np.linalg.norm(beside)
         normals.append(beside)
@@ -172,13 +193,13 @@ def _bent(
     def gap(s: float) -> float:
         return nearest_place(after, center(s))[1] - radius
 
-    steps = np.linspace(0.0, room[0], 33)
+    steps = np.linspace(0.0, room[0], SCAN_POINTS)
     first = next((i for i, s in enumerate(steps) if i and gap(s) >= 0.0), None)
     if first is None:
         return None
     low, high = float(steps[first - 1]), float(steps[first])
-    for _ in range(40):
+    for _ in range(CENTER_STEPS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if gap(middle) < 0.0 else (low, middle)
     onward = nearest_place(after, center(high))[0]
-    return (high, onward, center(high)) if 0.0 < onward <= room[1] + 1e-9 else None
+    return (high, onward, center(high)) if 0.0 < onward <= room[1] + ROUNDING else None

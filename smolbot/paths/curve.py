@@ -12,7 +12,17 @@ import numpy as np
 from smolbot.core.arrays import FloatArray, as_floats, frozen
 from smolbot.core.text_table import read_table
 from smolbot.errors import InputError
+from smolbot.paths.corners import CORNER
 from smolbot.paths.speed_profile import SpeedProfile
+
+MIN_STEP = 1e-9
+"""Distance, in m, below which two points of a path coincide."""
+
+ROUNDING = 1e-9
+"""Share of a step that is rounding, not one more step."""
+
+TINY = 1e-30
+"""Squared length, in m², of a segment without a horizontal part: keeps its quotient finite."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +48,7 @@ class Curve:
         if len(points) < 2:
             raise InputError(f"A path needs at least two points; got {len(points)}.")
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if np.any(steps < 1e-9):
+        if np.any(steps < MIN_STEP):
             raise InputError(f"Path points {int(np.argmin(steps))} and {int(np.argmin(steps)) + 1} coincide.")
         object.__setattr__(self, "points", frozen(points))
 
@@ -63,13 +73,14 @@ class Curve:
         steps = np.diff(self.points, axis=0)[index]
         return steps / np.linalg.norm(steps, axis=1, keepdims=True)
 
-    def sampled(self, spacing: float, corner: float = np.radians(20.0)) -> FloatArray:
+    def sampled(self, spacing: float, corner: float = CORNER) -> FloatArray:
         """Arc lengths at most `spacing` m apart that include the start, every corner and the end."""
         steps = np.diff(self.points, axis=0)
         steps = steps / np.linalg.norm(steps, axis=1, keepdims=True)
         turns = np.arccos(np.clip(np.sum(steps[1:] * steps[:-1], axis=1), -1.0, 1.0))
         stops = np.concatenate([[0.0], self.arc[1:-1][turns > corner], [self.length]])
-        pieces = [np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[1:] for a, b in pairwise(stops)]
+        counts = [max(int(np.ceil((b - a) / spacing - ROUNDING)), 1) for a, b in pairwise(stops)]
+        pieces = [np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(stops), counts, strict=True)]
         return np.concatenate([[0.0], *pieces])
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +100,7 @@ class Curve:
         points = as_floats(points, (None, 3), "points")
         start, step = self.points[:-1, :2], np.diff(self.points[:, :2], axis=0)
         squared = np.sum(step**2, axis=1)
-        fraction = np.einsum("nsk,sk->ns", points[:, None, :2] - start, step) / np.maximum(squared, 1e-30)
+        fraction = np.einsum("nsk,sk->ns", points[:, None, :2] - start, step) / np.maximum(squared, TINY)
         fraction = np.clip(fraction, 0.0, 1.0)
         nearest = start + fraction[..., None] * step
         distance = np.linalg.norm(points[:, None, :2] - nearest, axis=2)

@@ -17,10 +17,19 @@ BOWL = 0.25
 """Radius of the R's bowl as a fraction of its height: the bowl takes the upper half."""
 
 S_TERMINAL = 10.0
-"""Where the S begins and ends on its bowls, in degrees above and below their middle."""
+"""Angle at which the S begins and ends on its bowls, in degrees above and below their middle."""
 
 TURN = np.radians(4.0)
-"""Most turn between two samples of a bend: on one of 5 mm radius a chord is off by 3 µm."""
+"""Largest turn between two samples of a bend, in rad: at a radius of 5 mm a chord deviates by 3 µm."""
+
+HALF_TURN_POINTS, QUARTER_POINTS, S_HALF_POINTS = 49, 33, 65
+"""Points on the bowl of an R, and on the short and the long arc of half an S."""
+
+NEGLIGIBLE = 1e-9
+"""Share of a size, or length in mm, that is rounding."""
+
+STRETCH_DIGITS = 6
+"""Decimals of a glyph's stretch by which its route is kept."""
 
 
 def _letter_r(width: float, height: float) -> FloatArray:
@@ -28,7 +37,7 @@ def _letter_r(width: float, height: float) -> FloatArray:
     radius = BOWL * height
     straight = max(width - radius, 0.0)
     stretch = min(width, radius) / radius
-    angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, 49)
+    angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, HALF_TURN_POINTS)
     bowl = np.stack([straight + stretch * radius * np.cos(angle), height - radius + radius * np.sin(angle)], axis=1)
     return np.concatenate([[[0.0, 0.0], [0.0, height]], bowl, [[0.0, 0.5 * height], [width, 0.0]]])
 
@@ -49,8 +58,8 @@ def _letter_s(width: float, height: float) -> FloatArray:
     radius = BOWL * height
     reach = max(0.5 * width - radius, 0.0)
     stretch = min(0.5 * width, radius) / radius
-    right = np.linspace(np.radians(S_TERMINAL), 0.5 * np.pi, 33)
-    left = np.linspace(0.5 * np.pi, 1.5 * np.pi, 65)
+    right = np.linspace(np.radians(S_TERMINAL), 0.5 * np.pi, QUARTER_POINTS)
+    left = np.linspace(0.5 * np.pi, 1.5 * np.pi, S_HALF_POINTS)
     x = np.concatenate([reach + stretch * radius * np.cos(right), -reach + stretch * radius * np.cos(left)])
     y = radius + radius * np.sin(np.concatenate([right, left]))
     upper = np.stack([x, y], axis=1)
@@ -64,7 +73,7 @@ GLYPHS = {"I": _letter_i, "L": _letter_l, "R": _letter_r, "S": _letter_s}
 def glyph_fault(name: str) -> str | None:
     """Why `name` is no glyph, or None if it is one."""
     if len(name) > 1:
-        return f"a glyph is one character, got {len(name)} ('{name}'); a word has no way from letter to letter."
+        return f"a glyph is one character, got {len(name)} ('{name}'); a word has no path between its letters."
     if not in_font(name):
         return f"no glyph is named '{name}'; known glyphs: {KNOWN}."
     return None
@@ -98,18 +107,18 @@ def drawn_glyph(name: str, width: float, height: float) -> Outline:
         raise InputError(fault[0].upper() + fault[1:])
     if name in GLYPHS:
         points = GLYPHS[name](width, height)
-        keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9])
+        keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > NEGLIGIBLE])
         return Outline(points[keep] - 0.5 * np.array([width, height]))
     box = np.array([width, height])
     size = np.ptp(np.vstack(strokes(name)), axis=0)
-    route = _route(name, float(np.round(height * size[0] / (width * size[1]), 6)) if size.all() else 1.0)
+    route = _route(name, float(np.round(height * size[0] / (width * size[1]), STRETCH_DIGITS)) if size.all() else 1.0)
     size = np.ptp(np.vstack(route.pieces), axis=0)
-    scale = np.divide(box, size, out=np.zeros(2), where=size > 1e-9)
+    scale = np.divide(box, size, out=np.zeros(2), where=size > NEGLIGIBLE)
     pieces = [even_samples(piece * scale, TURN) for piece in route.pieces]
     points = np.vstack([pieces[0], *(piece[1:] for piece in pieces[1:])])
     points -= 0.5 * (points.min(axis=0) + points.max(axis=0))
     spread = np.ptp(points, axis=0)
-    points *= np.divide(box, spread, out=np.ones(2), where=spread > 1e-9 * box)  # samples leave out the very extremes
+    points *= np.divide(box, spread, out=np.ones(2), where=spread > NEGLIGIBLE * box)  # samples miss the extremes
     return Outline(points, _remarks(name, route, scale))
 
 

@@ -8,6 +8,12 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 
+PARALLEL = 1e-12
+"""Cross product of two segments below which they are parallel and do not cross."""
+
+ROUNDING = 1e-9
+"""Slack on an arc length, in the unit of the points."""
+
 
 def arc_of(points: FloatArray) -> FloatArray:
     """Arc length at each point, shape (n,)."""
@@ -43,7 +49,7 @@ def crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (apart[..., 0] * db[None, :, 1] - apart[..., 1] * db[None, :, 0]) / cross
         u = (apart[..., 0] * da[:, None, 1] - apart[..., 1] * da[:, None, 0]) / cross
-    meet = (np.abs(cross) > 1e-12) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
+    meet = (np.abs(cross) > PARALLEL) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
     along_a, along_b = arc_of(a), arc_of(b)
     return [
         (
@@ -60,7 +66,7 @@ def split_at(points: FloatArray, places: list[float]) -> list[FloatArray]:
     bounds = [0.0, *places, float(arc[-1])]
     parts = []
     for low, high in pairwise(bounds):
-        inner = points[(arc > low + 1e-9) & (arc < high - 1e-9)]
+        inner = points[(arc > low + ROUNDING) & (arc < high - ROUNDING)]
         parts.append(np.vstack([place_at(points, low), inner, place_at(points, high)]))
     return parts
 

@@ -14,13 +14,16 @@ from smolbot.paths.corners import corner_indices, curvature
 from smolbot.paths.polylines import arc_of
 
 CORNER_RADIUS = 0.25e-3
-"""A corner that is kept counts as a bend of this radius, in m: no robot passes one closer than that."""
+"""Radius, in m, of the bend for which a corner that is kept counts: no robot follows a corner closer."""
 
 FINEST = 0.1e-3
-"""Distance of the places at which a speed is computed, in m."""
+"""Spacing, in m, of the points at which the speed is computed."""
 
 BEND_CHORD = 1e-3
-"""Longer segments are straight, shorter ones may be chords of a bend. In m."""
+"""Length, in m, above which a segment is straight; shorter ones may be chords of a bend."""
+
+MIN_CURVATURE = 1e-12
+"""Curvature, in 1/m, of a straight line: keeps the quotient finite."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ def speed_profile(
         return SpeedProfile(arc[[0, -1]], np.full(2, speed))
     bend = curvature(points)
     bend[corner_indices(points)] = 1.0 / CORNER_RADIUS
-    at_vertex = np.minimum(speed**2, lateral / np.maximum(bend, 1e-12))
+    at_vertex = np.minimum(speed**2, lateral / np.maximum(bend, MIN_CURVATURE))
     places, squares = [arc[:1]], [at_vertex[:1]]
     for (low, high), (before, after) in zip(pairwise(arc), pairwise(at_vertex), strict=True):
         count = max(int(np.ceil((high - low) / FINEST)), 1)
@@ -101,6 +104,7 @@ def speed_profile(
         squares.append(np.append(np.full(count - 1, max(before, after) if chord else speed**2), after))
     s, square = np.concatenate(places), np.concatenate(squares)
     gain = 2.0 * (lateral if acceleration is None else acceleration) * np.diff(s)
+    # forward: no faster than the acceleration allows after the point before; backward: able to brake for the next
     for i in range(1, len(s)):
         square[i] = min(square[i], square[i - 1] + gain[i - 1])
     for i in range(len(s) - 2, -1, -1):

@@ -56,7 +56,7 @@ def test_a_corrupt_file_is_built_anew(coils, tmp_path, builds):
 def test_a_folder_that_cannot_be_written_warns_once_and_builds(coils, tmp_path, builds):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
-    with pytest.warns(RuntimeWarning, match="cannot be kept in .*SMOLBOT_CACHE names another folder"):
+    with pytest.warns(RuntimeWarning, match="cannot be kept in .*Set SMOLBOT_CACHE to another folder"):
         cached_table(coils, *AXES, cache_dir=blocked / "cache")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

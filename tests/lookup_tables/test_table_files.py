@@ -144,7 +144,7 @@ SPREADSHEET_FAULTS = {
     "two of one": (lambda s: replaced(s, "mf.By", "mf.Bx"), "4 Bx, 0 By, 2 Bz; a table needs as many of each"),
     "hole": (lambda s: s[:12] + s[13:], "node x = 2, y = -3, z = -1 is missing"),
     "two holes": (lambda s: s[:12] + s[14:], "is missing; the table must cover the whole grid; 1 more like it"),
-    "twice": (lambda s: [*s, s[12]], ":70: node x = 2, y = -3, z = -1 is there twice, first in line 13"),
+    "twice": (lambda s: [*s, s[12]], ":70: node x = 2, y = -3, z = -1 occurs twice, first in line 13"),
     "nan": (
         lambda s: cut(s, 20, 8, "NaN"),
         ":21: Bz of coil I2=1 is not a number \\('NaN' at x = -2, y = 1, z = -1\\); the table must cover the whole",

@@ -17,7 +17,7 @@ from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError, RigError
 
-LENGTH = 1e3  # Bullet units per metre
+LENGTH = 1e3  # Bullet units per metre: its tolerances are for bodies of about 1
 MASS = 1e6  # Bullet units per kilogram
 WALL = 10.0  # thickness of walls and floor, in Bullet units
 Triple = tuple[float, float, float]
@@ -54,13 +54,13 @@ class Bodies:
 
         if gui and not os.environ.get("DISPLAY"):
             raise InputError(
-                "Bullet's window needs a display, and DISPLAY is not set; leave gui away to run without one."
+                "Bullet's window needs a display, and DISPLAY is not set; omit gui to run without a window."
             )
         self._bullet = pybullet
         self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self._client < 0:
             raise RigError("Bullet could not open a world.")
-        pybullet.setGravity(0, 0, 0, physicsClientId=self._client)  # weight is part of the tank's own forces
+        pybullet.setGravity(0, 0, 0, physicsClientId=self._client)  # weight is one of the tank's forces
         pybullet.setPhysicsEngineParameter(numSubSteps=0, deterministicOverlappingPairs=1, physicsClientId=self._client)
         self._build_container(rig, friction)
         w, x, y, z = (float(v) for v in orientation)
@@ -77,7 +77,7 @@ class Bodies:
             -1,
             mass=mass,
             localInertiaDiagonal=(box_inertia(robot) * MASS * LENGTH**2).tolist(),
-            linearDamping=0.0,  # drag is the tank's own, and implicit
+            linearDamping=0.0,  # the tank computes drag itself, implicitly
             angularDamping=0.0,
             lateralFriction=friction,
             restitution=0.0,

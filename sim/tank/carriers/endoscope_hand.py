@@ -12,12 +12,15 @@ from sim.tank.settings import HandSection
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import quaternion_from_matrix
 
-PICK_UP = 40e-3  # m/s²: how fast a careful hand gathers speed and loses it
-SPACING = 5e-5  # m: between two points of the plan of times
-TICK = 1e-3  # s: between two known poses; straight between them
-TREMOR = np.array([0.9, 1.0, 1.1])  # a hand's tremor is a narrow band, not a line
-TORSION_PERIOD = 16.0  # s: a wrist that follows the view
-GRIP = 0.5  # s: in which tremor and torsion set in and fade
+PICK_UP = 40e-3  # m/s²: acceleration and deceleration of a careful operator
+SPACING = 5e-5  # m: between two points of the time plan
+TICK = 1e-3  # s: between two computed poses; linear between them
+TREMOR = np.array([0.9, 1.0, 1.1])  # frequencies relative to the tremor's: it is a narrow band, not a line
+TORSION_PERIOD = 16.0  # s: of the wrist that follows the view
+GRIP = 0.5  # s: in which tremor and torsion begin and fade
+LAST_STEP = 1.001  # ticks from the end: the last time that still has a pose after it
+MAX_SIGMAS = 2.0  # standard deviations to which sampled values are clipped
+STREAM = 4  # random stream of a seed for the operator; the tank uses 0 to 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,16 +50,16 @@ class Led:
     @classmethod
     def draw(cls, section: HandSection, seed: int) -> Led:
         """Draw a hand; it is one more of the world's own, at every scale of the mismatches."""
-        rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
+        rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, STREAM])))
         shifts = []
         for route in section.routes:
-            shift = section.scatter * np.clip(rng.standard_normal(route.points.shape), -2.0, 2.0)
+            shift = section.scatter * np.clip(rng.standard_normal(route.points.shape), -MAX_SIGMAS, MAX_SIGMAS)
             shift[0] = 0.0
             shifts.append(shift)
         return cls(
             shifts=tuple(shifts),
-            pace=float(np.exp(section.pace_scatter * np.clip(rng.standard_normal(), -2.0, 2.0))),
-            roll=float(section.roll_scatter * np.clip(rng.standard_normal(), -2.0, 2.0)),
+            pace=float(np.exp(section.pace_scatter * np.clip(rng.standard_normal(), -MAX_SIGMAS, MAX_SIGMAS))),
+            roll=float(section.roll_scatter * np.clip(rng.standard_normal(), -MAX_SIGMAS, MAX_SIGMAS)),
             phases=rng.uniform(-np.pi, np.pi, (6, 3)),
             torsion=float(rng.uniform(-np.pi, np.pi)),
         )
@@ -91,7 +94,7 @@ class Hand:
 
     def pose(self, time: float) -> FloatArray:
         """The same (7,) at one time; asked a thousand times a second."""
-        ticks = min(max((time - self.begins) / TICK, 0.0), len(self._poses) - 1.001)
+        ticks = min(max((time - self.begins) / TICK, 0.0), len(self._poses) - LAST_STEP)
         first = int(ticks)
         share = ticks - first
         found = (1.0 - share) * self._poses[first] + share * self._poses[first + 1]
@@ -121,7 +124,7 @@ class Hand:
         rotations = _turns(turned) @ frames @ _rolls(roll)
         quaternions = np.array([quaternion_from_matrix(r) for r in rotations])
         flips = np.sign(np.sum(quaternions[1:] * quaternions[:-1], axis=1))
-        quaternions[1:] *= np.cumprod(flips)[:, None]  # one sign throughout: they are interpolated
+        quaternions[1:] *= np.cumprod(flips)[:, None]  # the same sign throughout: they are interpolated
         return np.concatenate([places + shaken, quaternions], axis=1)
 
     def _where(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -143,6 +146,7 @@ class Hand:
         middle = (np.arange(n) + 0.5) * step
         speed = self._section.speed * self._led.pace
         turning = self._section.turn_rate * self._led.pace
+        # time per length: forward speed, and bends at the rate at which the tip turns; the end is braked for
         pace = 1.0 / (1.0 / speed + np.interp(middle, *route.bends) / turning)
         from_end = np.minimum(middle, route.length - middle)
         pace = np.minimum(pace, np.sqrt(2.0 * PICK_UP * from_end))
@@ -160,7 +164,7 @@ class Hand:
         """Displacement (n, 3) in m and rotation vector (n, 3) in rad, world frame."""
         waves = 2 * np.pi * self._section.tremor_hz * np.multiply.outer(times, TREMOR)
         each = np.sin(waves[:, None, :] + self._led.phases).sum(axis=2) * self._grip(times)[:, None]
-        share = np.sqrt(2.0 / 3.0) / np.sqrt(len(TREMOR))  # so that the root mean square of the whole is one
+        share = np.sqrt(2.0 / 3.0) / np.sqrt(len(TREMOR))  # root mean square of the sum is 1
         return self._section.tremor * share * each[:, :3], self._section.tremor_turn * share * each[:, 3:]
 
 

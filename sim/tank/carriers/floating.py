@@ -29,7 +29,7 @@ class Floating:
         self.hull = Hull.build(rig, robot, settings, truth)
         position, orientation = put_down(rig, robot, truth, self.hull, start)
         self.bodies = Bodies(rig, robot, position, orientation, friction=settings.wall_friction, gui=gui)
-        self.state = self.bodies.state  # asked a thousand times a second: no layer between
+        self.state = self.bodies.state  # called 1000 times per second of flight: no layer between
 
     def begin(self, window: Window, time: float) -> None:
         """Nothing but the coils moves this robot."""

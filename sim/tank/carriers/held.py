@@ -21,6 +21,8 @@ from smolbot.core.shots import Window
 from smolbot.errors import InputError
 
 STILL = (0.0, 0.0, 0.0)
+MAX_SIGMAS = 2.0  # standard deviations to which sampled values are clipped
+STREAM = 4  # random stream of a seed for the place; the tank uses 0 to 3
 
 
 def held(rig: RigConfig, robot: RobotConfig, settings: TankSettings, seed: int) -> Carrier:
@@ -36,7 +38,7 @@ def held(rig: RigConfig, robot: RobotConfig, settings: TankSettings, seed: int) 
     if settings.place is not None:
         return Implanted(rig, settings.place, seed)
     raise InputError(
-        f"{rig.name}: '{robot.name}' is a bare device, and this tank says nothing of what holds it; "
+        f"{rig.name}: '{robot.name}' is a bare device, and this tank does not define what holds it; "
         "its rig file needs [tank.hand] or [tank.place]."
     )
 
@@ -86,8 +88,8 @@ class Implanted:
     """Stays where it was put: near a place, heading anywhere, not quite level."""
 
     def __init__(self, rig: RigConfig, section: PlaceSection, seed: int) -> None:
-        rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
-        draws = np.clip(rng.standard_normal(5), -2.0, 2.0)
+        rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, STREAM])))
+        draws = np.clip(rng.standard_normal(5), -MAX_SIGMAS, MAX_SIGMAS)
         heading = float(rng.uniform(-math.pi, math.pi))
         if section.heading is not None:
             heading = section.heading

@@ -14,8 +14,11 @@ from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
 
-GRAVITY = 9.81
+GRAVITY = 9.81  # m/s²
 Triple = tuple[float, float, float]
+# Entries of `Hull.values`; inertia and the two drags have one for each body axis
+MASS, INERTIA, DRAG, TURN_DRAG, WEIGHT, BUOYANCY = 0, 1, 4, 7, 10, 11
+HEIGHT, SURFACE, MENISCUS, RIGHTING_X, RIGHTING_Z = range(12, 17)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +50,9 @@ class Hull:
         viscosity, radius = rig.sections.medium.viscosity_pa_s, robot.drag_radius
         pull = density * GRAVITY
         draft = min(robot.mass / (density * x * z), y)
-        lever = 0.5 * draft - 0.5 * y  # of the centre of buoyancy over the middle of the housing
+        lever = 0.5 * draft - 0.5 * y  # of the centre of buoyancy above the housing's middle
         line = settings.surface.meniscus_n_per_m2
+        # righting stiffness (N·m/rad): waterplane and lever of the buoyancy, and the line of the meniscus
         about_x = pull * (x * z**3 / 12 + x * z * draft * lever) + line * (x * z**2 / 2 + z**3 / 6)
         about_z = pull * (z * x**3 / 12 + x * z * draft * lever) + line * (z * x**2 / 2 + x**3 / 6)
         values = [
@@ -105,22 +109,23 @@ def float_step(
     xx, xy, xz = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
     yx, yy, yz = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
     zx, zy, zz = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-    height = hull[12]
-    wet = min(max((hull[13] - position[2]) / height + 0.5, 0.0), 1.0)
-    lift = hull[11] * wet - hull[10]
+    height = hull[HEIGHT]
+    wet = min(max((hull[SURFACE] - position[2]) / height + 0.5, 0.0), 1.0)
+    lift = hull[BUOYANCY] * wet - hull[WEIGHT]
     tip_x = tip_z = 0.0
     if 0.0 < wet < 1.0:
-        lift -= hull[14] * (position[2] - float_height)
-        tip_x, tip_z = hull[15] * zz, -hull[16] * zx  # turns body y toward the world's up
+        lift -= hull[MENISCUS] * (position[2] - float_height)
+        tip_x, tip_z = hull[RIGHTING_X] * zz, -hull[RIGHTING_Z] * zx  # turns body y toward the world's up
     force_x, force_y, force_z = magnetic[0] + lift * zx, magnetic[1] + lift * zy, magnetic[2] + lift * zz
-    mass = step / hull[0]
-    u = (velocity[0] * xx + velocity[1] * yx + velocity[2] * zx + mass * force_x) / (1 + mass * hull[4])
-    v = (velocity[0] * xy + velocity[1] * yy + velocity[2] * zy + mass * force_y) / (1 + mass * hull[5])
-    t = (velocity[0] * xz + velocity[1] * yz + velocity[2] * zz + mass * force_z) / (1 + mass * hull[6])
-    ix, iy, iz = step / hull[1], step / hull[2], step / hull[3]
-    p = (spin[0] * xx + spin[1] * yx + spin[2] * zx + ix * (magnetic[3] + tip_x)) / (1 + ix * hull[7])
-    q = (spin[0] * xy + spin[1] * yy + spin[2] * zy + iy * magnetic[4]) / (1 + iy * hull[8])
-    r = (spin[0] * xz + spin[1] * yz + spin[2] * zz + iz * (magnetic[5] + tip_z)) / (1 + iz * hull[9])
+    # velocities in the body frame, with implicit drag: v_new = (v + step F / m) / (1 + step drag / m)
+    mass = step / hull[MASS]
+    u = (velocity[0] * xx + velocity[1] * yx + velocity[2] * zx + mass * force_x) / (1 + mass * hull[DRAG])
+    v = (velocity[0] * xy + velocity[1] * yy + velocity[2] * zy + mass * force_y) / (1 + mass * hull[DRAG + 1])
+    t = (velocity[0] * xz + velocity[1] * yz + velocity[2] * zz + mass * force_z) / (1 + mass * hull[DRAG + 2])
+    ix, iy, iz = step / hull[INERTIA], step / hull[INERTIA + 1], step / hull[INERTIA + 2]
+    p = (spin[0] * xx + spin[1] * yx + spin[2] * zx + ix * (magnetic[3] + tip_x)) / (1 + ix * hull[TURN_DRAG])
+    q = (spin[0] * xy + spin[1] * yy + spin[2] * zy + iy * magnetic[4]) / (1 + iy * hull[TURN_DRAG + 1])
+    r = (spin[0] * xz + spin[1] * yz + spin[2] * zz + iz * (magnetic[5] + tip_z)) / (1 + iz * hull[TURN_DRAG + 2])
     return (
         (xx * u + xy * v + xz * t, yx * u + yy * v + yz * t, zx * u + zy * v + zz * t),
         (xx * p + xy * q + xz * r, yx * p + yy * q + yz * r, zx * p + zy * q + zz * r),

@@ -11,21 +11,23 @@ from sim.tank.settings import TankSettings
 from smolbot.config.document import Fault, KeyPath
 from smolbot.core.arrays import FloatArray
 
-SCATTERS = 2.0  # standard deviations by which a drawn point may lie off
-STEPS = 200  # points of a route that are looked at
+SCATTERS = 2.0  # standard deviations by which a sampled point may deviate
+TREMORS = 2.0  # amplitudes by which tremor may move it
+ROUNDING = 1e-9  # mm
+STEPS = 200  # points of a route that are checked
 
 
 def holding_faults(settings: TankSettings, container: Any) -> list[Fault]:
     """Every reason why what holds a bare device does not go with the `[container]` section."""
     if settings.hand is not None and settings.place is not None:
-        return [Fault(("tank", "place"), "a device is led by [tank.hand] or rests at [tank.place], not both.")]
+        return [Fault(("tank", "place"), "a device is guided by [tank.hand] or rests at [tank.place], not both.")]
     box = _box(container)
-    if box is None:  # its own faults are told elsewhere
+    if box is None:  # its own faults are reported elsewhere
         return []
     low, high = box
     faults: list[Fault] = []
     if settings.hand is not None:
-        room = SCATTERS * settings.hand.scatter_mm + 2.0 * settings.hand.tremor_mm
+        room = SCATTERS * settings.hand.scatter_mm + TREMORS * settings.hand.tremor_mm
         for index, route in enumerate(routes_of(settings.hand)):
             places = 1e3 * route.at(np.linspace(0.0, route.length, STEPS))
             faults += _outside(places, low, high, room, ("tank", "hand", "routes", index, "points_mm"))
@@ -37,7 +39,7 @@ def holding_faults(settings: TankSettings, container: Any) -> list[Fault]:
 
 
 def _outside(places: FloatArray, low: FloatArray, high: FloatArray, room: Any, key: KeyPath) -> list[Fault]:
-    off = np.flatnonzero(np.any((places < low + room - 1e-9) | (places > high - room + 1e-9), axis=1))
+    off = np.flatnonzero(np.any((places < low + room - ROUNDING) | (places > high - room + ROUNDING), axis=1))
     if not off.size:
         return []
     x, y, z = places[off[0]]
@@ -45,7 +47,7 @@ def _outside(places: FloatArray, low: FloatArray, high: FloatArray, room: Any, k
     return [
         Fault(
             key,
-            f"({x:.1f}, {y:.1f}, {z:.1f}) mm lies outside the container; with what is drawn there is room for "
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm lies outside the container; with its random scatter there is room for "
             f"x {a[0]:.1f} to {b[0]:.1f}, y {a[1]:.1f} to {b[1]:.1f}, z {a[2]:.1f} to {b[2]:.1f} mm.",
         )
     ]

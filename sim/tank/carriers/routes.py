@@ -6,7 +6,9 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 
-SPACING = 1e-4  # m: between two points of the fine curve; a bend of 9 mm turns by 0.6 degrees from one to the next
+SPACING = 1e-4  # m: between two points of the fine curve; a bend of 9 mm radius turns by 0.6 degrees between them
+FEWEST = 8  # steps of the fine curve
+STEEP = 0.9  # vertical part of a direction from which x, not up, defines the first side
 
 
 class Route:
@@ -33,7 +35,7 @@ class Route:
         chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         start = direction / np.linalg.norm(direction)
         spline = CubicSpline(chords, points, bc_type=((1, start), (2, np.zeros(3))))
-        fine = np.linspace(0.0, chords[-1], max(int(np.ceil(chords[-1] / SPACING)), 8) + 1)
+        fine = np.linspace(0.0, chords[-1], max(int(np.ceil(chords[-1] / SPACING)), FEWEST) + 1)
         places = spline(fine)
         self._arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
         self._places = places
@@ -71,12 +73,13 @@ def _interpolated(arc: FloatArray, known: FloatArray, values: FloatArray) -> Flo
 def _carried(places: FloatArray, tangents: FloatArray) -> FloatArray:
     """Side vectors (n, 3) that turn with the tangents and do not roll about them."""
     up = np.array([0.0, 0.0, 1.0])
-    if abs(tangents[0, 2]) > 0.9:
+    if abs(tangents[0, 2]) > STEEP:
         up = np.array([1.0, 0.0, 0.0])
     sides = np.empty_like(tangents)
     sides[0] = up - (up @ tangents[0]) * tangents[0]
     sides[0] /= np.linalg.norm(sides[0])
     for i in range(len(tangents) - 1):
+        # rotation-minimising frame by double reflection: in the plane between the points, then between the tangents
         first = places[i + 1] - places[i]
         c = first @ first
         side = sides[i] - 2.0 / c * (first @ sides[i]) * first

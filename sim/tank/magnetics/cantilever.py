@@ -11,24 +11,43 @@ import math
 import numpy as np
 from numba import njit
 
+from sim.tank.magnetics.coil_fields import (
+    COMMAND,
+    COUNTS,
+    CURRENT,
+    FRAME,
+    GAIN,
+    KIND,
+    OFFSET,
+    ORIGIN,
+    PLACE,
+    ROUND,
+    SCALE,
+    SINE,
+    TIME_CONSTANT,
+)  # fmt: skip
 from smolbot.core.arrays import FloatArray
 
 Triple = tuple[float, float, float]
 Quad = tuple[float, float, float, float]
 
-# Entries of `device`: m (A·m²), direction at rest (x, z), l0, theta_max, omega0², friction (rad/s²), damping eta (1/s),
-# restitution of the stops, inertia (kg·m²), middle of the housing seen from the rotation centre (3)
+# Entries of `device`: moment (A·m²), its direction at rest (body x, z), l0, theta_max, squared angular frequency, dry
+# friction (rad/s²), damping (1/s), restitution of the stops, inertia (kg·m²), middle of the housing seen from the
+# rotation centre (3)
+MOMENT, REST_X, REST_Z, L0, THETA_MAX, OMEGA_SQUARED, FRICTION, ETA, RESTITUTION, INERTIA, MIDDLE = range(11)
 # Entries of `state`: deflection (rad), rate (rad/s), time in the window (s), angular frequency of the drive (rad/s)
+DEFLECTION, RATE, TIME, DRIVE = range(4)
 STATE_LENGTH = 4
-# Columns of `circuits`: current (A), constant command (A), amplitude of a sine command (A), time constant (s)
-LIVE = 1e-5  # A: below it a coil moves nothing (its field is below 1e-8 T)
-SILENT = 1e-12  # A: below it no sensor hears it
+ON_AXIS = 1e-9  # m: radius below which the field has no radial part
+LIVE = 1e-5  # A: below it a coil moves nothing: its field is below 1e-8 T
+SILENT = 1e-12  # A: below it no sensor measures its field
 
 
 @njit(cache=True, error_model="numpy")
 def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad, Quad]:
     """First coefficient of the cell that holds x (beyond the table the outermost cell), the four cubic B-spline weights
     and their derivatives."""
+    # weights of four cubic B-splines, and of their derivatives
     u = (x - origin) * scale
     i = max(1, min(math.floor(u), count - 3))
     t = min(max(u - i, 0.0), 1.0)
@@ -44,10 +63,10 @@ def _round_field(
 ) -> None:
     """Field (3,) and gradient (3, 3) of a round coil at a point in its own frame, T per A and T per (A m)."""
     radius = math.sqrt(x * x + y * y)
-    n_heights = int(row[3])
-    i, wr, dr = _cell(radius, row[5], row[8], int(row[2]))
-    j, wh, dh = _cell(z, row[6], row[8], n_heights)
-    start = int(row[1])
+    n_heights = int(row[COUNTS + 1])
+    i, wr, dr = _cell(radius, row[ORIGIN], row[SCALE], int(row[COUNTS]))
+    j, wh, dh = _cell(z, row[ORIGIN + 1], row[SCALE], n_heights)
+    start = int(row[OFFSET])
     br = bz = brr = brz = bzr = bzz = 0.0
     for p in range(4):
         at = start + 2 * ((i + p) * n_heights + j)
@@ -63,7 +82,7 @@ def _round_field(
         bzr += dr[p] * axial
         brz += wr[p] * radial_slope
         bzz += wr[p] * axial_slope
-    if radius > 1e-9:
+    if radius > ON_AXIS:
         c, s, across = x / radius, y / radius, br / radius
     else:
         c, s, across = 1.0, 0.0, brr
@@ -78,11 +97,11 @@ def _round_field(
 @njit(cache=True, error_model="numpy")
 def _flat_field(x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray) -> None:
     """Field (3,) and gradient (3, 3) of a flat coil at a point in its own frame, T per A and T per (A m)."""
-    ny, nz = int(row[3]), int(row[4])
-    i, wx, dx = _cell(x, row[5], row[8], int(row[2]))
-    j, wy, dy = _cell(y, row[6], row[8], ny)
-    k, wz, dz = _cell(z, row[7], row[8], nz)
-    start = int(row[1])
+    ny, nz = int(row[COUNTS + 1]), int(row[COUNTS + 2])
+    i, wx, dx = _cell(x, row[ORIGIN], row[SCALE], int(row[COUNTS]))
+    j, wy, dy = _cell(y, row[ORIGIN + 1], row[SCALE], ny)
+    k, wz, dz = _cell(z, row[ORIGIN + 2], row[SCALE], nz)
+    start = int(row[OFFSET])
     b[:] = 0.0
     g[:, :] = 0.0
     for p in range(4):
@@ -127,18 +146,18 @@ def coil_field(
         Scratch: an allocation costs as much as a field.
     """
     turn, half, own_g, own_b = work[0], work[1], work[2], work[3, 0]
-    dx, dy, dz = point[0] - row[9], point[1] - row[10], point[2] - row[11]
+    dx, dy, dz = point[0] - row[PLACE], point[1] - row[PLACE + 1], point[2] - row[PLACE + 2]
     for r in range(3):
-        fx, fy, fz = row[12 + 3 * r], row[13 + 3 * r], row[14 + 3 * r]
+        fx, fy, fz = row[FRAME + 3 * r], row[FRAME + 3 * r + 1], row[FRAME + 3 * r + 2]
         work[3, 1, r] = fx * dx + fy * dy + fz * dz
         for c in range(3):
             turn[r, c] = fx * rotation[0, c] + fy * rotation[1, c] + fz * rotation[2, c]
     x, y, z = work[3, 1, 0], work[3, 1, 1], work[3, 1, 2]
-    if row[0] == 0.0:
+    if row[KIND] == ROUND:
         _round_field(x, y, z, row, table, own_b, own_g)
     else:
         _flat_field(x, y, z, row, table, own_b, own_g)
-    gain = row[21]
+    gain = row[GAIN]
     for r in range(3):
         for c in range(3):
             half[r, c] = gain * (own_g[r, 0] * turn[0, c] + own_g[r, 1] * turn[1, c] + own_g[r, 2] * turn[2, c])
@@ -218,19 +237,20 @@ def swing(
     rotation[0, 0], rotation[0, 1], rotation[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
     rotation[1, 0], rotation[1, 1], rotation[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
     rotation[2, 0], rotation[2, 1], rotation[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-    moment, rest_x, rest_z, l0 = device[0], device[1], device[2], device[3]
-    theta_max, omega2, friction = device[4], device[5], device[6]
-    eta, restitution, agility = device[7], device[8], 1.0 / device[9]
-    theta, rate = state[0], state[1]
+    moment, rest_x, rest_z, l0 = device[MOMENT], device[REST_X], device[REST_Z], device[L0]
+    theta_max, omega2, friction = device[THETA_MAX], device[OMEGA_SQUARED], device[FRICTION]
+    eta, restitution, agility = device[ETA], device[RESTITUTION], 1.0 / device[INERTIA]
+    theta, rate = state[DEFLECTION], state[RATE]
     start_x, start_z = l0 * math.sin(theta), l0 * math.cos(theta)
     for r in range(3):
         center = position[r]
         for c in range(3):
-            center -= rotation[r, c] * device[10 + c]
+            center -= rotation[r, c] * device[MIDDLE + c]
         pose[r] = center
         point[r] = center + rotation[r, 0] * start_x + rotation[r, 2] * start_z
     pose[3], pose[4], pose[5], pose[6] = quaternion
 
+    # fields and gradients per A at the magnet, body frame; coils without current are left out
     n_coils = len(rows)
     h = step / substeps
     live, idle = np.empty(n_coils, np.int64), np.empty(n_coils, np.int64)
@@ -246,40 +266,44 @@ def swing(
                     sounding = True
                     break
         keep[c], gain[c] = 0.0, 1.0
-        if circuits[c, 3] > 0:
-            keep[c] = math.exp(-h / circuits[c, 3])
-            gain[c] = math.sqrt(1.0 + (state[3] * circuits[c, 3]) ** 2)  # the amplifier makes up for the coil's lag
-        if abs(circuits[c, 0]) > LIVE or circuits[c, 1] != 0.0 or circuits[c, 2] != 0.0 or sounding:
+        if circuits[c, TIME_CONSTANT] > 0:
+            keep[c] = math.exp(-h / circuits[c, TIME_CONSTANT])
+            # the amplifier compensates the attenuation by the coil
+            gain[c] = math.sqrt(1.0 + (state[DRIVE] * circuits[c, TIME_CONSTANT]) ** 2)
+        if abs(circuits[c, CURRENT]) > LIVE or circuits[c, COMMAND] != 0.0 or circuits[c, SINE] != 0.0 or sounding:
             coil_field(point, rows[c], table, rotation, b[n_live], g[n_live], work)
             live[n_live] = c
             n_live += 1
-        elif abs(circuits[c, 0]) > SILENT:
+        elif abs(circuits[c, CURRENT]) > SILENT:
             idle[n_idle] = c
             n_idle += 1
         else:
-            circuits[c, 0] = 0.0
+            circuits[c, CURRENT] = 0.0
     for r in range(3):
         e[r] = rotation[0, r] * earth[0] + rotation[1, r] * earth[1] + rotation[2, r] * earth[2]
 
-    damp, push = math.exp(-2.0 * eta * h), h * math.exp(-eta * h)  # so that frequency and decay are right to 2nd order
+    damp, push = math.exp(-2.0 * eta * h), h * math.exp(-eta * h)  # frequency and decay are right to 2nd order
     slip = friction * h
-    drawn = np.zeros((n_live + 1, 2))  # sums of current times moment, for the mean force and torque
+    drawn = np.zeros((n_live + 1, 2))  # sums of current times moment (A²·m²): mean force and torque
     sum_x = sum_z = 0.0
     sine, cosine = math.sin(theta), math.cos(theta)
     for k in range(substeps):
-        wave = math.sin(state[3] * (state[2] + (k + 0.5) * h)) if state[3] > 0 else 0.0
+        wave = math.sin(state[DRIVE] * (state[TIME] + (k + 0.5) * h)) if state[DRIVE] > 0 else 0.0
         bx, bz, gxx, gxz, gzx, gzz = e[0], e[2], 0.0, 0.0, 0.0, 0.0
         for n in range(n_live):
             q = live[n]
-            command = commands[at + k, q] if q < n_sampled else circuits[q, 1] + circuits[q, 2] * gain[q] * wave
-            current = command + (circuits[q, 0] - command) * keep[q]
-            circuits[q, 0] = current
+            command = (
+                commands[at + k, q] if q < n_sampled else circuits[q, COMMAND] + circuits[q, SINE] * gain[q] * wave
+            )
+            current = command + (circuits[q, CURRENT] - command) * keep[q]
+            circuits[q, CURRENT] = current
             bx += current * b[n, 0]
             bz += current * b[n, 2]
             gxx += current * g[n, 0, 0]
             gxz += current * g[n, 0, 2]
             gzx += current * g[n, 2, 0]
             gzz += current * g[n, 2, 2]
+        # torque about the rotation centre: moment in the field, and force on the magnet times its lever
         dx, dz = l0 * sine - start_x, l0 * cosine - start_z
         mx = moment * (rest_x * cosine + rest_z * sine)
         mz = moment * (rest_z * cosine - rest_x * sine)
@@ -294,12 +318,12 @@ def swing(
             if rate * theta > 0:
                 rate = -restitution * rate
             sine, cosine = math.sin(theta), math.cos(theta)
-        else:  # a turn of some mrad: the series is exact to rounding, at a tenth of the cost
+        else:  # of a few mrad: the series is exact to rounding, at a tenth of the cost
             ds, dc = turn - turn**3 / 6.0, 1.0 - 0.5 * turn**2 + turn**4 / 24.0
             sine, cosine = sine * dc + cosine * ds, cosine * dc - sine * ds
         for n in range(n_live):
-            drawn[n, 0] += circuits[live[n], 0] * mx
-            drawn[n, 1] += circuits[live[n], 0] * mz
+            drawn[n, 0] += circuits[live[n], CURRENT] * mx
+            drawn[n, 1] += circuits[live[n], CURRENT] * mz
         drawn[n_live, 0] += mx
         drawn[n_live, 1] += mz
         sum_x += dx
@@ -307,12 +331,13 @@ def swing(
         row = trace[used + k]
         row[0] = theta
         for n in range(n_idle):
-            circuits[idle[n], 0] *= keep[idle[n]]  # too weak to move anything, not to be heard
+            circuits[idle[n], CURRENT] *= keep[idle[n]]  # too weak to move the magnet, but measurable
         for c in range(n_coils):
-            row[1 + c] = circuits[c, 0]
-    state[0], state[1] = theta, rate
-    state[2] += step
+            row[1 + c] = circuits[c, CURRENT]
+    state[DEFLECTION], state[RATE] = theta, rate
+    state[TIME] += step
 
+    # mean force (N) and torque (N·m) of the step about the housing's middle, body frame
     dx, dz = sum_x / substeps, sum_z / substeps
     g[n_live] = 0.0
     for r in range(3):
@@ -329,5 +354,5 @@ def swing(
         tx += -mz * by
         ty += mz * bx - mx * bz
         tz += mx * by
-    ax, ay, az = start_x + dx - device[10], -device[11], start_z + dz - device[12]
+    ax, ay, az = start_x + dx - device[MIDDLE], -device[MIDDLE + 1], start_z + dz - device[MIDDLE + 2]
     return fx, fy, fz, tx + ay * fz - az * fy, ty + az * fx - ax * fz, tz + ax * fy - ay * fx

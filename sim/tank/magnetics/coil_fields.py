@@ -20,12 +20,18 @@ from lookup_tables.coils import FlatCoil, RoundCoil
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
-FORMAT = 1
+FORMAT = 1  # of the cached coefficients
 ROUND, FLAT = 0.0, 1.0
-PAD = 4  # cells beyond the region asked for: the spline's end conditions have died out there
+PAD = 4  # cells around the region asked for: the spline's end conditions decay there
+REGION = 4  # cells to whose multiples a table's region is rounded: neighbouring regions share one table
+MARGIN = 4e-3  # m around the nominal region: more than any coil is displaced or tilted
+SAME_DIGITS = 9  # decimals, in m, to which points are compared: equal ones are computed once
 # Columns of a coil's row: kind, offset of its coefficients, counts (3), origin (3), 1/spacing, place (3), frame (9),
 # gain
+KIND, OFFSET, COUNTS, ORIGIN, SCALE, PLACE, FRAME, GAIN = 0, 1, 2, 5, 8, 9, 12, 21
 ROW_LENGTH = 22
+# Columns of `circuits`: current (A), constant command (A), amplitude of a sine command (A), time constant (s)
+CURRENT, COMMAND, SINE, TIME_CONSTANT = range(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +72,8 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
         kind, standing = ROUND, replace(coil, center=np.zeros(3), axis=up)
         reach = float(np.hypot(max(-low[0], high[0]), max(-low[1], high[1])))
         low, high = np.array([0.0, low[2]]), np.array([reach, high[2]])
-    first = np.floor(low / (4 * spacing)) * 4 - PAD
-    last = np.ceil(high / (4 * spacing)) * 4 + PAD
+    first = np.floor(low / (REGION * spacing)) * REGION - PAD
+    last = np.ceil(high / (REGION * spacing)) * REGION + PAD
     origin, counts = first * spacing, (last - first).astype(int) + 1
     axes = [o + spacing * np.arange(n) for o, n in zip(origin, counts, strict=True)]
     path = _cache_path(standing.parameters() | {"name": ""}, origin, counts, spacing)
@@ -136,13 +142,12 @@ def pack(
     rows = np.zeros((len(coils), ROW_LENGTH))
     blocks, offset = [], 0
     for members in shapes.values():
-        # The region follows the nominal coils and a fixed margin, so that every seed finds the same table.
+        # The region follows the nominal coils and a fixed margin: every seed uses the same table.
         local = [(corners - np.asarray(coils[i].center)) @ coil_frame(coils[i]).T for i in members]
-        margin = 4e-3
         points = np.concatenate(local)
         flat = isinstance(coils[members[0]], FlatCoil)
         step = 2 * spacing if flat else spacing
-        table = shape_table(coils[members[0]], points.min(0) - margin, points.max(0) + margin, step)
+        table = shape_table(coils[members[0]], points.min(0) - MARGIN, points.max(0) + MARGIN, step)
         counts = np.ones(3)
         counts[: len(table.origin)] = table.coefficients.shape[:-1]
         origin = np.zeros(3)
@@ -158,14 +163,14 @@ def pack(
 def _round_values(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
     radius, height = mesh[..., 0].ravel(), mesh[..., 1].ravel()
     field = coil.field(np.stack([np.abs(radius), np.zeros_like(radius), height], axis=1))
-    radial = np.sign(radius) * field[:, 0]  # odd in the radius, so that the spline is right on the axis
+    radial = np.sign(radius) * field[:, 0]  # odd in the radius: the spline is smooth on the axis
     return np.stack([radial, field[:, 2]], axis=1).reshape(*mesh.shape[:2], 2)
 
 
 def _flat_values(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
     # Symmetric about both middle planes, so only a quarter is computed.
     points = np.abs(mesh.reshape(-1, 3))
-    unique, back = np.unique(points.round(9), axis=0, return_inverse=True)
+    unique, back = np.unique(points.round(SAME_DIGITS), axis=0, return_inverse=True)
     signs = np.sign(mesh.reshape(-1, 3))
     field = coil.field(unique)[back.ravel()]
     z = signs[:, 2]

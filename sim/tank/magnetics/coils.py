@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.tank.magnetics.coil_fields import CoilSet, pack
+from sim.tank.magnetics.coil_fields import TIME_CONSTANT, CoilSet, pack
 from sim.tank.magnetics.coupling import MU_0, coil_to_sensor
 from sim.tank.mismatch import Truth
 from sim.tank.settings import TankSettings
@@ -14,7 +14,10 @@ from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
-MARGIN = 3e-3  # m beyond the container: the magnet sits ahead of the middle of the housing
+MARGIN = 3e-3  # m beyond the container: the magnet is ahead of the housing's middle
+MIN_DEPTH_MM, ABOVE_SURFACE_MM = 5.0, 2.0  # least height of the volume over the floor, and its part over the surface
+WINDING = (0.95, 1.05, 0.2)  # inner and outer radius and length of the compensation coil, in its radius
+EARTH_TURNS = 200.0  # of the compensation coil; only its field matters
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class TankCoils:
 
         driven: tuple[RoundCoil | FlatCoil, ...] = (*rig.round_coils(), *rig.flat_coils())
         circuits = np.zeros((len(driven), 4))
-        circuits[:, 3] = np.array(rig.time_constants) * truth.coil_time_constants
+        circuits[:, TIME_CONSTANT] = np.array(rig.time_constants) * truth.coil_time_constants
         rotations = np.array([matrix_from_quaternion(quaternion_from_rotation_vector(t)) for t in truth.coil_tilts])
         coupling = coil_to_sensor(driven, truth.coil_places, rotations, truth.coil_gains, positions, axes)
         coils = list(driven)
@@ -59,10 +62,10 @@ class TankCoils:
         if settings.earth.compensated and strength > 0:
             section, middle = settings.earth, 0.5 * (low + high)
             radius, direction = section.coil_radius, -earth / strength
-            external = RoundCoil(
-                "earth", middle - section.coil_distance * direction, direction,
-                0.95 * radius, 1.05 * radius, 0.2 * radius, 200.0,
-            )  # fmt: skip
+            inner, outer, length = (share * radius for share in WINDING)
+            center = middle - section.coil_distance * direction
+            external = RoundCoil("earth", center, direction, inner, outer, length, EARTH_TURNS)
+            # field of its loops on the axis, in T per A
             away = section.coil_distance
             per_ampere = sum(
                 0.5 * MU_0 * external.turns * share * r**2 / (r**2 + (away - along) ** 2) ** 1.5
@@ -81,8 +84,8 @@ class TankCoils:
 def volume(rig: RigConfig) -> tuple[FloatArray, FloatArray]:
     """Corners (3,) and (3,) in m, world frame, of the space in which the magnet can be."""
     box = rig.container
-    top = 1e-3 * (max(box.surface_z_mm, box.floor_z_mm + 5.0) + 2.0)  # added in mm: this is a mesh's last digit
-    return box.low - MARGIN, np.array([*box.high[:2], top]) + MARGIN
+    top_mm = max(box.surface_z_mm, box.floor_z_mm + MIN_DEPTH_MM) + ABOVE_SURFACE_MM  # the mesh's last digit needs mm
+    return box.low - MARGIN, np.array([*box.high[:2], 1e-3 * top_mm]) + MARGIN
 
 
 class NominalExcitation:

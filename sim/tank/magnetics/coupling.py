@@ -12,9 +12,9 @@ from smolbot.core.arrays import FloatArray
 if TYPE_CHECKING:
     from lookup_tables import FlatCoil, RoundCoil
 
-MU_0 = 4e-7 * np.pi
-SIDES = 64  # a polygon of 64 sides is a circle to 0.2 %
-CLOSEST = 5e-4  # m: the wire's own radius, so that a sensor in the winding reads a finite field
+MU_0 = 4e-7 * np.pi  # T·m/A
+SIDES = 64  # of the polygon for a round winding: 0.2 % from a circle
+CLOSEST = 5e-4  # m: radius of the wire; keeps the field inside a winding finite
 
 
 def coil_to_sensor(
@@ -59,6 +59,7 @@ def wire_field(points: FloatArray, start: FloatArray, end: FloatArray, current: 
 
     with a and b from the wire's ends to the point.
     """
+    # Biot-Savart for straight wires: mu_0 I / 4 pi * (|a| + |b|) / (|a| |b| (|a| |b| + a . b)) * a x b
     a, b = points[:, None] - start, points[:, None] - end
     la, lb = np.linalg.norm(a, axis=2), np.linalg.norm(b, axis=2)
     product = la * lb

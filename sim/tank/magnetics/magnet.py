@@ -11,7 +11,8 @@ from sim.tank.settings import TankSettings
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
 
-MAGNET_MASS = 7500.0 * math.pi * 0.5e-3**2 * 1e-3  # kg: NdFeB, diameter 1 x 1 mm
+MAGNET_DENSITY, MAGNET_RADIUS, MAGNET_LENGTH = 7500.0, 0.5e-3, 1e-3  # NdFeB, in kg/m³ and m
+MAGNET_MASS = MAGNET_DENSITY * math.pi * MAGNET_RADIUS**2 * MAGNET_LENGTH  # kg
 
 
 def true_device(robot: RobotConfig, settings: TankSettings, truth: Truth) -> FloatArray:
@@ -50,6 +51,7 @@ def pack_device(
     """
     omega = 2.0 * math.pi * frequency
     linear = damping_model == "linear"
+    # dry friction that lowers the amplitude by damping * theta_max per s: 4 friction / omega² a period
     friction = damping * theta_max * omega**2 / (4.0 * frequency) if linear else 0.0
     eta = 0.0 if linear else damping
     values = [moment, direction[0], direction[2], l0, theta_max, omega**2 + eta**2, friction]

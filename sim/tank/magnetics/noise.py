@@ -11,10 +11,12 @@ from numba import njit
 from smolbot.config.rig_sections import NoiseSection
 from smolbot.core.arrays import FloatArray
 
-DRIFT_PERIODS = (7.0, 17.0, 41.0)  # s: incommensurate, slower than any listening window
-CORNERS_PER_DECADE = 2
-SLOWEST = 0.01  # Hz: below it the 1/f noise is flat, which only the unknown constant would notice
-STEPS_PER_TIME_CONSTANT = 4.0
+DRIFT_PERIODS = (7.0, 17.0, 41.0)  # s: incommensurate, longer than any listening window
+CORNERS_PER_DECADE = 2  # processes whose sum is 1/f noise
+TOP_CORNER = 0.4  # highest of their corners, as a share of the bandwidth
+RATE_SHARE = 0.25  # highest bandwidth of the white noise, as a share of the sample rate
+SLOWEST = 0.01  # Hz: below it the 1/f noise is flat; in a window it is part of the unknown constant
+STEPS_PER_TIME_CONSTANT = 4.0  # of a process; straight in between
 
 
 class FieldNoise:
@@ -51,6 +53,7 @@ class FieldNoise:
         mains = section.mains_hz * mains_frequency
         lines = [(mains, 1.0)] + [(mains * int(order), size) for order, size in section.harmonics.items()]
         sizes = [(section.mains * size, section.mains_gradient * size) for _, size in lines]
+        # drift as slow sines: amplitude = slope / angular frequency
         for period in DRIFT_PERIODS:
             lines.append((1.0 / period, 1.0))
             slope = section.drift * math.sqrt(2.0 / len(DRIFT_PERIODS))
@@ -98,9 +101,9 @@ class SensorNoise:
         rng: np.random.Generator,
     ) -> None:
         self._rng, self._rate = rng, sample_rate
-        top = min(bandwidth, 0.25 * sample_rate)
+        top = min(bandwidth, RATE_SHARE * sample_rate)
         floor, excess = section.floor, section.at_1hz
-        count = max(int(CORNERS_PER_DECADE * math.log10(0.4 * top / SLOWEST)), 1) + 1
+        count = max(int(CORNERS_PER_DECADE * math.log10(TOP_CORNER * top / SLOWEST)), 1) + 1
         slow = SLOWEST * 10.0 ** (np.arange(count) / CORNERS_PER_DECADE)
         self._corners = np.concatenate([[top], slow])
         flicker = max(excess**2 - floor**2, 0.0) * math.log(10.0) / CORNERS_PER_DECADE
@@ -166,7 +169,7 @@ def _add_processes(
     at = 0
     for i in range(len(signal)):
         row = signal[i]
-        level = slope = 0.0  # of all processes too slow to bend within the window
+        level = slope = 0.0  # sum of all processes that are straight within the window
         for p in range(len(knots)):
             kick = math.sqrt(1.0 - decay[p] * decay[p])
             value, size = state[p, i], deviations[p]

@@ -7,13 +7,15 @@ import math
 import numpy as np
 from numba import njit
 
+from sim.tank.magnetics.cantilever import L0, MOMENT, REST_X, REST_Z, SILENT
 from sim.tank.magnetics.noise import FieldNoise, SensorNoise
 from sim.tank.mismatch import Truth
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import BoolArray, FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
-LEAD_TIME_CONSTANTS = 20.0  # of the low pass, run before the first sample so that it starts in steady state
+LEAD_TIME_CONSTANTS = 20.0  # of the low pass, computed before the first sample: it starts in steady state
+MU_0_OVER_4_PI = 1e-7  # T·m/A
 
 
 class TrueSensors:
@@ -36,7 +38,7 @@ class TrueSensors:
         constant_rng: np.random.Generator,
     ) -> None:
         section = rig.sections.sensors
-        nominal = section.array  # what was built, whatever a calibration says of it
+        nominal = section.array  # as built, without calibration
         tilts = [matrix_from_quaternion(quaternion_from_rotation_vector(t)) for t in truth.sensor_tilts]
         self.positions = np.ascontiguousarray(nominal.positions + truth.sensor_places)
         self.axes = np.einsum("nij,nj->ni", np.array(tilts), nominal.axes)
@@ -136,7 +138,7 @@ class TrueSensors:
         spread = (1.0 - keep) / pace if self._tau else 0.0
         field = np.empty((len(self.positions), n))
         low_pass = (keep, spread - keep, 1.0 - spread)  # exact for an input that is straight between samples
-        magnet = (float(device[0]), float(device[1]), float(device[2]), float(device[3]))
+        magnet = (float(device[MOMENT]), float(device[REST_X]), float(device[REST_Z]), float(device[L0]))
         _listen(
             field, clock, 1.0 / self.rate, lead, low_pass, magnet,
             self.positions, self.axes, coupling, trace_times, trace, pose_times, poses,
@@ -168,6 +170,7 @@ def _listen(
     i = j = 0
     m, c = np.empty(3), np.empty(3)
     for s in range(-lead, out.shape[1]):
+        # deflection, currents and pose between their samples; the quaternion is normalised in `norm`
         t = clock + s * step
         while i < len(trace_times) - 2 and trace_times[i + 1] < t:
             i += 1
@@ -184,6 +187,7 @@ def _listen(
         xx, xz = 1 - norm * (y * y + z * z), norm * (x * z + y * w)
         yx, yz = norm * (x * y + z * w), norm * (y * z - x * w)
         zx, zz = norm * (x * z - y * w), 1 - norm * (x * x + y * y)
+        # moment (A·m²) and magnet position (m), world frame
         sine, cosine = math.sin(theta), math.cos(theta)
         u, v = moment * (rest_x * cosine + rest_z * sine), moment * (rest_z * cosine - rest_x * sine)
         m[0], m[1], m[2] = u * xx + v * xz, u * yx + v * yz, u * zx + v * zz
@@ -195,12 +199,12 @@ def _listen(
             rx, ry, rz = positions[k, 0] - c[0], positions[k, 1] - c[1], positions[k, 2] - c[2]
             ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
             inverse = 1.0 / (rx * rx + ry * ry + rz * rz)
-            near = 1e-7 * inverse * math.sqrt(inverse)
+            near = MU_0_OVER_4_PI * inverse * math.sqrt(inverse)
             along = (m[0] * rx + m[1] * ry + m[2] * rz) * (ax * rx + ay * ry + az * rz)
             raw[k] = near * (3.0 * along * inverse - (m[0] * ax + m[1] * ay + m[2] * az))
         for q in range(n_coils):
             current = trace[i, 1 + q] + a * (trace[i + 1, 1 + q] - trace[i, 1 + q])
-            if abs(current) > 1e-12:
+            if abs(current) > SILENT:
                 for k in range(n_sensors):
                     raw[k] += current * coupling[q, k]
         for k in range(n_sensors):

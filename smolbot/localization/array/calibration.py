@@ -25,7 +25,16 @@ from smolbot.localization.array.fit import HOLDER, PER_SENSOR, Heard, Unknowns, 
 from smolbot.localization.device.thinning import Hum
 
 ROUNDS = 4
-"""Gauss-Newton steps; each also renews what the higher harmonics are taken to be."""
+"""Gauss-Newton steps; each also updates the estimated higher harmonics."""
+
+ORIENTATION_SLACK = 1.1
+"""Factor by which held-out orientations may become worse where positions improve."""
+
+MIN_LEARNED, MIN_HELD_OUT = 8, 2
+"""Fewest recordings to learn from, and to check with."""
+
+LOOSE_AMPLITUDE, MAX_AMPLITUDE = 1.2, 1.0
+"""Factor on the largest amplitude while sensors are checked, and its limit in rad: a fit must not stop at its bound."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +80,8 @@ class HeldOut:
     @property
     def better(self) -> bool:
         """Whether positions came out better, and orientations, which noise rules, not clearly worse."""
-        return self.position_after < self.position_before and self.orientation_after < 1.1 * self.orientation_before
+        limit = ORIENTATION_SLACK * self.orientation_before
+        return self.position_after < self.position_before and self.orientation_after < limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +179,13 @@ def calibrate_sensors(
             f"There are {len(recordings)} recordings but {len(track)} poses; each recording needs its own."
         )
     if hold_out < 2:
-        raise InputError(f"hold_out must be at least 2: every so many-th recording is held out; got {hold_out}.")
+        raise InputError(f"hold_out must be at least 2: of so many recordings one is held out; got {hold_out}.")
     aside = set(range(hold_out - 1, len(recordings), hold_out))
     used = [i for i in range(len(recordings)) if i not in aside]
-    if len(used) < 8 or len(aside) < 2:
+    if len(used) < MIN_LEARNED or len(aside) < MIN_HELD_OUT:
         raise InputError(
-            f"{len(recordings)} recordings leave {len(used)} to learn from and {len(aside)} to check with; at least 8 "
-            "and 2 are needed, and three times as many are wise."
+            f"{len(recordings)} recordings leave {len(used)} to learn from and {len(aside)} to check with; at least "
+            f"{MIN_LEARNED} and {MIN_HELD_OUT} are needed, and three times as many are recommended."
         )
     heard = [Heard.of(recordings[i], track[i], sensors, device, hum) for i in used]
     frames = np.stack([across(axis) for axis in sensors.axes])
@@ -207,7 +217,7 @@ def _errors(
     """Rms error per axis of poses located from the known ones: m, rad."""
     from smolbot.localization.localizer import Localizer
 
-    loose = replace(device, theta_max=min(1.2 * device.theta_max, 1.0))
+    loose = replace(device, theta_max=min(LOOSE_AMPLITUDE * device.theta_max, MAX_AMPLITUDE))
     localizer = Localizer(sensors=array, device=loose)
     places, turns = [], []
     for recording, (_, pose) in zip(recordings, check, strict=True):

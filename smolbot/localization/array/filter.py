@@ -23,29 +23,33 @@ from smolbot.localization.array.fit import across
 from smolbot.localization.array.terms import OF_DEVICE, PER_SENSOR, ArrayTerms
 
 TAKEN_IN_EVERY = 10
-"""Recordings after which what they say of the sensors is taken in, all at once: it costs as much as for one."""
+"""Recordings after which their information on the sensors is added, all at once: it costs as much as for one."""
 
 WORTHWHILE = 1.5e-5
-"""Change of a pose, in m, from which a new array is worth its making."""
+"""Change of a pose, in m, from which a new array is built."""
 
 AMPLITUDE_WANDER = 0.02
-"""Share by which the amplitude of the drive varies from one shot to the next."""
+"""Relative standard deviation of the amplitude from one shot to the next."""
 
 SURE = 4.0
-"""Standard deviations by which chi-square must exceed what noise makes of it before sensors are believed to be off.
+"""Standard deviations by which chi-square must exceed its expectation under noise before sensors are corrected.
 
-Sensors that stand as they should would else be moved by the noise of what was learned."""
+Without it, noise would move sensors that are where they should be."""
+
+LEARNED = 0.5
+"""Share of the prior variance below which a combination of deviations counts as measured."""
 
 VAGUE = np.array([3e-3] * 3 + [0.3] * 3 + [0.3])
-"""Standard deviations that a track begins with: m, rad, share of the amplitude."""
+"""Standard deviations at the start of a track: m, rad, share of the amplitude."""
 
 GATE = 60.0
-"""Squared Mahalanobis distance of a pose (7 degrees of freedom) beyond which it is left out."""
+"""Squared Mahalanobis distance of a pose (7 degrees of freedom) above which it is rejected."""
 
 PATIENCE = 3
-"""Poses left out in a row after which the track begins anew; what was learned of the sensors stays."""
+"""Poses rejected in a row after which the track restarts; what was learned of the sensors is kept."""
 
 _POSE = 7
+"""Length of the pose part of the state: position (3), rotation error (3), amplitude."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +198,7 @@ class ArrayFilter:
         innovation[:3] += pose.position - self._position
         innovation[3:6] += rotation_error(pose.orientation, self._orientation)
         innovation[6] += terms.amplitude - self._amplitude
-        # found = true - lean q: the measurement's matrix is (1, -lean)
+        # found = true - lean @ deviations: the measurement matrix is (1, -lean)
         cross = self._covariance[:, :_POSE] - self._covariance[:, _POSE:] @ terms.lean.T
         total = cross[:_POSE] - terms.lean @ cross[_POSE:] + terms.covariance
         gain = np.linalg.solve(total, cross.T).T
@@ -210,6 +214,7 @@ class ArrayFilter:
         n = len(right)
         toward = self._covariance[:, _POSE:]
         own = toward[_POSE:]
+        # information update of the joint covariance: P - P H (1 + I P)^-1 I P
         change = np.linalg.solve(np.eye(n) + information @ own, information @ toward.T)
         self._covariance -= toward @ change
         self._covariance = 0.5 * (self._covariance + self._covariance.T)
@@ -233,11 +238,12 @@ def surprising(deviations: FloatArray, covariance: FloatArray, prior: FloatArray
     Looked at are the directions of which more is known by now (`covariance`, (n, n)) than was before (`prior`): there
     a true zero would be learned with a variance of v (1 - v), v being what is left of a prior variance of one.
     """
+    # covariance in units of the prior: eigenvalues near 1 are directions of which nothing was learned
     own = np.sqrt(np.diag(prior))
     free = own > 0.0
     scale = own[free]
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(scale, scale))
-    known = (values < 0.5) & (values > 0.0)
+    known = (values < LEARNED) & (values > 0.0)
     count = int(known.sum())
     if count == 0:
         return False

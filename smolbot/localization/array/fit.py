@@ -18,14 +18,23 @@ PER_SENSOR = 6
 """Unknowns of a sensor: ln gain, two tilts, three coordinates."""
 
 HOLDER = 6
-"""Unknowns of the holder: the device's place (m) and turn (rad) in it, seen from the body."""
+"""Unknowns of the holder: position (m) and rotation (rad) of the device in it, body frame."""
 
 
 LOOSE = 1e-2
-"""Weight of the belief that an amplitude's logarithm stays what it was: less than any sensor tells."""
+"""Weight of the prior on the change of an amplitude's logarithm: less than the information of any sensor."""
 
 FARTHEST = 20.0
-"""Standard deviations of the priors beyond which nothing is looked for."""
+"""Standard deviations of the priors to which the unknowns are clipped."""
+
+DIPOLE_POWER = 3.0
+"""Relative change of a field per relative change of its distance: a dipole falls with the third power."""
+
+STEP_SHARE = 1e-2
+"""Step of a difference quotient, as a share of the unknown's prior standard deviation."""
+
+MAX_GROWTH = 1.0
+"""Largest change of an amplitude's logarithm in one step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +131,7 @@ def step(
     base = _sizes(heard, sensors, device, frames, now.sensors, now.holder)
     slopes, moves = _slopes(heard, sensors, device, frames, now, deviations, base[:, :, 0])
     n_unknown = own + HOLDER + len(heard)
+    # one row per recording and used sensor: derivatives of its first harmonic, weighted by its standard error
     normal, right = np.zeros((n_unknown, n_unknown)), np.zeros(n_unknown)
     for r, item in enumerate(heard):
         amplitude = now.amplitudes[r]
@@ -130,23 +140,24 @@ def step(
         scale = amplitude * np.abs(base[r, :, 0]).mean()
         for row, s in enumerate(np.flatnonzero(item.thinned.used)):
             model = amplitude * base[r, s, 0]
-            error = np.hypot(item.noise, 3.0 * track / away[s] * max(abs(model), scale))
+            error = np.hypot(item.noise, DIPOLE_POWER * track / away[s] * max(abs(model), scale))
             index = [*range(s * PER_SENSOR, (s + 1) * PER_SENSOR), *range(own, own + HOLDER), own + HOLDER + r]
             gradient = np.array([*(amplitude * slopes[:, r, s]), *(amplitude * moves[:, r, s]), model]) / error
             normal[np.ix_(index, index)] += np.outer(gradient, gradient)
             right[index] += gradient * (measured[row] - model) / error
+    # priors of sensors and holder
     weights = np.concatenate([np.tile(deviations[0] ** -2, n), deviations[1] ** -2])
     believed = np.arange(len(weights))
     normal[believed, believed] += weights
     right[believed] -= weights * np.concatenate([now.sensors.ravel(), now.holder])
     loud = np.arange(len(weights), n_unknown)
-    normal[loud, loud] += LOOSE  # keeps an amplitude that the model cannot explain from running away
+    normal[loud, loud] += LOOSE  # bounds an amplitude that the model cannot explain
     covariance = np.linalg.inv(normal)
     change, spread = covariance @ right, np.sqrt(np.diag(covariance))
     moved = Unknowns(
         _within(now.sensors + change[:own].reshape(n, PER_SENSOR), deviations[0]),
         _within(now.holder + change[own : own + HOLDER], deviations[1]),
-        now.amplitudes * np.exp(np.clip(change[own + HOLDER :], -1.0, 1.0)),
+        now.amplitudes * np.exp(np.clip(change[own + HOLDER :], -MAX_GROWTH, MAX_GROWTH)),
     )
     return moved, spread[:own].reshape(n, PER_SENSOR), spread[own : own + HOLDER]
 
@@ -168,11 +179,11 @@ def _slopes(
     """Change of every size per unknown of its sensor and of the holder, shapes (6, n_recordings, n_sensors)."""
     slopes, moves = [], []
     for j in range(PER_SENSOR):
-        small, moved = 1e-2 * deviations[0][j], now.sensors.copy()
+        small, moved = STEP_SHARE * deviations[0][j], now.sensors.copy()
         moved[:, j] += small  # a sensor's unknowns concern its own rows only, so all move at once
         slopes.append((_sizes(heard, sensors, device, frames, moved, now.holder)[:, :, 0] - base) / small)
     for j in range(HOLDER):
-        small, moved = 1e-2 * deviations[1][j], now.holder.copy()
+        small, moved = STEP_SHARE * deviations[1][j], now.holder.copy()
         moved[j] += small
         moves.append((_sizes(heard, sensors, device, frames, now.sensors, moved)[:, :, 0] - base) / small)
     return np.stack(slopes), np.stack(moves)

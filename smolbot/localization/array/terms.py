@@ -33,20 +33,30 @@ PER_SENSOR = 6
 OF_DEVICE = 2
 """Deviations of the device, which come after those of all sensors: ln moment, l0 (m)."""
 
-_KEPT = np.array([0, 1, 2, 3, 4, 5, 7])  # of the eight that are fitted: all but the phase
-_STEP = 1e-6  # m: of the difference quotient for l0
+_KEPT = np.array([0, 1, 2, 3, 4, 5, 7])  # of the eight fitted parameters: all but the phase
+_STEP = 1e-6  # m: step of the difference quotient for l0
+_FITTED = compiled.N_PARAMETERS
 
 TURNING = 2e-3
-"""How far a device turns while it is listened to, one standard deviation, in rad: 0.2 rad/s for ten milliseconds.
+"""Standard deviation, in rad, of a device's rotation while it is recorded: 0.2 rad/s for 10 ms.
 
-It swings no more than its static field changes by that; left out, it would be taken for the sensors'."""
+It changes the static field; left out, that change would be attributed to the sensors."""
 
 OFF_RESONANCE = (0.08, 0.06)
-"""How far frequency (Hz) and damping (relative) may be off without being learned anew, one standard deviation; see
+"""Standard deviations of frequency (Hz) and damping (relative) within which they are not relearned; see
 `smolbot.flight.tracking.resonance_filter`."""
 
 MAX_MISFIT = 3.0
-"""Variance of what is left, above which something else than sensors is heard."""
+"""Reduced chi-square of the residuals above which they have another cause than the sensors."""
+
+DOUBT_SIGMAS = 4.0
+"""Standard deviations by which the reduced chi-square must exceed 1 to scale the covariance, as for a pose."""
+
+MIN_EIGENVALUE = 1e-10
+"""Eigenvalue of the scaled normal matrix below which a pose is not determined."""
+
+TINY = 1e-300
+"""Keeps a quotient finite where a parameter has no influence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +111,8 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
         matrix, labels, positions, axes, moment, l0 + _STEP, angles, powers, *place, fit.phase, fit.amplitude, longer,
         np.zeros((compiled.N_PARAMETERS, len(out))),
     )  # fmt: skip
-    turning = TURNING * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of a device at rest
+    # nuisances: rotation during the recording, and errors of frequency and damping
+    turning = TURNING * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of the device at rest
     spread = OFF_RESONANCE[0], OFF_RESONANCE[1] * model.device.damping
     retuned = np.stack(
         [
@@ -118,8 +129,8 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
     misfit = left / freedom
     if not found or misfit > MAX_MISFIT:
         return None
-    doubt = misfit if misfit > 1.0 + 4.0 * math.sqrt(2.0 / freedom) else 1.0  # as a pose is doubted
-    if n < len(model.used):
+    doubt = misfit if misfit > 1.0 + DOUBT_SIGMAS * math.sqrt(2.0 / freedom) else 1.0
+    if n < len(model.used):  # zeros for the sensors that were not used
         kept = np.concatenate([np.repeat(model.used, PER_SENSOR), np.ones(OF_DEVICE, dtype=np.bool_)])
         count = len(kept)
         wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
@@ -207,15 +218,16 @@ def separated(
     normal = products(rows, rest)
     right, heard = products(rest, data)[:, 0], products(strays, data)[:, 0]
     square = products(data, data)[0, 0] - heard @ inner @ heard
-    information = normal[8:, 8:]
-    scale = 1.0 / np.sqrt(np.maximum(normal.diagonal()[:8], 1e-300))
-    scaled = normal[:8, :8] * scale[:, None] * scale
-    if not lapack.dsyevd(scaled, compute_v=0)[0][0] >= 1e-10:
-        return False, np.zeros(7), np.zeros((7, 7)), np.zeros((7, len(information))), information, right[8:], square
+    information = normal[_FITTED:, _FITTED:]
+    scale = 1.0 / np.sqrt(np.maximum(normal.diagonal()[:_FITTED], TINY))
+    scaled = normal[:_FITTED, :_FITTED] * scale[:, None] * scale
+    if not lapack.dsyevd(scaled, compute_v=0)[0][0] >= MIN_EIGENVALUE:
+        nothing = np.zeros(7), np.zeros((7, 7)), np.zeros((7, len(information)))
+        return False, *nothing, information, right[_FITTED:], square
     whole = _inverse(scaled)
     whole *= scale[:, None] * scale
-    step, mixed = whole @ right[:8], normal[:8, 8:]
+    step, mixed = whole @ right[:_FITTED], normal[:_FITTED, _FITTED:]
     shift = whole @ mixed  # (8, m)
     pose, lean, covariance = step[_KEPT], -shift[_KEPT], whole[_KEPT[:, None], _KEPT]
-    information = information - mixed.T @ shift
-    return True, pose, covariance, lean, information, right[8:] - mixed.T @ step, square - right[:8] @ step
+    information = information - mixed.T @ shift  # Schur complement: the pose is eliminated
+    return True, pose, covariance, lean, information, right[_FITTED:] - mixed.T @ step, square - right[:_FITTED] @ step

@@ -19,7 +19,34 @@ from smolbot.localization.device.thinning import BLOCK_NOISE, POWERS, Hum, Thinn
 from smolbot.localization.forward import sensor_field
 
 REFERENCE = float(np.radians(30.0))
-"""Deflection, in rad, by which powers are scaled."""
+"""Deflection, in rad, that scales the powers."""
+
+NODE_SPREAD = 1.3
+"""Half range of the Chebyshev nodes, in units of the reference angle."""
+
+FREQUENCY_RANGE = np.array([0.5, 2.0])
+"""Range of the frequency in a fit, as factors on the starting value."""
+
+LOG_DAMPING_RANGE = (-7.0, 7.0)
+"""Range of the damping's logarithm (1/s) in a fit."""
+
+LOG_AMPLITUDE_RANGE = (-12.0, 0.4)
+"""Range of the amplitude's logarithm (rad) in a fit."""
+
+MIN_DAMPING, FIRST_AMPLITUDE = 1e-3, 0.5
+"""Smallest starting damping, in 1/s, and starting amplitude as a share of the largest."""
+
+FIRST_AMPLITUDE_RANGE = (1e-3, 1.2)
+"""Range, in rad, of the amplitude from the first harmonic."""
+
+STEPS = np.array([1e-6] * 3 + [1e-4] * 7)
+"""Steps of the difference quotients: m, rad, phase, ln amplitude, Hz, ln damping."""
+
+KEPT_WAVES = 8
+"""Whitened waves that are kept for reuse."""
+
+TINY = 1e-300
+"""Keeps a quotient finite where there is no signal."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +98,7 @@ def power_coefficients(
 
 
 def _series() -> tuple[FloatArray, FloatArray]:
-    nodes = 1.3 * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
+    nodes = NODE_SPREAD * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
     inverse: FloatArray = np.linalg.inv(np.vander(nodes, POWERS + 1, increasing=True)).astype(np.float64)
     return nodes, inverse
 
@@ -98,15 +125,16 @@ class _FullModel:
     def unpack(self, values: FloatArray) -> tuple[Device, FloatArray, FloatArray, float, float]:
         full = self.start.copy()
         full[self.free] = values
-        frequency = np.clip(full[8], 0.5 * self.device.frequency, 2.0 * self.device.frequency)
-        device = replace(self.device, frequency=float(frequency), damping=float(np.exp(np.clip(full[9], -7.0, 7.0))))
+        frequency = np.clip(full[8], *(FREQUENCY_RANGE * self.device.frequency))
+        damping = float(np.exp(np.clip(full[9], *LOG_DAMPING_RANGE)))
+        device = replace(self.device, frequency=float(frequency), damping=damping)
         orientation = quaternion_product(quaternion_from_rotation_vector(full[3:6]), self.orientation)
         return (
             device,
             self.position + full[:3],
             orientation,
             float(full[6]),
-            float(np.exp(np.clip(full[7], -12.0, 0.4))),
+            float(np.exp(np.clip(full[7], *LOG_AMPLITUDE_RANGE))),
         )
 
     def residual(self, values: FloatArray) -> FloatArray:
@@ -120,7 +148,7 @@ class _FullModel:
         """Kept, since most steps of a Jacobian change the pose only."""
         key = (device.frequency, device.damping, phase)
         if key not in self.kept:
-            if len(self.kept) > 8:
+            if len(self.kept) > KEPT_WAVES:
                 self.kept.clear()
             self.kept[key] = self.thinned.whiten(self.thinned.power_waves(device, phase))
         return self.kept[key]
@@ -161,13 +189,13 @@ def fit_device(
         As for `thin`.
     """
     thinned = thin(recording, sensors, device.frequency, hum, duration)
+    # parameters: shift (0..2, m), rotation (3..5, rad), phase 6, ln amplitude 7, frequency 8, ln damping 9
     free = [0, 1, *([] if fix_height else [2]), 3, 4, 5, 6, 7, *([] if fix_time else [8, 9])]
     start = np.zeros(10)
-    start[7:] = [np.log(0.5 * device.theta_max), device.frequency, np.log(max(device.damping, 1e-3))]
+    start[7:] = [np.log(FIRST_AMPLITUDE * device.theta_max), device.frequency, np.log(max(device.damping, MIN_DAMPING))]
     model = _FullModel(thinned, sensors, device, np.array(position), np.array(orientation), free, start)
     start[6:8] = _phase_and_amplitude(model)
-    steps = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])[free]
-    values, covariance, cost = minimised(model.residual, start[free], steps)
+    values, covariance, cost = minimised(model.residual, start[free], STEPS[free])
     made, place, turned, phase, amplitude = model.unpack(values)
     n_data = thinned.data.size
     spread = np.sqrt(np.diag(covariance) * cost / max(n_data - len(free), 1))
@@ -177,7 +205,7 @@ def fit_device(
         std |= {"frequency": float(spread[free.index(8)]), "damping": float(made.damping * spread[free.index(9)])}
     total = float(np.sum(thinned.data**2))
     phase = float(np.angle(np.exp(1j * phase)))
-    return DeviceFit(made, place, turned, amplitude, phase, std, sse, n_data, 1.0 - sse / max(total, 1e-300))
+    return DeviceFit(made, place, turned, amplitude, phase, std, sse, n_data, 1.0 - sse / max(total, TINY))
 
 
 def _phase_and_amplitude(model: _FullModel) -> tuple[float, float]:
@@ -185,6 +213,7 @@ def _phase_and_amplitude(model: _FullModel) -> tuple[float, float]:
     wave = model.thinned.waves(model.device, [(1, 1)])[0]
     columns = model.thinned.whiten(np.stack([wave.real, -wave.imag]))
     sizes = power_coefficients(model.heard, model.device, model.position, model.orientation)[:, 0] / REFERENCE
-    solved = np.linalg.lstsq(columns.T, model.thinned.data.T @ sizes / max(float(sizes @ sizes), 1e-300), rcond=None)[0]
-    size = float(np.hypot(*solved))
-    return float(np.arctan2(solved[1], solved[0])), float(np.log(min(max(size, 1e-3), 1.2)))
+    solved = np.linalg.lstsq(columns.T, model.thinned.data.T @ sizes / max(float(sizes @ sizes), TINY), rcond=None)[0]
+    low, high = FIRST_AMPLITUDE_RANGE
+    size = min(max(float(np.hypot(*solved)), low), high)
+    return float(np.arctan2(solved[1], solved[0])), float(np.log(size))

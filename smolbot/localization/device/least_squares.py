@@ -8,6 +8,15 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 
+FIRST_DAMPING, DAMPING_UP, DAMPING_DOWN, MAX_DAMPING = 1e-3, 5.0, 0.2, 1e8
+"""Levenberg-Marquardt damping: its start, its factors after a worse and a better step, and where the search ends."""
+
+CONVERGED = 1e-4
+"""Squared length of a step, in variances of the residuals, below which a fit has converged."""
+
+TINY = 1e-30
+"""Keeps the normal matrix invertible where a parameter has no influence."""
+
 
 def minimised(
     residual: Callable[[FloatArray], FloatArray], start: FloatArray, steps: FloatArray, iterations: int = 30
@@ -24,20 +33,20 @@ def minimised(
         Sum of squares.
     """
     values, left = start, residual(start)
-    cost, damping = float(left @ left), 1e-3
+    cost, damping = float(left @ left), FIRST_DAMPING
     for _ in range(iterations):
         jacobian = np.stack([(residual(values + step) - left) / step.sum() for step in np.diag(steps)])
         normal, gradient = jacobian @ jacobian.T, jacobian @ left
         size = np.diag(normal)
         while True:
-            change = -np.linalg.solve(normal + np.diag(damping * size + 1e-30), gradient)
+            change = -np.linalg.solve(normal + np.diag(damping * size + TINY), gradient)
             tried = residual(values + change)
-            if (lower := float(tried @ tried)) <= cost or damping > 1e8:
+            if (lower := float(tried @ tried)) <= cost or damping > MAX_DAMPING:
                 break
-            damping *= 5.0
+            damping *= DAMPING_UP
         if lower > cost:
             break
-        values, left, cost, damping = values + change, tried, lower, 0.2 * damping
-        if change @ normal @ change < 1e-4 * cost / left.size:
+        values, left, cost, damping = values + change, tried, lower, DAMPING_DOWN * damping
+        if change @ normal @ change < CONVERGED * cost / left.size:
             break
     return values, np.linalg.pinv(normal), cost

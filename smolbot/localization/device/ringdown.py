@@ -16,6 +16,31 @@ from smolbot.localization.device.least_squares import minimised
 from smolbot.localization.device.thinning import BLOCK_NOISE, Hum, Thinned, thin
 
 _FIRST_TWO = ((1, 1), (2, 2), (2, 0))
+"""Power and harmonic of the waves in a fit: fundamental, second harmonic, shift of the mean."""
+
+N_WAVES = 5
+"""Real waves of a channel: two for each harmonic, one for the mean."""
+
+FREQUENCY_RANGE = np.array([0.4, 2.0])
+"""Range of the frequency in a fit, as factors on the nominal value."""
+
+LOG_DAMPING_RANGE = (-7.0, 7.0)
+"""Range of the damping's logarithm (1/s) in a fit."""
+
+MIN_DAMPING, DAMPING_FACTORS = 0.2, np.array([0.4, 0.7, 1.0, 1.5, 2.5])
+"""Smallest nominal damping, in 1/s, and the factors on it from which a search starts."""
+
+SEARCH_SHARE = 0.5
+"""Largest half width of the search, as a share of the nominal frequency."""
+
+FIT_STEPS = np.array([1e-4, 1e-4])
+"""Steps of the difference quotients for frequency (Hz) and the damping's logarithm."""
+
+GRID_SHARE, MIN_GRID = 0.25, 0.1
+"""Spacing of the searched frequencies, in units of 1 / duration, and at least, in Hz."""
+
+TINY, TINY_VARIANCE = 1e-30, 1e-300
+"""Norm of a wave, and variance, that keep a quotient finite."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +104,15 @@ def measure(
     thinned = thin(recording, sensors, device.frequency, hum)
 
     def made(values: FloatArray) -> Device:
-        frequency = np.clip(values[0], 0.4 * device.frequency, 2.0 * device.frequency)
-        return replace(base, frequency=float(frequency), damping=float(np.exp(np.clip(values[1], -7.0, 7.0))))
+        frequency = np.clip(values[0], *(FREQUENCY_RANGE * device.frequency))
+        return replace(base, frequency=float(frequency), damping=float(np.exp(np.clip(values[1], *LOG_DAMPING_RANGE))))
 
     def residual(values: FloatArray) -> FloatArray:
         basis = _harmonic_basis(thinned, made(values))
         return np.ravel(thinned.data - (thinned.data @ basis) @ basis.T) / BLOCK_NOISE
 
-    span = min(search, 0.5 * device.frequency)
-    rates = np.log(max(device.damping, 0.2) * np.array([0.4, 0.7, 1.0, 1.5, 2.5]))
+    span = min(search, SEARCH_SHARE * device.frequency)
+    rates = np.log(max(device.damping, MIN_DAMPING) * DAMPING_FACTORS)
     grid = [
         np.array([f, rate])
         for rate in rates
@@ -95,10 +120,10 @@ def measure(
     ]
     heard = [float(np.sum((thinned.data @ _harmonic_basis(thinned, made(values))) ** 2)) for values in grid]
     best = grid[int(np.argmax(heard))]
-    values, covariance, cost = minimised(residual, best, np.array([1e-4, 1e-4]))
+    values, covariance, cost = minimised(residual, best, FIT_STEPS)
     found = made(values)
     channels, blocks = thinned.data.shape
-    excess = cost / max(channels * (blocks - 5) - 2, 1)  # over the expected noise
+    excess = cost / max(channels * (blocks - N_WAVES) - 2, 1)  # relative to the expected noise
     spread = np.sqrt(np.diag(covariance) * excess)
     basis = _harmonic_basis(thinned, found)
     explained = float(np.sum((thinned.data @ basis) ** 2))
@@ -112,14 +137,14 @@ def measure(
         float(found.damping * spread[1]),
         model,
         float(np.sqrt(np.sum(sizes**2))),
-        float(np.sqrt(explained / max(5 * channels * excess, 1e-300)) / BLOCK_NOISE),
+        float(np.sqrt(explained / max(N_WAVES * channels * excess, TINY_VARIANCE)) / BLOCK_NOISE),
     )
 
 
 def _resolution(thinned: Thinned, damping: float) -> float:
     """Step of a frequency grid that no peak slips through, in Hz."""
     heard = min(float(thinned.time[-1] - thinned.time[0]), 2.0 / damping)
-    return max(0.25 / heard, 0.1)
+    return max(GRID_SHARE / heard, MIN_GRID)
 
 
 def _harmonic_basis(thinned: Thinned, device: Device) -> FloatArray:
@@ -127,5 +152,5 @@ def _harmonic_basis(thinned: Thinned, device: Device) -> FloatArray:
     first, second, mean = thinned.waves(device, _FIRST_TWO)
     rows = thinned.whiten(np.stack([first.real, first.imag, second.real, second.imag, mean.real]))
     size = np.linalg.norm(rows, axis=1, keepdims=True)
-    basis, _ = np.linalg.qr((rows / np.maximum(size, 1e-30)).T)
+    basis, _ = np.linalg.qr((rows / np.maximum(size, TINY)).T)
     return basis

@@ -24,16 +24,25 @@ from smolbot.localization.forward import envelope
 ComplexArray = npt.NDArray[np.complex128]
 
 BLOCKS_PER_PERIOD = 20
-"""Averages per period of the device that a recording is thinned to."""
+"""Block averages per period of the device to which a recording is reduced."""
 
 LEAST_RATE = 10.0
-"""Samples per period of the device, below which its swing is not followed."""
+"""Samples per period of the device below which its oscillation is not resolved."""
 
 BLOCK_NOISE = 2e-10
-"""Expected noise of one block, in T; only its ratio to the sizes of the nuisances counts."""
+"""Expected noise of one block, in T; only its ratio to the sizes of the nuisances matters."""
 
 POWERS = 5
 """Highest power of the deflection in the full model; the rest is below 1e-5 of the signal at 20 degrees."""
+
+MIN_CHANNELS = 4
+"""Fewest channels from which a ring-down is fitted."""
+
+STRAIGHT_DRIFT, BENT_DRIFT = 1e-5, 1e-8
+"""Sizes, in T, of constant and linear drift, and per s of half a recording of quadratic and cubic drift."""
+
+NO_TURN = 1e-9
+"""Turn of a wave per sample, in rad, below which the mean of a block is its middle."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +138,7 @@ _PAIRS = tuple((k, h) for k in range(1, POWERS + 1) for h in range(k % 2, k + 1,
 
 def _block_mean(turn: complex, block: int) -> complex:
     """Mean of exp(turn j) over `block` whole steps j around 0."""
-    if abs(turn) < 1e-9:
+    if abs(turn) < NO_TURN:
         return 1.0 + 0.0j
     return complex(np.sinh(0.5 * block * turn) / (block * np.sinh(0.5 * turn)))
 
@@ -167,10 +176,10 @@ def thin(
         samples = samples[:, : max(1, round(duration * recording.sample_rate))]
     constant = np.ptp(samples, axis=1) == 0.0 if samples.shape[1] else np.ones(len(samples), dtype=np.bool_)
     used: BoolArray = np.isfinite(samples.sum(axis=1)) & ~recording.saturated & ~constant
-    if used.sum() < 4:
+    if used.sum() < MIN_CHANNELS:
         raise InputError(
-            f"Only {int(used.sum())} channels can be used, at least 4 are needed; saturated, dead or not finite: "
-            f"{', '.join(str(i) for i in np.flatnonzero(~used))}."
+            f"Only {int(used.sum())} channels can be used, at least {MIN_CHANNELS} are needed; "
+            f"saturated, dead or not finite: {', '.join(str(i) for i in np.flatnonzero(~used))}."
         )
     if recording.sample_rate < LEAST_RATE * frequency:
         raise InputError(
@@ -201,8 +210,8 @@ def _nuisances(
     """Orthonormal nuisances (n, q) of a window of `count` blocks, and the share of each that whitening takes out."""
     time = (np.arange(count) - 0.5 * (count - 1)) * spacing
     half = float(time[-1])
-    columns = [1e-5 * (time / half) ** power for power in range(2)]
-    columns += [1e-8 * (time / half) ** power * half for power in (2, 3)]
+    columns = [STRAIGHT_DRIFT * (time / half) ** power for power in range(2)]
+    columns += [BENT_DRIFT * (time / half) ** power * half for power in (2, 3)]
     for order, size in sizes:
         omega = 2.0 * np.pi * mains * order
         drift = min(omega * uncertainty, 1.0 / half) * time

@@ -21,7 +21,7 @@ from smolbot.errors import InputError
 from smolbot.localization.noise.excitation_transients import decay_sizes, learn_time_constant
 
 INAUDIBLE = 1e-12
-"""Field, in T, below which what is left is not worth taking off: a hundredth of the noise of a window."""
+"""Field, in T, below which a decay is not subtracted: a hundredth of the noise of a window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +59,7 @@ class CoilTails:
             for tail, current in zip(self.tails, window.currents, strict=True):
                 if tail is None or current == 0.0 or since < 0.0:
                     continue
+                # current at the end of the window, then its decay until listening begins
                 reached = current * -np.expm1(-window.duration / tail.time_constant)
                 sizes = reached * np.exp(-since / tail.time_constant) * tail.size
                 if np.abs(sizes).max() < INAUDIBLE:
@@ -94,13 +95,15 @@ def learn_tail(shot: Shot, recordings: Sequence[Recording], frequency: float) ->
     listens = [at for at, window in shot.timed() if isinstance(window, Listen)]
     driven = [current for _, window in ends for current in window.currents if current]
     if len(ends) != 1 or len(listens) != 1 or len(driven) != 1 or listens[0] < ends[0][0]:
-        raise InputError("A tail is learned from a shot in which one coil pulls once, and which then listens.")
+        raise InputError(
+            "A coil's decay is learned from a shot in which one coil is driven once and which then listens."
+        )
     usable = [recording for recording in recordings if not recording.saturated.any()]
     if not usable:
         return None
     try:
         tau = learn_time_constant(usable, frequency)
-    except InputError:  # nothing decays: a supply that stops at once, or a coil too far to be heard
+    except InputError:  # no decay: the supply stops at once, or the coil is too far from the sensors
         return None
     at, window = ends[0]
     reached = driven[0] * -np.expm1(-window.duration / tau) * np.exp(-(listens[0] - at - window.duration) / tau)

@@ -11,15 +11,28 @@ from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
 
 QUIET_AFTER = 12.0
-"""Time constants after which a learned ring-down can be told from a signal."""
+"""Time constants after which a learned ring-down can be separated from a signal."""
 
 AUDIBLE = 20.0
-"""Time constants after which a ring-down is over for every sensor."""
+"""Time constants after which a ring-down is negligible in every sensor."""
 
 ALIKE = 0.03
-"""Relative difference below which two time constants are one."""
+"""Relative difference below which two time constants count as one."""
 
 _RANGE = (1e-4, 2e-2)
+"""Time constants, in s, between which one is searched."""
+
+_GRID_POINTS, _SEARCH_STEPS = 60, 40
+"""Time constants that are tried first, and steps of the golden section search between two of them."""
+
+_MIN_GAIN = 0.5
+"""Misfit at the best time constant, as a share of the worst: above it the probes hold no decay."""
+
+_BLOCK = 2e-4
+"""Length, in s, of the blocks to which a probe is averaged."""
+
+_MAINS = 50.0
+"""Frequency, in Hz, of the mains that is fitted with a decay."""
 
 
 def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
@@ -47,14 +60,14 @@ def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
     def misfit(tau: float) -> float:
         return sum(_left(probe, tau, frequency) for probe in probes)
 
-    grid = np.geomspace(*_RANGE, 60)
+    grid = np.geomspace(*_RANGE, _GRID_POINTS)
     values = [misfit(t) for t in grid]
     best = int(np.argmin(values))
-    if not 0 < best < len(grid) - 1 or values[best] > 0.5 * max(values):
-        raise InputError("The probes hold no decay of the excitation coils; nothing was learned of their ring-down.")
+    if not 0 < best < len(grid) - 1 or values[best] > _MIN_GAIN * max(values):
+        raise InputError("The probes show no decay of the excitation coils; no ring-down was learned.")
     low, high = np.log(grid[best - 1]), np.log(grid[best + 1])
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    for _ in range(40):
+    for _ in range(_SEARCH_STEPS):
         a, b = high - golden * (high - low), low + golden * (high - low)
         if misfit(float(np.exp(a))) < misfit(float(np.exp(b))):
             high = b
@@ -84,7 +97,7 @@ def _left(probe: Recording, tau: float, frequency: float) -> float:
 
 def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
     """Times (n,) in s from the first sample, and means (n_sensors, n) over blocks of 0.2 ms."""
-    step = max(int(2e-4 * probe.sample_rate), 1)
+    step = max(int(_BLOCK * probe.sample_rate), 1)
     count = probe.field.shape[1] // step
     blocks = probe.field[:, : count * step].reshape(len(probe.field), count, step).mean(axis=2)
     return (np.arange(count) + 0.5) * step / probe.sample_rate, blocks
@@ -92,7 +105,7 @@ def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
 
 def _design(time: FloatArray, tau: float, frequency: float) -> FloatArray:
     """Constant, decay, and the oscillations of device and mains, shape (n, 6)."""
-    turns = 2.0 * np.pi * np.outer(time, [frequency, 50.0])
+    turns = 2.0 * np.pi * np.outer(time, [frequency, _MAINS])
     return np.column_stack([np.ones(len(time)), np.exp(-time / tau), np.cos(turns), np.sin(turns)])
 
 

@@ -20,6 +20,24 @@ from smolbot.localization.noise.spectra import BLOCK_RATE, SEGMENT, ComplexArray
 if TYPE_CHECKING:
     from smolbot.core.sensing import Recording, SensorArray
 
+MIN_SEGMENTS = 1.5
+"""Shortest background recording, in segments of the spectrum."""
+
+N_HARMONICS, N_FREQUENCIES = 8, 200
+"""Harmonics of the mains, and frequencies of the spectrum, of an assumed noise model."""
+
+MIN_DENSITY = 1e-3
+"""Smallest noise power, as a share of the sensors' floor: keeps covariances invertible above the bandwidth."""
+
+SAME_SPACING = 1.001
+"""Factor within which the frequencies of a model already have the spacing asked for."""
+
+POINTS_PER_LINE = 8.0
+"""Frequencies in one over a window's length at which the spectrum is integrated."""
+
+GRADIENT_ISOTROPY = 0.3
+"""For an isotropic, symmetric, trace-free gradient G: <G_ab G_cd> = 0.3 g² (δac δbd + δad δbc - 2/3 δab δcd)."""
+
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
@@ -74,23 +92,27 @@ class NoiseModel:
             If there is none, they differ, are too short, hold values that are not finite, or no channel is alive.
         """
         if not quiet:
-            raise InputError("NoiseModel.learn needs at least one quiet recording; got none.")
+            raise InputError("NoiseModel.learn needs at least one background recording; got none.")
         kinds = {(r.field.shape[0], r.sample_rate) for r in quiet}
         if len(kinds) > 1:
-            raise InputError(f"Quiet recordings must agree in channels and sample rate; got {sorted(kinds)}.")
+            raise InputError(f"Background recordings must agree in channels and sample rate (Hz); got {sorted(kinds)}.")
         for number, recording in enumerate(quiet):
-            if recording.duration < 1.5 * SEGMENT:
-                least = f"at least {1.5 * SEGMENT:g} s are needed."
-                raise InputError(f"Quiet recording {number} lasts {recording.duration:.3f} s; {least}")
+            if recording.duration < MIN_SEGMENTS * SEGMENT:
+                least = f"at least {MIN_SEGMENTS * SEGMENT:g} s are needed."
+                raise InputError(f"Background recording {number} lasts {recording.duration:.3f} s; {least}")
             lost = np.flatnonzero(~np.isfinite(recording.field.sum(axis=1)))
             if lost.size:
-                raise InputError(f"Quiet recording {number}: channel {int(lost[0])} holds values that are not finite.")
+                raise InputError(
+                    f"Background recording {number}: channel {int(lost[0])} has values that are not finite."
+                )
         silent = np.array([r.saturated | (np.ptp(r.field, axis=1) == 0.0) for r in quiet])
         clean = [not np.any(each & ~silent.all(axis=0)) for each in silent]
         chosen = [r for r, good in zip(quiet, clean, strict=True) if good] or list(quiet)
         bad: BoolArray = np.asarray(silent.all(axis=0) if any(clean) else silent.any(axis=0))
         if bad.all():
-            raise InputError("Every channel of the quiet recordings is saturated or silent: nothing can be learned.")
+            raise InputError(
+                "Every channel of the background recordings is saturated or constant: nothing can be learned."
+            )
         if not bad.any():
             return cls(*learn_spectra(chosen))
         alive = [replace(r, field=r.field[~bad], saturated=r.saturated[~bad]) for r in chosen]
@@ -131,13 +153,13 @@ class NoiseModel:
         mains_gradient : float, in T/m
         """
         n = len(sensors)
-        orders = np.arange(1, 9)
+        orders = np.arange(1, N_HARMONICS + 1)
         space = field_covariance(sensors, mains, mains_gradient).astype(np.complex128)
-        frequencies = np.concatenate([[0.0], np.geomspace(1.0, 0.5 * BLOCK_RATE, 200)])
+        frequencies = np.concatenate([[0.0], np.geomspace(1.0, 0.5 * BLOCK_RATE, N_FREQUENCIES)])
         density = floor**2 + max(at_1hz**2 - floor**2, 0.0) / np.maximum(frequencies, 1.0)
         if np.isfinite(sensors.bandwidth):
             density = density / (1.0 + (frequencies / sensors.bandwidth) ** 2)
-        density = np.maximum(density, 1e-3 * floor**2)
+        density = np.maximum(density, MIN_DENSITY * floor**2)
         return cls(
             line_frequencies=np.asarray(mains_frequency * orders, dtype=np.float64),
             lines=space[None] / orders[:, None, None] ** 2,
@@ -175,7 +197,7 @@ class NoiseModel:
         try:
             with np.load(Path(path)) as file:
                 if "kind" not in file or str(file["kind"]) != "smolbot noise model":
-                    raise InputError(f"{path}: is no noise model of smolbot.")
+                    raise InputError(f"{path}: is not a noise model of smolbot.")
                 return cls(
                     file["line_frequencies"], file["lines"], file["frequencies"], file["spectrum"], float(file["block"])
                 )
@@ -187,7 +209,7 @@ class NoiseModel:
     def _on_grid(self, spacing: float) -> tuple[FloatArray, ComplexArray]:
         """Frequencies at most `spacing` apart, so that no lag of a window wraps round, and the spectrum there."""
         steps = np.diff(self.frequencies)
-        if steps.max() <= 1.001 * min(spacing, steps.min()):
+        if steps.max() <= SAME_SPACING * min(spacing, steps.min()):
             return self.frequencies, self.spectrum
         grid = np.arange(0.0, self.frequencies[-1] + 0.5 * spacing, spacing)
         place = np.interp(grid, self.frequencies, np.arange(len(self.frequencies)))
@@ -204,7 +226,8 @@ class NoiseModel:
             Sensor by sensor, blocks in order.
         """
         lags = block * np.arange(n_blocks)
-        grid, spectrum = self._on_grid(1.0 / (8.0 * block * n_blocks))
+        grid, spectrum = self._on_grid(1.0 / (POINTS_PER_LINE * block * n_blocks))
+        # a mean over a block multiplies the spectrum by sinc²; the model's own blocks are taken out
         averaged = np.sinc(grid * block) ** 2 / np.sinc(grid * self.block) ** 2
         wave = np.exp(2j * np.pi * np.outer(lags, grid)) * (grid[1] - grid[0]) * averaged
         smooth = np.real(wave @ spectrum.reshape(len(grid), -1)).reshape(n_blocks, self.n_sensors, self.n_sensors)
@@ -237,5 +260,5 @@ def field_covariance(sensors: SensorArray, uniform: float, gradient: float) -> F
     crossed = (axes @ place.T) * (axes @ place.T).T
     own = np.einsum("ja,ja->j", axes, place)
     changing = alignment * (place @ place.T) + crossed - 2.0 / 3.0 * np.outer(own, own)
-    total: FloatArray = uniform**2 / 3.0 * alignment + 0.3 * gradient**2 * changing
+    total: FloatArray = uniform**2 / 3.0 * alignment + GRADIENT_ISOTROPY * gradient**2 * changing
     return total

@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 _kernels: Any = compiled
 
 LONGEST = 24
-"""Blocks of a recording that are looked at: of a long one, its beginning."""
+"""Blocks of a recording that are used: the first ones of a long recording."""
+
+NO_FREEDOM = 1e-9
+"""Singular value, relative to the largest, below which a free function depends on the others."""
+
+REGULARISATION = 1e-9
+"""Share of the mean variance added to a covariance before it is inverted."""
 
 
 @lru_cache(maxsize=4)
@@ -33,13 +39,14 @@ def _foretold(model: LinearModel, noise: NoiseModel, block: float) -> tuple[Floa
     slope = np.linspace(-1.0, 1.0, n_blocks)
     free = np.column_stack([np.ones(n_blocks), slope, model.free[:n_blocks]])
     left, values, _ = np.linalg.svd(free, full_matrices=True)
-    kept = left[:, int(np.sum(values > 1e-9 * values[0])) :]
+    kept = left[:, int(np.sum(values > NO_FREEDOM * values[0])) :]
     rows = np.repeat(model.used, n_blocks)
     covariance = noise.covariance(n_blocks, block)[np.ix_(rows, rows)].reshape(n, n_blocks, n, n_blocks)
+    # each channel given all others: whitened by its block of the precision matrix
     middle = np.einsum("ta,itju,ub->iajb", kept, covariance, kept, optimize=True)
     m = kept.shape[1]
     flat = middle.reshape(n * m, n * m)
-    precision = np.linalg.inv(flat + 1e-9 * np.trace(flat) / len(flat) * np.eye(len(flat)))
+    precision = np.linalg.inv(flat + REGULARISATION * np.trace(flat) / len(flat) * np.eye(len(flat)))
     out = np.empty((n, m, n * n_blocks))
     for j in range(n):
         own = slice(j * m, (j + 1) * m)
@@ -68,8 +75,9 @@ def energies(model: LinearModel, fit: Fit, recording: Recording, noise: NoiseMod
     signal, jacobian = model.response(*place, matrix=answers)
     heard = _kernels.tapped(np.ascontiguousarray(recording.field[model.used]), model.chain.first, model.chain.weights)
     left = whiten @ (heard[:, :n_blocks].reshape(-1) - signal)
-    taken = np.linalg.solve(np.linalg.cholesky(fit.normal), (whiten @ jacobian).T)  # what the fit has taken out
+    # degrees of freedom that the fit has used
+    taken = np.linalg.solve(np.linalg.cholesky(fit.normal), (whiten @ jacobian).T)
     found, expected = np.zeros(len(model.used)), np.zeros(len(model.used))
     found[model.used] = np.sum(left.reshape(n, -1) ** 2, axis=1)
-    expected[model.used] = whiten.shape[0] / n - np.sum(taken.reshape(8, n, -1) ** 2, axis=(0, 2))
+    expected[model.used] = whiten.shape[0] / n - np.sum(taken.reshape(compiled.N_PARAMETERS, n, -1) ** 2, axis=(0, 2))
     return found, expected

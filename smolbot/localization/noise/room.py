@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smolbot.core.sensing import SensorArray
-from smolbot.localization.noise.model import NoiseModel, field_covariance
+from smolbot.localization.noise.model import N_FREQUENCIES, NoiseModel, field_covariance
 from smolbot.localization.noise.spectra import ComplexArray
 
 
@@ -41,7 +41,7 @@ class NoiseLevels:
         """The same as a `NoiseModel` up to `top` Hz, lines as likely from one direction as from another."""
         orders = np.array([1, *self.harmonics])
         sizes = np.array([1.0, *self.harmonics.values()])
-        frequencies = np.concatenate([[0.0], np.geomspace(1.0, top, 200)])
+        frequencies = np.concatenate([[0.0], np.geomspace(1.0, top, N_FREQUENCIES)])
         density = self.floor**2 + max(self.at_1hz**2 - self.floor**2, 0.0) / np.maximum(frequencies, 1.0)
         lines = self.mains_frequency * orders
         space = field_covariance(sensors, self.mains, self.mains_gradient).astype(np.complex128)

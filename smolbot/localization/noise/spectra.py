@@ -14,17 +14,41 @@ from smolbot.core.sensing import Recording
 ComplexArray = npt.NDArray[np.complex128]
 
 BLOCK_RATE = 5000.0
-"""Rate, in Hz, to which quiet recordings are averaged down before they are looked at."""
+"""Rate, in Hz, to which background recordings are averaged before they are analysed."""
 
 MAX_LINES = 16
+"""Largest number of spectral lines in a model."""
+
 LINE_CONTRAST = 12.0
-"""A line stands out from its neighbourhood by this factor in power, summed over the sensors."""
+"""Power of a line relative to its neighbourhood, summed over the sensors."""
 
 SEGMENT = 0.2
-"""Length, in s, of the pieces that the smooth part is averaged over."""
+"""Length, in s, of the segments over which the smooth spectrum is averaged."""
 
 PASSES = 4
-"""How often the spectrum is searched for lines."""
+"""Number of searches for lines; each removes those found before."""
+
+LOBE = 2.0
+"""Half width of the peak of a line under a Hann window, in 1 / duration."""
+
+NEIGHBOURHOOD = 8
+"""Width over which the median power around a line is taken, in half widths of a peak."""
+
+LINE_BAND = (3.0, 0.4)
+"""Lowest frequency of a line, in 1 / duration, and the highest, as a share of the rate."""
+
+MIN_REACH = 2.5
+"""Smallest half width of the smoothing, in steps of the spectrum."""
+
+COHERENCE_LIMIT, MIN_AVERAGES, MAX_COHERENCE = 7.0, 8.0, 0.9
+"""Coherence times the number of averages that chance rarely exceeds (exp(-7)), the fewest averages, and the largest
+limit."""
+
+MIN_VARIANCE = 1e-3
+"""Smallest eigenvalue of a spectrum, as a share of its largest."""
+
+TINY = 1e-300
+"""Power that keeps a logarithm or quotient finite."""
 
 SMOOTHING = 0.12
 """Relative half width over which the spectrum between the lines is averaged."""
@@ -69,8 +93,8 @@ def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
     n = max(p.shape[1] for p in pieces)
     size = 1 << int(np.ceil(np.log2(2 * n)))
     grid = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
-    lobe = max(int(2.0 * size / n), 2)  # half width of a line's own peak, in bins
-    considered = (grid > 3.0 * rate / n) & (grid < 0.4 * rate)
+    lobe = max(int(LOBE * size / n), 2)  # half width of a line's own peak, in bins
+    considered = (grid > LINE_BAND[0] * rate / n) & (grid < LINE_BAND[1] * rate)
     found: list[float] = []
     left = pieces
     for _ in range(PASSES):
@@ -78,7 +102,7 @@ def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
         for piece in left:
             window = np.hanning(piece.shape[1] + 2)[1:-1]
             power += np.sum(np.abs(np.fft.rfft(piece * window, size, axis=1)) ** 2, axis=0) / np.sum(window**2)
-        contrast = np.where(considered, power / _neighbourhood(power, 8 * lobe), 0.0)
+        contrast = np.where(considered, power / _neighbourhood(power, NEIGHBOURHOOD * lobe), 0.0)
         new: list[float] = []
         while (
             len(found) + len(new) < MAX_LINES and (peak := int(np.argmax(contrast))) and contrast[peak] > LINE_CONTRAST
@@ -99,15 +123,15 @@ def _neighbourhood(power: FloatArray, width: int) -> FloatArray:
         np.median(power[: count * width].reshape(count, -1), axis=1) if count > 1 else np.array([np.median(power)])
     )
     middles = (np.arange(len(medians)) + 0.5) * width
-    return np.interp(np.arange(len(power)), middles, medians) + 1e-300
+    return np.interp(np.arange(len(power)), middles, medians) + TINY
 
 
 def _refined(grid: FloatArray, power: FloatArray, peak: int) -> float:
     """Top of the parabola through the logarithm of a peak and its neighbours."""
     if not 0 < peak < len(grid) - 1:
         return float(grid[peak])
-    a, b, c = np.log(power[peak - 1 : peak + 2] + 1e-300)
-    curve = a - 2.0 * b + c
+    a, b, c = np.log(power[peak - 1 : peak + 2] + TINY)
+    curve = a - 2.0 * b + c  # parabola through the logarithms around the peak
     shift = 0.5 * (a - c) / curve if curve < 0 else 0.0
     return float(grid[peak] + np.clip(shift, -0.5, 0.5) * (grid[1] - grid[0]))
 
@@ -151,7 +175,7 @@ def cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, C
     smooth = np.zeros_like(total)
     used = np.zeros(len(grid))
     for i, f in enumerate(grid):
-        reach = max(SMOOTHING * f, 2.5 * grid[1])
+        reach = max(SMOOTHING * f, MIN_REACH * grid[1])
         near = (np.abs(grid - f) <= reach) & (grid > 0)
         smooth[i] = total[near].mean(axis=0)
         used[i] = near.sum()
@@ -161,11 +185,11 @@ def cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, C
 def _significant(spectrum: ComplexArray, averages: FloatArray) -> ComplexArray:
     """Zero the cross terms whose coherence chance explains; keep every matrix positive."""
     power = np.real(np.einsum("fjj->fj", spectrum))
-    scale = np.sqrt(power[:, :, None] * power[:, None, :]) + 1e-300
+    scale = np.sqrt(power[:, :, None] * power[:, None, :]) + TINY
     coherence = np.abs(spectrum) ** 2 / scale**2
-    limit = np.clip(7.0 / np.maximum(averages, 8.0), 0.0, 0.9)[:, None, None]
+    limit = np.clip(COHERENCE_LIMIT / np.maximum(averages, MIN_AVERAGES), 0.0, MAX_COHERENCE)[:, None, None]
     kept = np.where((coherence > limit) | np.eye(spectrum.shape[1], dtype=bool), spectrum, 0.0)
     values, vectors = np.linalg.eigh(0.5 * (kept + np.conj(np.swapaxes(kept, 1, 2))))
-    values = np.maximum(values, 1e-3 * values.max(axis=1, keepdims=True))
+    values = np.maximum(values, MIN_VARIANCE * values.max(axis=1, keepdims=True))
     out: ComplexArray = np.einsum("fjr,fr,fkr->fjk", vectors, values, vectors.conj())
     return out

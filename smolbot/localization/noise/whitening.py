@@ -22,19 +22,31 @@ from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.problem import LinearModel, Problem, require_enough, usable_channels
 
 BLOCK = 0.5e-3
-"""Longest block, in s; within it the fourth harmonic of 180 Hz still keeps 80 % of its size."""
+"""Longest block, in s: its mean keeps 80 % of the fourth harmonic of 180 Hz."""
 
 FAINTEST = 0.1
-"""Directions in which a strong signal stays below this, in units of the noise, are dropped."""
+"""Size of a strong signal, in standard deviations of the noise, below which a direction is dropped."""
 
 TYPICAL = 1e-7
-"""Size, in T, of the strong first harmonic that `FAINTEST` refers to."""
+"""First harmonic, in T, of a strong signal."""
+
+POWER_RATIO = 0.6
+"""Size of a power of the deflection relative to the one before, before division by its factorial."""
+
+MAX_SHORTENING = 4
+"""A block may be shorter than the longest by one part in this many, so that fewer samples are left over."""
+
+REGULARISATION = 1e-9
+"""Share of the mean variance added to a covariance before it is inverted."""
+
+CLOCK_DIGITS = 8
+"""Decimals, in s, of the time since the drive: 10 ns of rounding do not make a new model."""
 
 
 def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
     """Means over equal blocks of at most `block` s that leave out the fewest samples."""
     longest = max(int(block * sample_rate), 1)
-    sizes = range(max(longest - longest // 4, 1), longest + 1)
+    sizes = range(max(longest - longest // MAX_SHORTENING, 1), longest + 1)
     size = min(sizes, key=lambda b: (n_samples % b, -b))
     count = n_samples // size
     first = size * np.arange(count, dtype=np.int64)
@@ -47,7 +59,7 @@ def _whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> 
     used = np.frombuffer(usable, dtype=np.bool_)
     rows = np.repeat(used, n_blocks)
     covariance = noise.covariance(n_blocks, block)[np.ix_(rows, rows)]
-    floor = 1e-9 * np.trace(covariance) / len(covariance)
+    floor = REGULARISATION * np.trace(covariance) / len(covariance)
     factor = np.linalg.cholesky(covariance + floor * np.eye(len(covariance)))
     return np.asarray(np.linalg.inv(factor), dtype=np.float64)
 
@@ -114,15 +126,15 @@ def any_array(
     answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
     flat = answers.reshape(len(answers), -1)
     flat -= constants @ (constants.T @ flat)
-    # directions that a signal can take, weighed by how strong each power of the deflection can be
+    # directions that a signal can take, weighted by the possible strength of each power of the deflection
     powers = time_functions.labels()[:, 0]
-    strength = TYPICAL * np.repeat([0.6 ** (k - 1) / factorial(k) for k in powers], n_channels)
+    strength = TYPICAL * np.repeat([POWER_RATIO ** (k - 1) / factorial(k) for k in powers], n_channels)
     values, vectors = np.linalg.eigh((flat * strength).T @ (flat * strength))
     kept = values > FAINTEST**2
     if not kept.any():
         raise InputError(
-            f"Nothing of a swing would be heard {1e3 * since:g} ms after the drive, in noise as it was learned: is "
-            "that time right, and was the device still in the quiet recordings?"
+            f"No oscillation is measurable {1e3 * since:g} ms after the drive in the noise that was learned. Is that "
+            "time right, and was the device at rest in the background recordings?"
         )
     directions = (flat * strength) @ (vectors[:, kept] / np.sqrt(values[kept]))  # orthonormal columns
     matrix = (directions.T @ flat).reshape(int(kept.sum()), len(functions), n_channels)
@@ -167,7 +179,7 @@ def prepare_whitened(
     """
     usable = usable_channels(recording, sensors, device)
     if noise.n_sensors != len(sensors):
-        raise InputError(f"The noise model knows {noise.n_sensors} sensors; the sensor array has {len(sensors)}.")
+        raise InputError(f"The noise model has {noise.n_sensors} sensors; the sensor array has {len(sensors)}.")
     require_enough(int(usable.sum()), "channels", usable)
     n_samples = recording.field.shape[1]
     if whole_half_periods(n_samples, recording.sample_rate, device.frequency) < 1:
@@ -175,7 +187,7 @@ def prepare_whitened(
             f"The recording lasts {recording.duration * 1e3:.2f} ms; a half-period of {device.frequency:g} Hz lasts "
             f"{500.0 / device.frequency:.2f} ms, and at least one is needed."
         )
-    since = round(recording.time_since_drive, 8)  # 10 ns: rounding of a clock makes no new kind of recording
+    since = round(recording.time_since_drive, CLOCK_DIGITS)
     heard = tuple(tau for tau in transients if since < AUDIBLE * tau)
     model = whitened_model(
         sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, since, trend, heard

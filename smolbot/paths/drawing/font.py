@@ -14,7 +14,7 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 
 FIRST, LAST = "!", "~"
-"""The printable characters, without the space, that the font holds."""
+"""First and last printable character of the font, which has no space."""
 
 KNOWN = f"the printable ASCII characters, {FIRST} to {LAST} (A to Z, a to z, 0 to 9 and signs)"
 

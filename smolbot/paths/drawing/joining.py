@@ -17,13 +17,28 @@ from smolbot.paths.drawing.smoothing import smoothed
 from smolbot.paths.polylines import arc_of, crossings, is_straight, nearest_place, place_at, split_at
 
 MEET, SAME = 0.8, 0.3
-"""Units of the font's grid: an end that is this near to another stroke meets it; places this near are one."""
+"""Distances, in units of the font's grid: an end this near to another stroke meets it; points this near are one."""
 
 STRAIGHT_ON = np.radians(12.0)
-"""Turns up to this one are none, where a route passes from one stroke to another."""
+"""Turn, in rad, up to which a route goes straight on from one stroke to another."""
 
 TRIES = 20_000
 """Steps of the search for the trail with the least turning."""
+
+LEAVING = 0.5
+"""Length of a stroke's end, in units of the grid, that gives the direction in which it leaves."""
+
+INNER_PENALTY = 0.1
+"""Length, in units of the grid, by which a bridge to the middle of a stroke counts longer than one to an end."""
+
+WRITING_ORDER = 0.05
+"""Turn, in rad, by which a start at the left or top is preferred, as in handwriting."""
+
+NO_SHORTER = 1e-12
+"""Difference of two ways, in units of the grid, that is rounding."""
+
+ROUNDING = 1e-9
+"""Difference, in units of the grid or rad, that is rounding."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +75,7 @@ class _Edge:
     def leaving(self, from_a: bool) -> FloatArray:
         """Unit vector of the way out of one of its ends."""
         points = self.points if from_a else self.points[::-1]
-        way = place_at(points, min(0.5, 0.5 * self.length)) - points[0]
+        way = place_at(points, min(LEAVING, 0.5 * self.length)) - points[0]
         return way / np.linalg.norm(way)
 
 
@@ -156,9 +171,9 @@ def _met(strokes: list[FloatArray]) -> tuple[list[FloatArray], list[BoolArray]]:
                 if not is_straight(met[j]):
                     met[j] = np.insert(met[j], int(np.searchsorted(arc, place)), stroke[end], axis=0)
     ends = np.array([stroke[k] for stroke in met for k in (0, -1)])
-    fixed = [np.min(np.linalg.norm(s[:, None] - ends[None], axis=2), axis=1) < 1e-9 for s in met]
+    fixed = [np.min(np.linalg.norm(s[:, None] - ends[None], axis=2), axis=1) < ROUNDING for s in met]
     for stroke, hold in zip(met, fixed, strict=True):
-        if np.allclose(stroke[0], stroke[-1]) and np.sum(np.linalg.norm(ends - stroke[0], axis=1) < 1e-9) == 2:
+        if np.allclose(stroke[0], stroke[-1]) and np.sum(np.linalg.norm(ends - stroke[0], axis=1) < ROUNDING) == 2:
             hold[[0, -1]] = False  # only its own end meets it there
     return met, fixed
 
@@ -174,8 +189,8 @@ def _bridge(net: _Net) -> None:
                 for vertex, point in enumerate(edge.points):
                     place, away = nearest_place(other.points, point)
                     inside = SAME < place < other.length - SAME
-                    away += 0.1 * (inside + (0 < vertex < len(edge.points) - 1))  # rather from end to end
-                    if best is None or away < best[0] - 1e-9:
+                    away += INNER_PENALTY * (inside + (0 < vertex < len(edge.points) - 1))
+                    if best is None or away < best[0] - ROUNDING:
                         best = away, point, k, place
         assert best is not None
         _, point, k, place = best
@@ -187,7 +202,7 @@ def _bridge(net: _Net) -> None:
         goal = place_at(other.points, place)
         for k, edge in enumerate(net.edges):
             at, away = nearest_place(edge.points, point)
-            if away < 1e-9 and SAME < at < edge.length - SAME:
+            if away < ROUNDING and SAME < at < edge.length - SAME:
                 net.edges[k : k + 1] = []
                 for half in split_at(edge.points, [at]):
                     net.add(half, edge.bridge)
@@ -207,7 +222,7 @@ def _retrace(net: _Net, scale: FloatArray) -> None:
                 way[a, b], last[a, b] = length, k
     for m in range(n):
         through = way[:, m, None] + way[None, m, :]
-        shorter = through < way - 1e-12
+        shorter = through < way - NO_SHORTER
         way = np.where(shorter, through, way)
         last = np.where(shorter, last[None, m, :], last)
     odd = [i for i in range(n) if net.degree(i) % 2]
@@ -256,7 +271,7 @@ def _trail(net: _Net) -> list[tuple[int, bool]]:
             return
         ways = [(turns[trail[-1], way] if trail else 0.0, way) for way in out[node] if not used[way[0]]]
         for turn, (k, forward) in sorted(ways):
-            if cost + turn >= least - 1e-9 or (best and tries > TRIES):
+            if cost + turn >= least - ROUNDING or (best and tries > TRIES):
                 return
             edge = net.edges[k]
             used[k] = True
@@ -267,7 +282,7 @@ def _trail(net: _Net) -> list[tuple[int, bool]]:
 
     for start in starts:
         x, y = net.nodes[start]
-        go_on(start, float(0.05 * (x - y) / size))  # as one writes: from the left, from the top
+        go_on(start, float(WRITING_ORDER * (x - y) / size))
     return best
 
 

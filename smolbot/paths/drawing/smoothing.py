@@ -9,22 +9,25 @@ import numpy as np
 from smolbot.core.arrays import BoolArray, FloatArray
 
 STEP = 0.25
-"""Distance of samples, in units of the font's grid."""
+"""Spacing of samples, in units of the font's grid."""
 
 SLACK = 0.35
-"""How far a curve may pass by a point of its polygon: points were rounded to the grid, half a unit each way at most."""
+"""Distance, in grid units, by which a curve may miss a point of its polygon: points are rounded to half a unit."""
 
 EXACT = 2e-3
-"""The same for points through which it must pass, and for straight lines."""
+"""The same distance for points through which it must pass, and for straight lines."""
 
 STRAIGHT = 6.9
-"""Lines from this length on are meant to be straight; shorter ones may be chords of a bend."""
+"""Length, in grid units, from which a line is straight; shorter ones may be chords of a bend."""
 
 CORNER, BETWEEN_LINES = np.radians(70.0), np.radians(20.0)
-"""Turns that are meant as a corner: anywhere, and between two straight lines."""
+"""Turns, in rad, from which a point is a corner: anywhere, and between two straight lines."""
 
 HELD, FIRM = 1e10, 1e7
-"""Weights of a point through which the curve must pass, and of one on a straight line, against 1 of any other."""
+"""Weights of a point through which the curve must pass, and of one on a straight line; others weigh 1."""
+
+STIFFNESS_RANGE, STIFFNESS_STEPS = (-4.0, 8.0), 16
+"""Decadic logarithms between which the stiffness is searched, and bisections of that search."""
 
 
 def smoothed(stroke: FloatArray, fixed: BoolArray | None = None) -> list[FloatArray]:
@@ -90,7 +93,7 @@ def _fit(polygon: FloatArray, held: BoolArray) -> FloatArray:
     weight[: len(arc)][held] = HELD
     index = np.minimum((at / arc[-1] * count).astype(int), count - 1)
     share = at / arc[-1] * count - index
-    # normal equations of the points, by diagonals; those of third differences are added with the stiffness
+    # normal equations as diagonals: of the points, and of the third differences that the stiffness weighs
     points = np.zeros((4, count + 1))
     np.add.at(points[0], index, weight * (1.0 - share) ** 2)
     np.add.at(points[0], index + 1, weight * share**2)
@@ -109,8 +112,9 @@ def _fit(polygon: FloatArray, held: BoolArray) -> FloatArray:
         passed = found[index] + share[:, None] * (found[index + 1] - found[index]) - goal
         return bool(np.all(np.hypot(passed[:, 0], passed[:, 1]) < np.where(weight == 1.0, SLACK, EXACT)))
 
-    low, high = -4.0, 8.0
-    for _ in range(16):
+    # the stiffest curve that still keeps to its points
+    low, high = STIFFNESS_RANGE
+    for _ in range(STIFFNESS_STEPS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if keeps(curve(10.0**middle)) else (low, middle)
     best = curve(10.0**low)

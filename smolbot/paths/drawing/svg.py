@@ -12,20 +12,38 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
-MM = 25.4 / 96.0
-"""Size of a CSS pixel, to which SVG's units refer."""
+PIXELS_PER_INCH = 96.0
+"""Of CSS, whose pixel is the unit of SVG."""
+
+MM = 25.4 / PIXELS_PER_INCH
+"""Size of a CSS pixel, in mm."""
+
+LENGTH_ERROR = 1e-3
+"""Error, in pixels, of the length by which a segment is found to have none."""
 
 FLAT = 5e-3
-"""Most distance of a chord from its curve, in mm."""
+"""Largest distance of a chord from its curve, in mm."""
 
 TURN = np.radians(5.0)
-"""Most turn within a chord: a bend must not be taken for corners."""
+"""Largest turn within a chord, in rad: a bend must not look like corners."""
 
 DEEPEST = 14
-"""Halvings of a curve at most: a cusp turns within every chord."""
+"""Largest number of halvings of a curve: a cusp turns within every chord."""
+
+FEWEST = 3
+"""Smallest number of halvings: the ends of a symmetric curve do not show its turn."""
+
+MERGED = 1e-6
+"""Distance, in mm, below which two points are one."""
+
+NO_SIZE = 1e-9
+"""Width or height, in mm, that is rounding."""
+
+TINY = 1e-12
+"""Length, in mm, that keeps a quotient finite."""
 
 PEN_UP = 1e-3
-"""Moves up to this one, in mm, are rounding."""
+"""Gap, in mm, up to which a move of the pen is rounding."""
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _COUNTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
@@ -53,12 +71,12 @@ def read_svg(path: Path, element: str | None, width: float | None, height: float
     import svgelements
 
     try:
-        drawing = svgelements.SVG.parse(str(path), reify=True, ppi=96.0)
+        drawing = svgelements.SVG.parse(str(path), reify=True, ppi=PIXELS_PER_INCH)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}:{error.position[0]}: not valid XML: {error}.") from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}.") from error
-    except (ValueError, TypeError, ArithmeticError, AttributeError) as error:  # what svgelements meets unprepared
+    except (ValueError, TypeError, ArithmeticError, AttributeError) as error:  # what svgelements does not handle
         raise InputError(f"{path}: cannot be read as SVG: {error}.") from error
     if not isinstance(drawing, svgelements.SVG):
         raise InputError(f"{path}: is no SVG: its outermost element is not <svg>.")
@@ -69,7 +87,7 @@ def read_svg(path: Path, element: str | None, width: float | None, height: float
     scale = _scale(size, width, height, f"{path}: {name}")
     points = [_chords(segment, FLAT / float(np.max(scale))) for segment in segments]
     whole = np.vstack([points[0], *(chords[1:] for chords in points[1:])]) * scale
-    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > 1e-6])
+    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > MERGED])
     return whole[new] - 0.5 * (whole.min(axis=0) + whole.max(axis=0))
 
 
@@ -132,10 +150,10 @@ def _segments(shape: Any, where: str) -> list[Any]:
             if lifted:
                 a, b = drawn[-1].end, segment.end
                 raise InputError(
-                    f"{where}: the pen is lifted at ({a.x * MM:.2f}, {a.y * MM:.2f}) mm of the page and put down at "
-                    f"({b.x * MM:.2f}, {b.y * MM:.2f}) mm; a robot cannot be lifted. Draw one line without a break."
+                    f"{where}: the line ends at ({a.x * MM:.2f}, {a.y * MM:.2f}) mm of the page and starts again at "
+                    f"({b.x * MM:.2f}, {b.y * MM:.2f}) mm; a robot cannot jump. Draw one line without a gap."
                 )
-        elif segment.start is not None and segment.end is not None and segment.length(error=1e-3) > 0.0:
+        elif segment.start is not None and segment.end is not None and segment.length(error=LENGTH_ERROR) > 0.0:
             drawn.append(segment)
     if not drawn:
         raise InputError(f"{where}: has no length.")
@@ -179,8 +197,8 @@ def _data_fault(data: str) -> str | None:
 def _scale(size: FloatArray, width: float | None, height: float | None, where: str) -> FloatArray:
     wanted = (width, height)
     for have, want, what in zip(size, wanted, ("width", "height"), strict=True):
-        if want is not None and have < 1e-9:
-            raise InputError(f"{where}: has no {what}, and cannot be brought to {want:g} mm; leave out {what}_mm.")
+        if want is not None and have < NO_SIZE:
+            raise InputError(f"{where}: has no {what}, and cannot be scaled to {want:g} mm; leave out {what}_mm.")
     ratios = [None if want is None else want / have for have, want in zip(size, wanted, strict=True)]
     given = [r for r in ratios if r is not None]
     return np.array([r if r is not None else (given[0] if given else 1.0) for r in ratios])
@@ -203,8 +221,8 @@ def _chords(segment: Any, flat: float) -> FloatArray:
         into, out = middle - p, q - middle
         turn = abs(float(np.arctan2(into[0] * out[1] - into[1] * out[0], into @ out)))
         chord = q - p
-        beside = abs(float(into[0] * chord[1] - into[1] * chord[0])) / max(float(np.linalg.norm(chord)), 1e-12)
-        if depth >= DEEPEST or (depth >= 3 and turn < TURN and beside <= flat):
+        beside = abs(float(into[0] * chord[1] - into[1] * chord[0])) / max(float(np.linalg.norm(chord)), TINY)
+        if depth >= DEEPEST or (depth >= FEWEST and turn < TURN and beside <= flat):
             found.append(q)
             return
         halve(a, p, m, middle, depth + 1)

@@ -92,7 +92,7 @@ def test_it_keeps_the_promise_of_a_rig(line):
     assert rig.now() == 0.0
     assert rig.play(Shot((Actuate((8.0, 0, 0, 0), 0.1),))) is None
     assert rig.now() == pytest.approx(0.1 + line.rig.turnaround)
-    with pytest.raises(InputError, match="already played"):
+    with pytest.raises(InputError, match="true pose is recorded"):
         rig.witness.truth(rig.now() + 0.01)
     rig.close()
     rig.close()

@@ -88,12 +88,12 @@ def test_a_shot_beyond_a_limit_is_refused_before_anything_moves(open_tank, bad):
 def test_witness_knows_only_what_was_played(open_tank):
     rig = open_tank()
     assert rig.witness.truth(0.0).time == 0.0
-    with pytest.raises(InputError, match="already played"):
+    with pytest.raises(InputError, match="true pose is recorded"):
         rig.witness.truth(0.001)
     rig.play(CYCLE)
-    with pytest.raises(InputError, match="already played"):
+    with pytest.raises(InputError, match="true pose is recorded"):
         rig.witness.truth(rig.now() + 0.01)
-    with pytest.raises(InputError, match="already played"):
+    with pytest.raises(InputError, match="true pose is recorded"):
         rig.witness.truth(-0.01)
     pose = rig.witness.truth(rig.now())
     assert not pose.covariance.any()

@@ -119,7 +119,7 @@ def test_each_recording_has_constants_of_its_own():
 def test_what_was_not_played_cannot_be_heard():
     plant = make(Plant)
     plant.advance(np.zeros((6, 100)))
-    with pytest.raises(InputError, match="knows samples 0 to 100"):
+    with pytest.raises(InputError, match="keeps samples 0 to 100"):
         plant.volts(50, 100)
 
 

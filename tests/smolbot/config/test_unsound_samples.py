@@ -82,7 +82,7 @@ BAD = {
     "one a second": (lambda v: {"volts": v, "sample_rate_hz": 1.0}, "1 samples per second"),
     "negative rate": (lambda v: {"volts": v, "sample_rate_hz": -RATE}, "sample_rate_hz must be positive; got -50000"),
     "no rate": (lambda v: {"volts": v, "sample_rate_hz": np.nan}, r"must be one finite number; got \[nan\]"),
-    "long ago": (lambda v: {"volts": v, "time_since_drive_ms": 2e4}, "Nothing is left of the swing 20000 ms after"),
+    "long ago": (lambda v: {"volts": v, "time_since_drive_ms": 2e4}, "The oscillation has decayed 20000 ms after"),
     "infinite": (lambda v: {"volts": hurt(v, (1, 4, 7), np.inf)}, "channel 4, sample 7 of shot 1 is inf"),
     "shots last": (lambda v: {"volts": v.transpose(1, 2, 0)}, "looks transposed"),
     "shots between": (lambda v: {"volts": v.transpose(1, 0, 2)}, "3 channels; .* looks transposed"),
@@ -161,7 +161,7 @@ def test_the_noise_of_a_dead_channel_is_that_of_the_others():
     assert power[:, 2] == pytest.approx(power[:, [0, 1, 3]].mean(axis=1))
     assert np.all(model.spectrum[:, 2, [0, 1, 3]] == 0.0)
     np.linalg.cholesky(model.covariance(8, 5e-4))
-    with pytest.raises(InputError, match="Every channel of the quiet recordings is saturated or silent"):
+    with pytest.raises(InputError, match="Every channel of the background recordings is saturated or constant"):
         NoiseModel.learn([Recording(np.ones((4, 50_000)), RATE, np.inf)])
 
 
@@ -268,5 +268,5 @@ def test_a_localizer_refuses_what_it_could_only_choke_on(heard):
     localizer = Localizer(rig.sensors, device)
     with pytest.raises(InputError, match="50 samples per second"):
         localizer.locate(Recording(1e-6 * heard[0][0], 50.0, 0.02))
-    with pytest.raises(InputError, match="Nothing is left of the swing 20000 ms"):
+    with pytest.raises(InputError, match="The oscillation has decayed 20000 ms"):
         localizer.locate(Recording(1e-6 * heard[0][0], RATE, 20.0))

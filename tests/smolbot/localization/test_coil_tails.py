@@ -94,7 +94,7 @@ def test_a_coil_that_is_not_heard_has_no_tail():
 
 def test_one_coil_at_a_time_is_learned():
     for shot in (flown((1.0, 1.0)), Shot((Excite((2.0, 1.0), F, 3), RingDown(12e-3), Listen(2, F)))):
-        with pytest.raises(InputError, match="one coil pulls once"):
+        with pytest.raises(InputError, match="one coil is driven once"):
             learn_tail(shot, [heard(shot)], F)
 
 

@@ -230,6 +230,6 @@ def test_bad_quiet_recordings_are_refused(tmp_path):
     (tmp_path / "no.npz").write_text("no")
     with pytest.raises(InputError, match="noise model"):
         NoiseModel.load(tmp_path / "no.npz")
-    with pytest.raises(InputError, match="knows 9 sensors"):
+    with pytest.raises(InputError, match="has 9 sensors"):
         model = NoiseModel.learn([Recording(good[:9], RATE, np.inf)])
         Localizer(SENSORS, ACROSS, model).locate(Recording(good[:, :500], RATE, 0.02))

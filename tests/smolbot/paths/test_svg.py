@@ -129,7 +129,7 @@ def test_arcs_lie_on_their_circle_or_ellipse(drawn, body, radii, share):
         ('<line x1="0" y1="0" x2="10" y2="6"/>', [[-5, 3], [5, -3]]),
         ('<path d="M 1 1 H 11 V 7 h -4 Z"/>', [[-5, 3], [5, 3], [5, -3], [1, -3], [-5, 3]]),
         ('<defs><path id="p" d="M 0 0 L 10 6"/></defs><use xlink:href="#p"/>', [[-5, 3], [5, -3]]),
-        ('<path d="M 0 0 L 10 0 M 10 0 L 10 6"/>', [[-5, 3], [5, 3], [5, -3]]),  # put down where it was lifted
+        ('<path d="M 0 0 L 10 0 M 10 0 L 10 6"/>', [[-5, 3], [5, 3], [5, -3]]),  # starts again where it ended
         ('<path style="display:none" d="M 0 0 L 1 1"/><path d="M 0 0 L 10 6"/>', [[-5, 3], [5, -3]]),
         ('<path d=""/><circle r="0"/><path d="M 0 0 L 10 6"/>', [[-5, 3], [5, -3]]),
     ],
@@ -153,7 +153,7 @@ def test_a_tight_bend_is_no_corner_and_a_corner_no_bend(drawn):
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        ('<path id="a" d="M 0 0 L 4 0 L 4 2 M 6 2 L 9 2"/>', ["element 'a'", "lifted at (4.00, 2.00)", "(6.00, 2.00)"]),
+        ('<path id="a" d="M 0 0 L 4 0 L 4 2 M 6 2 L 9 2"/>', ["element 'a'", "ends at (4.00, 2.00)", "(6.00, 2.00)"]),
         ('<path id="a" d="M0 0L4 0"/><rect width="3" height="2"/>', ["2 shapes, a, a rect without an id", "element ="]),
         ('<path d="M 0 0 L 10 x 20"/>', ["broken path data", "'x' at character 12"]),
         ('<path d="M 0 0 L 10"/>', ["L at character 7 has 1 numbers; it takes 2"]),
@@ -181,7 +181,7 @@ def test_an_unknown_id_is_told_the_known_ones(drawn):
 
 
 def test_a_line_without_height_cannot_be_brought_to_one(drawn):
-    with pytest.raises(InputError, match=r"has no height, and cannot be brought to 3 mm; leave out height_mm"):
+    with pytest.raises(InputError, match=r"has no height, and cannot be scaled to 3 mm; leave out height_mm"):
         drawn('<path d="M 0 0 L 4 0"/>', height=3.0)
 
 

@@ -134,7 +134,7 @@ def test_a_path_that_cannot_be_flown_is_told_with_its_key(lay, section, key, wor
 
 
 def test_broken_drawings_name_mission_drawing_and_element(lay):
-    with pytest.raises(ConfigError, match=r"mine\.toml:\d+: path\.file: .*hook\.svg: element 'a': the pen is lifted"):
+    with pytest.raises(ConfigError, match=r"mine\.toml:\d+: path\.file: .*hook\.svg: element 'a': the line ends at"):
         load_mission(lay('file = "hook.svg"', '<path id="a" d="M 0 0 h 3 m 1 0 h 3"/>'))
     with pytest.raises(ConfigError, match=r"mine\.toml:\d+: path\.file: .*hook\.svg:1: not valid XML"):
         load_mission(lay('file = "hook.svg"', "<path"))

@@ -10,8 +10,9 @@ import numpy as np
 from sim.tank.carriers.carrier import Magnetic, State
 from sim.tank.carriers.gel import kernels
 from sim.tank.carriers.gel.truth import draw_gel, gel_generators, pack_cube, pack_gel, pack_inclusions
+from sim.tank.magnetics.cantilever import MIDDLE
 from sim.tank.magnetics.magnet import true_device
-from sim.tank.mismatch import Truth
+from sim.tank.mismatch import CLIP, Truth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -68,7 +69,7 @@ class Embedded:
     def lasting(self, window: Window) -> float:
         """How long a window truly lasts, in s: a hand that moves a magnet is late, never early."""
         if isinstance(window, MoveMagnet):
-            late = abs(float(np.clip(self._hand.standard_normal(), -3.0, 3.0)))
+            late = abs(float(np.clip(self._hand.standard_normal(), -CLIP, CLIP)))
             return window.duration * (1.0 + self._lateness * late)
         return window.duration
 
@@ -125,7 +126,7 @@ class Embedded:
             )  # fmt: skip
         else:
             turn = matrix_from_quaternion(self._state[3:7].copy())
-            poses[:, :3] = self._state[:3] - turn @ self._device[10:13]
+            poses[:, :3] = self._state[:3] - turn @ self._device[MIDDLE : MIDDLE + 3]
             poses[:, 3:] = self._state[3:7]
 
     def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:

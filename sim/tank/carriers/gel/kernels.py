@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
+from sim.tank.magnetics.cantilever import INERTIA, L0, MIDDLE, MOMENT, OMEGA_SQUARED, REST_X, REST_Z, THETA_MAX
 from smolbot.core.arrays import FloatArray
 
 
@@ -68,19 +69,23 @@ def cuboid_field(x: float, y: float, z: float, half: float, remanence: float, b:
     g[1, 2] = g[2, 1] = scale * yz
 
 
-# Entries of `gel`: what it takes to move the helix, each alone: force along the thread (N), force across the axis (N),
-# torque about the axis, torque across it (N·m); rate of turn at which the viscous part is as large (rad/s); force at
-# the nose that cuts a new way (N), share of it on the way back; pitch / 2 pi (m/rad), radius, half the length (m);
-# lowest and highest place of the axis between the plates (m), stiffness (N/m) and friction of the plates
+# Entries of `gel`: yield loads of the helix, each alone: force along the thread (N), force across the axis (N),
+# torque about the axis, torque across it (N·m); rate of turn at which the viscous part is as large (rad/s); force
+# that cuts a new channel at the nose (N), share of it on the way back; pitch / 2 pi (m/rad), radius, half the
+# length (m); lowest and highest position of the axis between the plates (m), stiffness (N/m) and friction of the plates
 THREAD, ACROSS, SPIN, TILT, RATE, CUT, BACK, LEAD, RADIUS, REACH, LOW, HIGH, PLATE, FRICTION = range(14)
 GEL_LENGTH = 14
 # Entries of `cube`: half the side (m), remanence (T), centre (3, m), columns of the stage's true rotation (9, row by
-# row), how far the pole stands from straight down at a turn of zero (rad)
+# row), angle of the pole from straight down at a turn of zero (rad)
+HALF_SIDE, REMANENCE, CENTER, FRAME, HOME = 0, 1, 2, 5, 14
 # Entries of `state`: middle of the housing (3, m), orientation (4, scalar first), deflection (rad), turn of the magnet
 # and heading of its axis (rad), velocity (3, m/s) and spin (3, rad/s) in the last step, world frame
 X, Q, DEFLECTION, TURN, STEER, V, W = 0, 3, 7, 8, 9, 10, 13
 GEL_STATE_LENGTH = 16
 SLOW = 1e-7  # m/s: a contact that slips more slowly than this sticks
+SETTLE_STEPS = 4  # Newton steps to the deflection at equilibrium
+STIFFNESS_POINTS = 5  # along the helix, at which the gel's stiffness is averaged
+POINT_SPACING, POINT_WEIGHT = 0.5, 0.2  # of those points: in half lengths, and in the mean
 
 
 @njit(cache=True, error_model="numpy")
@@ -93,7 +98,7 @@ def magnet_field(
     (4, 3, 3) is scratch.
     """
     frame, own_g, half, own = work[0], work[1], work[2], work[3]
-    angle = turn + cube[14]
+    angle = turn + cube[HOME]
     c, s, cs, ss = math.cos(angle), math.sin(angle), math.cos(steer), math.sin(steer)
     # columns in the stage's frame: along the axis, the third, along the magnetisation cos (-z) + sin (axis x -z)
     own[0, 0], own[1, 0], own[2, 0] = cs, ss, 0.0
@@ -103,12 +108,16 @@ def magnet_field(
     own[2, 1] = own[0, 2] * own[1, 0] - own[1, 2] * own[0, 0]
     for r in range(3):
         for k in range(3):
-            frame[r, k] = cube[5 + 3 * r] * own[0, k] + cube[6 + 3 * r] * own[1, k] + cube[7 + 3 * r] * own[2, k]
-    dx, dy, dz = point[0] - cube[2], point[1] - cube[3], point[2] - cube[4]
+            frame[r, k] = (
+                cube[FRAME + 3 * r] * own[0, k]
+                + cube[FRAME + 3 * r + 1] * own[1, k]
+                + cube[FRAME + 3 * r + 2] * own[2, k]
+            )
+    dx, dy, dz = point[0] - cube[CENTER], point[1] - cube[CENTER + 1], point[2] - cube[CENTER + 2]
     x = frame[0, 0] * dx + frame[1, 0] * dy + frame[2, 0] * dz
     y = frame[0, 1] * dx + frame[1, 1] * dy + frame[2, 1] * dz
     z = frame[0, 2] * dx + frame[1, 2] * dy + frame[2, 2] * dz
-    cuboid_field(x, y, z, cube[0], cube[1], own[0], own_g)
+    cuboid_field(x, y, z, cube[HALF_SIDE], cube[REMANENCE], own[0], own_g)
     for r in range(3):
         b[r] = frame[r, 0] * own[0, 0] + frame[r, 1] * own[0, 1] + frame[r, 2] * own[0, 2]
         for k in range(3):
@@ -132,9 +141,9 @@ def stiffness_at(x: float, y: float, inclusions: FloatArray) -> float:
 @njit(cache=True, error_model="numpy")
 def settle(theta: float, bx: float, bz: float, device: FloatArray) -> float:
     """Deflection, in rad, at which cantilever, stops and field (bx, bz in the plane of oscillation, T) are at rest."""
-    moment, rest_x, rest_z, theta_max = device[0], device[1], device[2], device[4]
-    spring = device[9] * device[5]
-    for _ in range(4):
+    moment, rest_x, rest_z, theta_max = device[MOMENT], device[REST_X], device[REST_Z], device[THETA_MAX]
+    spring = device[INERTIA] * device[OMEGA_SQUARED]
+    for _ in range(SETTLE_STEPS):
         c, s = math.cos(theta), math.sin(theta)
         mx, mz = moment * (rest_x * c + rest_z * s), moment * (rest_z * c - rest_x * s)
         rest = bx * mz - bz * mx - spring * theta
@@ -176,10 +185,12 @@ def flow(forward: FloatArray, load: FloatArray, gel: FloatArray, factor: float, 
     rest = 0.0
     for r in range(3):
         rest += ((load[r] - push * forward[r]) / across) ** 2 + ((load[3 + r] - twist * forward[r]) / tilt) ** 2
+    # the nose takes up to the cutting force: it holds the helix where it would not advance otherwise
     cut, advancing = gel[CUT] * nose, 0.0
-    holding = -lead * twist / spin**2 / (1.0 / thread**2 + (lead / spin) ** 2)  # the push at which it does not advance
+    holding = -lead * twist / spin**2 / (1.0 / thread**2 + (lead / spin) ** 2)  # push (N) at which it does not advance
     held = min(max(holding, push - cut), push + gel[BACK] * cut)
     turn, slip = twist + lead * held, -held
+    # yield surface: below 1 the gel holds, above it flows like a Bingham fluid, along the surface's normal
     n = math.sqrt(rest + (slip / thread) ** 2 + (turn / spin) ** 2)
     if n <= 1.0:
         for r in range(6):
@@ -202,9 +213,9 @@ def magnetic_load(
     bz = rotation[0, 2] * b[0] + rotation[1, 2] * b[1] + rotation[2, 2] * b[2]
     theta = settle(theta, bx, bz, device)
     c, s = math.cos(theta), math.sin(theta)
-    u = device[0] * (device[1] * c + device[2] * s)
-    v = device[0] * (device[2] * c - device[1] * s)
-    ax, ay, az = device[3] * s - device[10], -device[11], device[3] * c - device[12]
+    u = device[MOMENT] * (device[REST_X] * c + device[REST_Z] * s)
+    v = device[MOMENT] * (device[REST_Z] * c - device[REST_X] * s)
+    ax, ay, az = device[L0] * s - device[MIDDLE], -device[MIDDLE + 1], device[L0] * c - device[MIDDLE + 2]
     m0, m1 = rotation[0, 0] * u + rotation[0, 2] * v, rotation[1, 0] * u + rotation[1, 2] * v
     m2 = rotation[2, 0] * u + rotation[2, 2] * v
     a0 = rotation[0, 0] * ax + rotation[0, 1] * ay + rotation[0, 2] * az
@@ -289,13 +300,19 @@ def screw(
             1 - 2 * (x * x + y * y),
         )
         theta = state[DEFLECTION]
-        ax, ay, az = device[3] * math.sin(theta), 0.0, device[3] * math.cos(theta)
+        ax, ay, az = device[L0] * math.sin(theta), 0.0, device[L0] * math.cos(theta)
         for r in range(3):
             forward[r] = rotation[r, 2]
-            center = state[r] - rotation[r, 0] * device[10] - rotation[r, 1] * device[11] - rotation[r, 2] * device[12]
+            center = (
+                state[r]
+                - rotation[r, 0] * device[MIDDLE]
+                - rotation[r, 1] * device[MIDDLE + 1]
+                - rotation[r, 2] * device[MIDDLE + 2]
+            )
             poses[i, r] = center
             point[r] = center + rotation[r, 0] * ax + rotation[r, 1] * ay + rotation[r, 2] * az
         poses[i, 3], poses[i, 4], poses[i, 5], poses[i, 6] = w, x, y, z
+        # the stage turns its axis and the magnet; the field is taken at the middle of the step
         left = steer_to - state[STEER]
         left -= 2.0 * math.pi * math.floor(left / (2.0 * math.pi) + 0.5)
         state[STEER] += math.copysign(min(abs(left), steering_rate * step), left)
@@ -304,9 +321,11 @@ def screw(
         state[DEFLECTION] = magnetic_load(rotation, theta, b, g, device, load)
         plates(state, forward, gel, load)
         factor = 0.0
-        for k in range(5):
-            along = (0.5 * k - 1.0) * gel[REACH]
-            factor += 0.2 * stiffness_at(state[0] + along * forward[0], state[1] + along * forward[1], inclusions)
+        for k in range(STIFFNESS_POINTS):
+            along = (POINT_SPACING * k - 1.0) * gel[REACH]
+            factor += POINT_WEIGHT * stiffness_at(
+                state[0] + along * forward[0], state[1] + along * forward[1], inclusions
+            )
         tip = gel[REACH]
         nose = stiffness_at(state[0] + tip * forward[0], state[1] + tip * forward[1], inclusions)
         flow(forward, load, gel, factor, nose, moved)

@@ -16,7 +16,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
 STREAM = 5
-"""Which stream of a seed the draws come from: those of the tank itself have 0 to 4."""
+"""Random stream of a seed for the gel; the tank uses 0 to 4."""
 
 
 @dataclass(frozen=True, eq=False)
