@@ -103,10 +103,11 @@ class _OldPath(ModuleType):
         if new is None:
             return ModuleType.__getattribute__(self, name)
         caller = sys._getframe(1)
-        asked = str(caller.f_globals.get("__name__", ""))
+        asked = caller.f_globals.get("__name__")
+        package = str(caller.f_globals.get("__package__") or asked)  # of a program of ours, which is named __main__
         spelled = opname[caller.f_code.co_code[caller.f_lasti]] in _SPELLED
         gone = name not in held and asked != "importlib._bootstrap"  # which only looks whether there is such a name
-        if gone or (spelled and asked.partition(".")[0] not in _OURS):
+        if gone or (spelled and package.partition(".")[0] not in _OURS):
             place, _, there = new.partition(":")
             said = f"{module}.{name} is now {place}.{there}; the old path ends with the next release."
             warnings.warn(said, DeprecationWarning, stacklevel=2)

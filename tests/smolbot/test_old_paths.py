@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
+import sys
 import warnings
 
 import pytest
@@ -47,6 +49,12 @@ def test_other_names_of_a_watched_module_and_pickles_cause_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pickle.loads(kept) == Event(1.0, "paused")
+
+
+def test_programs_of_ours_are_silent_however_they_are_started():
+    command = [sys.executable, "-W", "error::DeprecationWarning:__main__", "-m", "sim.measure.kills", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_name_that_never_was_is_an_error_as_elsewhere():

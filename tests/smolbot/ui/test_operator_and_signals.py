@@ -78,7 +78,7 @@ def test_a_signal_stops_a_run_with_3_and_no_second_one_keeps_it_from_its_end(tmp
 def test_a_signal_before_the_rig_is_open_moves_nothing_and_ends_with_3(tmp_path):
     script = """
     import os, signal, sys
-    from sim.tank.world import TankWorld
+    from sim import TankWorld
     from smolbot.ui.cli.app import main
     TankWorld.open = staticmethod(lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
     sys.argv[1:] = ["run", "line", "--out", sys.argv[1]]
