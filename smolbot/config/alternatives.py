@@ -16,7 +16,18 @@ SINGLE_AXIS = "single_axis"
 
 
 def void_keys(data: Mapping[str, Any], upper: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Keys of a file that are void once `upper` is laid over it.
+    """Find the keys of a file that are void once something is laid over it.
+
+    Parameters
+    ----------
+    data : mapping
+        What the file says.
+    upper : mapping
+        What is laid over it: another file, or settings.
+
+    Returns
+    -------
+    list of (section, key)
 
     Examples
     --------

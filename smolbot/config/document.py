@@ -90,7 +90,18 @@ class Document:
         return set_values(self._text, given, self._void)
 
     def place(self, key: KeyPath) -> tuple[Path, int]:
-        """File and line of `key`, or of the nearest key that encloses it."""
+        """Find where a key stands.
+
+        Parameters
+        ----------
+        key : tuple
+            Its path.
+
+        Returns
+        -------
+        Path, int
+            File and line of `key`, or of the nearest key that encloses it: of this file, or of one that it extends.
+        """
         while key and key not in self._places:
             key = key[:-1]
         path, line = self._places.get(key, (None, 1))
@@ -101,7 +112,18 @@ class Document:
         return self.place(key)[1]
 
     def folder(self, key: KeyPath) -> Path:
-        """Folder of the file in which `key` stands, from which a file that it names is meant."""
+        """Find the folder from which a file is meant that a key names.
+
+        Parameters
+        ----------
+        key : tuple
+            Its path.
+
+        Returns
+        -------
+        Path
+            Of the file in which `key` stands: this one, which settings are laid over, or one that it extends.
+        """
         return (self.path if ".".join(map(str, key)) in self.settings else self.place(key)[0]).parent
 
     def spell(self, fault: Fault) -> str:
@@ -120,9 +142,24 @@ class Document:
         return ConfigError("\n".join(dict.fromkeys(self.spell(f) for f in ordered)))
 
     def override(self, settings: dict[str, str], prefix: str = "") -> Document:
-        """The same document with ``key.path = value`` settings laid over it, values in TOML spelling.
+        """Lay settings over a document.
 
-        `prefix` is what the user put before the keys, for messages.
+        Parameters
+        ----------
+        settings : dict of str
+            Values in TOML spelling by dotted keys: ``{"limits.max_current_a": "6.0"}``.
+        prefix : str
+            What the user put before the keys, for messages.
+
+        Returns
+        -------
+        Document
+            The same document with the settings.
+
+        Raises
+        ------
+        ConfigError
+            If a key leads through something that is no table.
         """
         changed = copy.copy(self)
         changed.prefix, changed.settings = prefix, dict(settings)
@@ -150,9 +187,20 @@ class Document:
         return validate(model, self.data)
 
     def section(self, name: str, model: type[Model]) -> tuple[Model | None, list[Fault]]:
-        """The section ``[name]`` as `model`, or None and every fault of it; empty where the file has none.
+        """Check one section against a model; a world checks its own so (`smolbot.config.World.check`).
 
-        A world checks its own section so, which nobody else does (`smolbot.config.world.World.check`).
+        Parameters
+        ----------
+        name : str
+            Of the section, ``[name]``; an empty one where the file has none.
+        model : type of FileModel
+            Its keys.
+
+        Returns
+        -------
+        FileModel or None
+            The section; None if it has faults.
+        list of Fault
         """
         data = self.data.get(name, {})
         if not isinstance(data, dict):

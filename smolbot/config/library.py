@@ -50,6 +50,10 @@ def open_file(name: str, kind: str, beside: Path | None = None) -> Document:
     name, kind, beside
         See `find_file`.
 
+    Returns
+    -------
+    Document
+
     Raises
     ------
     MissingFileError
@@ -81,7 +85,17 @@ def _opened(path: Path, kind: str, below: tuple[Path, ...]) -> Document:
 
 
 def holds_rig(path: Path) -> bool:
-    """Whether a file that may be a rig's or a mission's is a rig's; false of one that cannot be read as either."""
+    """Tell whether a file that may be a rig's or a mission's is a rig's.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+        False also of one that cannot be read as a rig's.
+    """
     try:
         return "sensors" in open_file(str(path), "rigs").data
     except (ConfigError, MissingFileError):  # as a mission it is told what is wrong with it

@@ -89,23 +89,69 @@ class SensorKind(Protocol):
 class StudyPlugin(Protocol):
     """A study of `smolbot study`; an entry point of ``smolbot.studies``, where an object is named, not its class.
 
-    `sim.studies.Study` keeps it; a lab makes one of its own functions.
+    `sim.studies.Study` keeps it: a lab makes one of its own functions, and leaves out what has a default there.
 
     Attributes
     ----------
     name, title : str
         What it is called on the command line, and in tables.
+    devices : callable
+        Returns the devices that it studies, by name.
+    estimators : tuple of str
+        Those that are used where none is asked for.
+    mission : bool
+        Whether it is of a mission's loop, which is then given on the command line.
+    rig_of : callable or None
+        Returns the rig that is described beside the results; None for the one of ``--rig``.
+    files : callable or None
+        Returns texts that are left beside the figure, by file name.
+    notes : mapping
+        Kept in ``study.json``.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     devices: ClassVar[Callable[[], Mapping[str, Any]]]
+    estimators: ClassVar[tuple[str, ...]]
+    mission: ClassVar[bool]
+    rig_of: ClassVar[Callable[[Any], Any] | None]
+    files: ClassVar[Callable[[Any], Mapping[str, str]] | None]
+    notes: ClassVar[Mapping[str, Any]]
 
     def chunks(self, options: Any) -> list[Any]:
-        """Cut the study into pieces, each with a seed of its own, which run in any process."""
+        """Cut the study into pieces that run in any process.
+
+        Parameters
+        ----------
+        options : sim.studies.Options
+            What was asked for on the command line.
+
+        Returns
+        -------
+        list of sim.studies.Chunk
+            Each with a seed of its own, so that the result does not depend on how many run at once.
+        """
 
     def conclude(self, options: Any, parts: list[Any]) -> Any:
-        """Sum up what the pieces returned, in their order, as an `sim.studies.Outcome`."""
+        """Sum up.
+
+        Parameters
+        ----------
+        options : sim.studies.Options
+        parts : list of sim.studies.Columns
+            What the pieces returned, in their order.
+
+        Returns
+        -------
+        sim.studies.Outcome
+        """
 
     def draw(self, outcome: Any, path: Path) -> None:
-        """Draw the study's figure into a file."""
+        """Draw the study's figure.
+
+        Parameters
+        ----------
+        outcome : sim.studies.Outcome
+        path : Path
+            The PNG file to write.
+        """

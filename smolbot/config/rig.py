@@ -111,7 +111,18 @@ class RigConfig:
         return self.sections.magnet
 
     def raw_section(self, world: str) -> dict[str, Any]:
-        """The section that a world keeps to itself, ``[tank]`` or ``[bench]``, as it stands in the file, if it does."""
+        """Look up the section that a world keeps to itself, such as ``[bench]``.
+
+        Parameters
+        ----------
+        world : str
+            Its name.
+
+        Returns
+        -------
+        dict
+            As it stands in the file, unchecked; empty without one.
+        """
         section = self.document.data.get(world)
         return section if isinstance(section, dict) else {}
 

@@ -53,7 +53,20 @@ Layer = dict[KeyPath, Entry]
 
 
 def lay_over(base: str, upper: str, without: Iterable[KeyPath]) -> str:
-    """Text of `base` with all that `upper` says laid over it, but for the keys `without` of either."""
+    """Lay one TOML text over another.
+
+    Parameters
+    ----------
+    base, upper : str
+        What `upper` says takes the place of what `base` says.
+    without : iterable of key paths
+        Keys and tables that are left out of either.
+
+    Returns
+    -------
+    str
+        One text, with the comments of what was taken from each.
+    """
     without = list(without)
     layer, over = (_without(read_layer(text), without) for text in (base, upper))
     ours, theirs = layer.pop(()), over.pop(())
@@ -67,9 +80,22 @@ def lay_over(base: str, upper: str, without: Iterable[KeyPath]) -> str:
 def set_values(
     text: str, values: Mapping[KeyPath, Any], without: Iterable[KeyPath] = (), begin: str | None = None
 ) -> str:
-    """Text with `values` set, each with the comment of what it replaces, and the keys `without` left out.
+    """Set values in a TOML text.
 
-    `begin` takes the place of the comment lines with which the text begins.
+    Parameters
+    ----------
+    text : str
+    values : mapping
+        Values by their key paths; each keeps the comment of what it replaces.
+    without : iterable of key paths
+        Keys and tables that are left out.
+    begin : str, optional
+        Takes the place of the comment lines with which the text begins.
+
+    Returns
+    -------
+    str
+        The text, otherwise as it was.
 
     Examples
     --------
@@ -167,7 +193,17 @@ def write_file(path: str | Path, above: Sequence[str], tables: Mapping[str, Sequ
 
 
 def read_layer(text: str) -> Layer:
-    """Every key and header of a TOML text."""
+    """Take a TOML text apart.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    dict
+        Every key and header by its path; see `Layer`.
+    """
     import tomlkit
 
     lines = text.splitlines(keepends=True)
@@ -212,7 +248,17 @@ def _take_lines_below(table: Any) -> str:
 
 
 def write_layer(layer: Layer) -> str:
-    """The TOML text of a layer: in each table the plain keys, then its tables."""
+    """Put a TOML text together: in each table the plain keys, then its tables.
+
+    Parameters
+    ----------
+    layer : dict
+        As `read_layer` returns it.
+
+    Returns
+    -------
+    str
+    """
     import tomlkit
 
     document = tomlkit.document()

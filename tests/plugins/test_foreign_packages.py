@@ -283,7 +283,8 @@ class Unexpanding:
 
 
 class Unfinished:
-    name, title = "unfinished", "Without an end"
+    name, title, notes = "unfinished", "Without an end", {}
+    estimators, mission, rig_of, files = (), False, None, None
 
     @staticmethod
     def devices(): ...
