@@ -6,8 +6,7 @@ from typing import ClassVar
 import smolbot
 from controllers import ForceAllocator, UnreachableForceError
 from smolbot import Actuate, Command, Gain
-from smolbot.flight.assembly import make_loop
-from smolbot.flight.session import open_rig
+from smolbot.flight import make_loop, open_rig
 
 
 class Tug:

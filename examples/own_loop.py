@@ -4,8 +4,7 @@ from contextlib import closing
 
 import smolbot
 from smolbot.errors import RigError
-from smolbot.flight.assembly import make_loop
-from smolbot.flight.session import open_rig
+from smolbot.flight import make_loop, open_rig
 
 mission = smolbot.load_mission("line")
 try:

@@ -11,7 +11,7 @@ import logging
 
 from lazy_loader import attach_stub
 
-from smolbot import deprecated
+from smolbot.core import deprecated
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 deprecated.install()

@@ -6,3 +6,4 @@ from .preview.helix import HelixPreview as HelixPreview
 from .preview.observation import ObservationPreview as ObservationPreview
 from .replay import Replay as Replay
 from .session import fly as fly
+from .session import open_rig as open_rig

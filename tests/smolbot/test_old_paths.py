@@ -9,7 +9,7 @@ import warnings
 
 import pytest
 
-from smolbot.deprecated import MOVED, _find
+from smolbot.core.deprecated import MOVED, _find
 
 PATHS = sorted(path if ":" in path else f"{path}:{_find(f'{new}:__all__')[0]}" for path, new in MOVED.items())
 
