@@ -1,4 +1,4 @@
-"""Controllers: each turns poses into commands, and registers as an entry point of ``smolbot.controllers``."""
+"""Controllers: each turns poses into commands, and is registered as an entry point of ``smolbot.controllers``."""
 
 from lazy_loader import attach_stub
 

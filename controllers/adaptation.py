@@ -1,4 +1,4 @@
-"""What a controller learns in flight: how readily the robot moves and turns, and what carries it off."""
+"""Model parameters that a controller learns in flight: mobility, agility and drift of the robot."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ LEAST, MOST = 0.6, 1.6
 
 
 class Adaptation:
-    """Kalman filters on mobility, drift and agility: what was seen of a window against what was predicted.
+    """Kalman filters of mobility, drift and agility, from measured and predicted motion of each window.
 
     Attributes
     ----------
     mobility, agility : float
-        Motion and turn seen over those predicted by the belief in drag.
+        Measured motion and turn over those predicted with the assumed drag.
     drift : ndarray, shape (2,), in m/s
     """
 
@@ -44,23 +44,34 @@ class Adaptation:
 
     @property
     def mobility(self) -> float:
+        """Measured over predicted motion."""
         return float(self._x[0])
 
     @property
     def drift(self) -> FloatArray:
+        """Drift velocity (2,), in m/s."""
         return self._x[1:].copy()
 
     def learn(self, seen: FloatArray, predicted: FloatArray, turned: float, wanted: float, duration: float) -> bool:
-        """Learn from one window; False where what was seen cannot be its doing.
+        """Learn from the measured motion in one window.
 
         Parameters
         ----------
-        seen, predicted : ndarray, shape (2,), in m
-            Displacement, as tracked and as the window should have caused it at mobility 1.
-        turned, wanted : float, in rad
-            Likewise for the heading, at the present agility.
+        seen : ndarray, shape (2,), in m
+            Displacement as tracked.
+        predicted : ndarray, shape (2,), in m
+            Displacement predicted for the window at mobility 1.
+        turned : float, in rad
+            Change of heading as tracked.
+        wanted : float, in rad
+            Change of heading predicted at the present agility.
         duration : float, in s
             Between the two poses.
+
+        Returns
+        -------
+        bool
+            False for an outlier, which the window cannot have caused.
         """
         noise = POSE_NOISE**2 + (MODEL_NOISE**2) * float(predicted @ predicted)
         if not _correct(self._x, self._p, seen, predicted, duration, noise):
@@ -81,7 +92,7 @@ class Adaptation:
 def _correct(
     x: FloatArray, p: FloatArray, seen: FloatArray, predicted: FloatArray, duration: float, noise: float
 ) -> bool:
-    """One Kalman step, in place: seen = mobility * predicted + drift * duration; False for an outlier."""
+    """Do one Kalman update in place: seen = mobility * predicted + drift * duration; False for an outlier."""
     for a in range(3):
         p[a, a] += WANDER[a] ** 2
     h = np.zeros((2, 3))

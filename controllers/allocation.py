@@ -1,15 +1,16 @@
-"""Compiled search for the coil currents whose true force points where it is wanted.
+"""Compiled search for the coil currents whose true force points in a requested direction.
 
-A moment that has aligned with the field B feels F = |m| grad|B|. Along any given direction u of the field, u = B / |B|,
+The force on a moment that has aligned with the field B is F = |m| grad|B|. Along any given direction u of the
+field, u = B / |B|,
 
     F_i / |m| = u . dB/dx_i = sum_c I_c (u . dB_c/dx_i)
 
-is linear in the currents. So for each u the strongest force along d is a linear programme (no field beside u, next to
-no force across d, enough field along u, bounds), and the least heat for a wanted force a quadratic one. What is left
-is a search over the angle of u in the horizontal plane. A field out of the plane, where the robot is not in the coils'
-own, is found by repetition: it tilts u.
+is linear in the currents. So for each u the strongest force along d is a linear program (no field beside u, almost
+no force across d, enough field along u, bounds), and the least heat for a requested force a quadratic one. What
+remains is a search over the angle of u in the horizontal plane. A field out of the plane, where the robot is not in
+the coils' own plane, is found by iteration: it tilts u.
 
-Kernels that call each other share this file, since numba's cache does not see a change in another one.
+Kernels that call each other share this file, since numba's cache does not notice a change in another one.
 """
 
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
@@ -29,7 +30,7 @@ TIGHT = 1e-9  # share of a bound by which a current may miss it before it is put
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _solve(matrix, right, size):
-    """Solve in place by elimination with pivots; False where the matrix is singular."""
+    """Solve in place by elimination with pivots; return False where the matrix is singular."""
     for i in range(size):
         pivot = i
         for r in range(i + 1, size):
@@ -55,10 +56,10 @@ def _solve(matrix, right, size):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multipliers, currents):
-    """Maximise rows[FORCE] . I with rows[order] I = wanted[order] and low <= I <= high; False without a solution.
+    """Maximize rows[FORCE] . I with rows[order] I = wanted[order], low <= I <= high; False without a solution.
 
-    Every basis is tried. Its multipliers put every other current on one of its bounds, and the equations give the basic
-    ones. A basis whose currents keep to their bounds is optimal.
+    Every basis is tried. Its multipliers put every other current on one of its bounds, and the equations give the
+    basic ones. A basis whose currents keep to their bounds is optimal.
     """
     n = low.shape[0]
     for i in range(size):
@@ -106,7 +107,7 @@ def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multip
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _rise(rows, wanted, order, size, low, high, multipliers, step, share):
-    """Slope of `_coolest`'s dual along `step`, after a share of it; it only falls along the way."""
+    """Compute the slope of `_coolest`'s dual along `step`, after a share of it; it decreases along the step."""
     out = 0.0
     for k in range(size):
         out += step[k] * wanted[order[k]]
@@ -121,9 +122,10 @@ def _rise(rows, wanted, order, size, low, high, multipliers, step, share):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, step, currents):
-    """Minimise |I|² with rows[order] I = wanted[order] and low <= I <= high; False if no solution was found.
+    """Minimize |I|² with rows[order] I = wanted[order] and low <= I <= high; return False if no solution was found.
 
-    At the optimum I = clip(rows^T y); y follows by Newton steps on the concave dual, each as long as the dual rises.
+    At the optimum I = clip(rows^T y); y follows by Newton steps on the concave dual, each as long as the dual
+    rises.
     """
     n = low.shape[0]
     for k in range(size):
@@ -176,7 +178,7 @@ def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, st
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
-    """Best currents with some rules (1: way, 2: field, 3: both) as equations; their number, 0 without a solution."""
+    """Solve with some rules (1: way, 2: field, 3: both) as equations; return their number, 0 without a solution."""
     n = low.shape[0]
     order[0], order[1], size = BESIDE, FORCE, 2 if cool else 1
     if rules & 1:
@@ -196,7 +198,7 @@ def _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _misses(rows, wanted, slack, work, currents):
-    """Force across the way, or 0 where it is small enough, and whether the field is strong enough."""
+    """Return the force across the way, or 0 where it is small enough, and whether the field is strong enough."""
     force = across = field = 0.0
     for c in range(currents.shape[0]):
         force += rows[FORCE, c] * currents[c]
@@ -207,9 +209,9 @@ def _misses(rows, wanted, slack, work, currents):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
-    """Best currents for given rows: the rules that may be slack are added in turn, until all of them hold.
+    """Find the best currents for given rows: the inequality rules are added in turn, until all of them hold.
 
-    The optimum with some of the rules left out, if it keeps to them, is the optimum. So is one with some of them taken
+    The optimum with some of the rules left out, if it keeps to them, is the optimum. So is one with some of them
     as equations, if their multipliers have the right signs: the set that was right for the last direction is tried
     first. `memory` holds that set and side.
     """
@@ -251,7 +253,10 @@ def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work,
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, currents):
-    """Best currents for a field along `angle`: force along `way` and minus their heat; -1e300 where nothing fits."""
+    """Find the best currents for a field along `angle`; return their force along `way`, and minus their heat.
+
+    Both are -1e300 where no solution exists.
+    """
     least, steepest, slack = rules
     n = b.shape[0]
     rows, wanted, matrix, work = store[0], store[1, 0], store[2], store[3]
@@ -301,7 +306,22 @@ def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, cur
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def field_and_force(b, g, currents):
-    """Field (3,) in T and grad|B| (3,) in T/m of coils with fields b (n, 3) and gradients g (n, 3, 3) per A."""
+    """Compute the field of some coils, and grad|B|.
+
+    Parameters
+    ----------
+    b : ndarray, shape (n, 3), in T per A
+        Field of each coil.
+    g : ndarray, shape (n, 3, 3), in T per (A m)
+        Its gradient, ``g[c, i, j] = dB_i / dx_j``.
+    currents : ndarray, shape (n,), in A
+
+    Returns
+    -------
+    field : ndarray, shape (3,), in T
+    slope : ndarray, shape (3,), in T/m
+        grad|B|.
+    """
     n = b.shape[0]
     field, force = np.zeros(3), np.zeros(3)
     for c in range(n):
@@ -317,24 +337,26 @@ def field_and_force(b, g, currents):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps):
-    """Currents (n_coils,) whose grad|B| points along `way`, searched over the direction of the field.
+    """Search the direction of the field for the currents whose grad|B| points along a given direction.
 
     Parameters
     ----------
-    b, g : ndarray, shape (n_coils, 3), (n_coils, 3, 3)
-        Field (T/A) and gradient (T/(A m)), ``g[c, i, j] = dB_i / dx_j``.
+    b : ndarray, shape (n_coils, 3), in T per A
+        Field of each coil.
+    g : ndarray, shape (n_coils, 3, 3), in T per (A m)
+        Its gradient, ``g[c, i, j] = dB_i / dx_j``.
     low, high : ndarray, shape (n_coils,), in A
     way : ndarray, shape (2,)
         Unit vector in the horizontal plane.
     size : float, in T/m
-        Wanted grad|B|; negative for the strongest.
+        Requested grad|B|; negative for the strongest.
     least : float, in T
         The field must be this strong, or the moment would not align.
     steepest : float
-        Largest tangent of the field's slope out of the plane: a floating robot does not follow it.
+        Largest tangent of the field's slope out of the plane, which a floating robot does not follow.
     slack : float
-        Tangent of the angle by which the force may miss `way`. Where coils stand opposite each other, none at all would
-        cost up to a quarter of the force.
+        Tangent of the angle by which the force may deviate from `way`. Where coils oppose each other, a value of 0
+        would cost up to a quarter of the force.
     head_first : bool
         Whether the field must not point against `way`.
     steps : int
@@ -342,8 +364,8 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
 
     Returns
     -------
-    value : float
-        grad|B| along `way`, in T/m, or -1e300 where nothing fits.
+    value : float, in T/m
+        grad|B| along `way`, or -1e300 where no solution exists.
     currents : ndarray, shape (n_coils,), in A
     """
     n = b.shape[0]
@@ -417,7 +439,21 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def strongest_alone(b, g, high):
-    """The largest grad|B|, in T/m, that one coil gives alone at its limit, high (n_coils,) in A."""
+    """Compute the largest grad|B| of a single coil at its limit.
+
+    Parameters
+    ----------
+    b : ndarray, shape (n_coils, 3), in T per A
+        Field of each coil.
+    g : ndarray, shape (n_coils, 3, 3), in T per (A m)
+        Its gradient, ``g[c, i, j] = dB_i / dx_j``.
+    high : ndarray, shape (n_coils,), in A
+        Limits of the currents.
+
+    Returns
+    -------
+    float, in T/m
+    """
     most = 0.0
     for c in range(high.shape[0]):
         _, slope = field_and_force(b[c : c + 1], g[c : c + 1], high[c : c + 1])
@@ -427,26 +463,29 @@ def strongest_alone(b, g, high):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def forces_by_field(b, g, low, high, ways, angles, rules, head_first):
-    """Strongest grad|B| along a way for every direction of the field, at many places.
+    """Compute the strongest grad|B| along a direction for every direction of the field, at many points.
 
     Parameters
     ----------
-    b, g : ndarray, shape (m, n_coils, 3), (m, n_coils, 3, 3)
-        Field (T/A) and gradient (T/(A m)) at each place.
+    b : ndarray, shape (m, n_coils, 3), in T per A
+        Field of each coil at each point.
+    g : ndarray, shape (m, n_coils, 3, 3), in T per (A m)
+        Its gradient.
     low, high : ndarray, shape (n_coils,), in A
     ways : ndarray, shape (m, 2)
         Unit vectors.
     angles : ndarray, shape (k,), in rad
         Directions of the field.
-    rules : tuple
-        Least field in T, largest tangent of its slope, and of the angle by which the force may miss the way.
+    rules : tuple of 3 floats
+        Least field in T, largest tangent of its slope out of the plane, and tangent of the angle by which the force
+        may deviate from the way.
     head_first : bool
-        Whether fields that point against the way count for nothing.
+        Whether fields that point against the way are left out.
 
     Returns
     -------
     ndarray, shape (m, k), in T/m
-        0 where nothing fits.
+        0 where no solution exists.
     """
     m, n = b.shape[0], b.shape[1]
     out = np.zeros((m, angles.shape[0]))

@@ -1,6 +1,6 @@
-"""Which way a robot should point along a path: where the field must point for a strong pull along it, with few turns.
+"""Planning of a robot's heading along a path: headings that allow a strong pull along the path, with few turns.
 
-The force on an aligned moment does not point along the field, so the heading that serves a path is not the path's own.
+The force on an aligned moment does not point along the field, so the best heading is not the path's own.
 """
 
 from __future__ import annotations
@@ -25,17 +25,19 @@ SLOWEST = 5e-5
 
 @dataclass(frozen=True)
 class Compass:
-    """Finds headings along curves for one robot and one set of coils.
+    """Plans headings along curves for one robot and one set of coils.
 
     Attributes
     ----------
     setup : Setup
     low, high : ndarray, shape (n_coils,), in A
+        Limits of the currents.
     head_first : bool
+        Whether the robot may only be pulled at the head.
     least_field : float, in T
         Weaker fields turn the robot too slowly.
     turn_time : float, in s/rad
-        What a turn costs.
+        Assumed duration of a turn.
     """
 
     setup: Setup
@@ -46,20 +48,25 @@ class Compass:
     turn_time: float
 
     def headings(self, points: FloatArray, ways: FloatArray, spacing: float, start: float | None = None) -> FloatArray:
-        """Headings (n,), in rad, that bring the robot along soonest; without jumps of a whole turn.
+        """Plan the headings that bring the robot along a curve in the shortest time.
 
-        The time is that of going at the strongest pull that each heading allows, and of turning; the least sum over
-        the whole curve is found by dynamic programming.
+        The time is that of moving at the strongest pull that each heading allows, and of turning; the least sum
+        over the whole curve is found by dynamic programming.
 
         Parameters
         ----------
-        points : ndarray, shape (n, 3), in m
+        points : ndarray, shape (n, 3), in m, world frame
         ways : ndarray, shape (n, 2)
             Directions of travel, unit vectors.
         spacing : float, in m
             Between two points.
         start : float, in rad, optional
             Heading before the first point.
+
+        Returns
+        -------
+        ndarray, shape (n,), in rad
+            Continuous, without jumps by 2 pi.
         """
         angles = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
         inside = self.setup.table.contains(points)
@@ -83,7 +90,7 @@ class Compass:
 
 @njit(cache=True, error_model="numpy")
 def _soonest(cost: FloatArray, going: FloatArray, turning: FloatArray) -> npt.NDArray[np.int64]:
-    """Headings, as indices (n,), of the least time over the whole curve, by dynamic programming.
+    """Find the headings, as indices (n,), with the least time over the whole curve, by dynamic programming.
 
     Parameters
     ----------

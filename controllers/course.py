@@ -1,4 +1,4 @@
-"""Where a robot is on its way: legs between corners, arc length that does not jump to a strand nearby."""
+"""Progress of a robot along its path: legs between corners, and an arc length that never jumps between strands."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ BACK, AHEAD = 2e-3, 4e-3
 
 
 class Course:
-    """A path cut into legs at its corners, and how much of it lies behind.
+    """A path cut into legs at its corners, and the robot's progress along it.
 
-    A leg is left when its end is within `handover`, or has been passed; where a path closes, not from its other side.
+    A leg is left when its end is within `handover`, or has been passed. On a closed path, the end counts as reached
+    only from the leg's own side.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ class Course:
     stops : list of int
         Vertices at which legs end, the path's start and end included.
     leg : int
-        Which leg the robot is on; -1 on the way to the path's start; ``len(stops) - 1`` when all are done.
+        Present leg; -1 on the way to the path's start; ``len(stops) - 1`` when all are done.
     arc_length : float, in m
         Of the place on the leg that is nearest to the robot.
     progress : float, in m
@@ -53,7 +54,7 @@ class Course:
 
     @property
     def length(self) -> float:
-        """In m."""
+        """Length of the path, in m."""
         return float(self.arc[-1])
 
     @property
@@ -67,7 +68,14 @@ class Course:
         return float(self.arc[self.stops[min(self.leg + 1, len(self.stops) - 1)]])
 
     def locate(self, position: FloatArray, handover: float) -> None:
-        """Find the robot at `position`, shape (2,) or (3,), in m, and pass on to the next leg where one is done."""
+        """Locate the robot on the path, and go on to the next leg where one is done.
+
+        Parameters
+        ----------
+        position : ndarray, shape (2,) or (3,), in m, world frame
+        handover : float, in m
+            Distance within which the end of a leg counts as reached.
+        """
         x, y = float(position[0]), float(position[1])
         if self.leg < 0:
             if self._away(x, y, 0) > handover:
@@ -87,9 +95,18 @@ class Course:
             self.arc_length = self.progress = end
 
     def at(self, s: float) -> FloatArray:
-        """Point (2,) of the path at arc length `s`, in m."""
+        """Compute the point of the path at an arc length.
+
+        Parameters
+        ----------
+        s : float, in m
+
+        Returns
+        -------
+        ndarray, shape (2,), in m, world frame
+        """
         return np.array([np.interp(s, self.arc, self.points[:, 0]), np.interp(s, self.arc, self.points[:, 1])])
 
     def _away(self, x: float, y: float, vertex: int) -> float:
-        """Distance, in m, from a vertex."""
+        """Compute the distance, in m, from a vertex."""
         return math.hypot(x - self.points[vertex, 0], y - self.points[vertex, 1])

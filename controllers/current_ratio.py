@@ -1,7 +1,7 @@
-"""The paper's law: the field of two coils points along the way to go (Eqs. S11 to S17).
+"""The paper's law: the field of two coils points toward the goal (Eqs. S11 to S17).
 
-It takes the direction of B for the direction of the force, which holds near the centre only.
-Eqs. S14 and S15 are printed upside down; here the coil that needs less gets less (docs/decisions).
+It uses the direction of B in place of the direction of the force, which is correct near the centre only.
+Eqs. S14 and S15 are printed inverted; here the coil that needs less gets less (docs/decisions).
 """
 
 from __future__ import annotations
@@ -27,7 +27,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two coils whose field points along the wanted direction: shares of the full current, and field size per A."""
+    """Two coils whose field points in the requested direction.
+
+    Attributes
+    ----------
+    j, k : int
+        Indices of the coils.
+    share_j, share_k : float
+        Shares of the full current.
+    field : float, in T per A
+    """
 
     j: int
     k: int
@@ -37,7 +46,16 @@ class Pair:
 
 
 def pair_shares(ratio: float) -> tuple[float, float]:
-    """Shares of the full current in coils (j, k) for a current ratio lambda in [0, 1] (Eqs. S14, S15 corrected).
+    """Compute the shares of the full current in coils (j, k) for a current ratio lambda (Eqs. S14, S15 corrected).
+
+    Parameters
+    ----------
+    ratio : float
+        lambda, within 0 to 1.
+
+    Returns
+    -------
+    share_j, share_k : float
 
     Examples
     --------
@@ -50,14 +68,19 @@ def pair_shares(ratio: float) -> tuple[float, float]:
 
 
 def best_pair(fields: FloatArray, direction: FloatArray) -> Pair | None:
-    """The pair of coils with the strongest field along `direction`, or None if no pair can point there.
+    """Find the pair of coils with the strongest field along a direction (Eq. S13).
 
     Parameters
     ----------
-    fields : ndarray, shape (n_coils, 2), in T per A
+    fields : ndarray, shape (n_coils, 2), in T per A, world frame
         Horizontal field of each coil at the robot.
     direction : ndarray, shape (2,)
         Unit vector D (Eq. S11).
+
+    Returns
+    -------
+    Pair or None
+        None if no pair can point there.
     """
     dx, dy = float(direction[0]), float(direction[1])
     coils: list[list[float]] = fields.tolist()
@@ -80,7 +103,14 @@ def best_pair(fields: FloatArray, direction: FloatArray) -> Pair | None:
 
 
 class CurrentRatio:
-    """Steers from goal to goal along the path by the ratio of two coil currents."""
+    """Steers from goal to goal along the path by the ratio of two coil currents.
+
+    Parameters
+    ----------
+    setup : Setup
+    gains : mapping of str to float
+        Values that differ from the defaults.
+    """
 
     gains: ClassVar[Mapping[str, Gain]] = {
         "i_min_a": Gain(6.0, 0.5, 20.0, meaning="current close to a goal"),
@@ -108,7 +138,13 @@ class CurrentRatio:
         self._next = 0
 
     def reset(self, path: Curve, pose: Pose) -> None:
-        """Begin a path: its first goal is the path's start."""
+        """Start a path: its first goal is the path's start.
+
+        Parameters
+        ----------
+        path : Curve
+        pose : Pose
+        """
         self._arc = path.sampled(self._spacing)
         self._goals = path.at(self._arc)
         self._next = 0
@@ -117,7 +153,16 @@ class CurrentRatio:
             self._paced = Course(path), Pace(path.speed, self._rest + self._t_min)
 
     def command(self, pose: Pose) -> Command:
-        """Currents toward the next goal that is not yet reached."""
+        """Compute the currents toward the next goal that is not yet reached (Eq. S16).
+
+        Parameters
+        ----------
+        pose : Pose
+
+        Returns
+        -------
+        Command
+        """
         while self._next < len(self._goals) and self._distance(pose) <= self.setup.tolerance:  # Eq. S16
             self._next += 1
         behind = float(self._arc[max(self._next - 1, 0)]) if len(self._arc) else 0.0
@@ -138,7 +183,16 @@ class CurrentRatio:
         return Command(window, saturated, note, progress=behind, phase=phase)
 
     def reach(self, path: Curve) -> Reach:
-        """True force of the law on an aligned moment along the path, at the distance of one goal."""
+        """Compute the true force of the law on an aligned moment along the path, at the distance of one goal.
+
+        Parameters
+        ----------
+        path : Curve
+
+        Returns
+        -------
+        Reach
+        """
         arc = path.sampled(0.5e-3)
         points, tangents = path.at(arc), path.tangent(arc)
         force, error = np.zeros(len(arc)), np.zeros(len(arc))
@@ -151,7 +205,7 @@ class CurrentRatio:
         return Reach(points, force, error)
 
     def _share(self, pose: Pose, currents: FloatArray, direction: FloatArray, duration: float) -> float:
-        """Share of the currents whose force brings the robot as far as the path's speed asks for in this window."""
+        """Compute the share of the currents that moves the robot as far as the path's speed requires."""
         assert self._paced is not None
         course, pace = self._paced
         course.locate(pose.position, self.setup.tolerance)
@@ -177,7 +231,19 @@ class CurrentRatio:
 
 
 def aligned_force(table: FieldTable, currents: FloatArray, position: FloatArray, moment: float) -> FloatArray:
-    """Force (3,), in N, on a moment that has aligned with the field: F = |m| grad |B|."""
+    """Compute the force on a moment that has aligned with the field: F = |m| grad |B|.
+
+    Parameters
+    ----------
+    table : FieldTable
+    currents : ndarray, shape (n_coils,), in A
+    position : ndarray, shape (3,), in m, world frame
+    moment : float, in A·m²
+
+    Returns
+    -------
+    ndarray, shape (3,), in N, world frame
+    """
     field = np.einsum("c,ck->k", currents, table.field(position[None, :])[:, 0])
     gradient = np.einsum("c,ckl->kl", currents, table.gradient(position[None, :])[:, 0])
     return moment * (field @ gradient) / max(float(np.linalg.norm(field)), 1e-30)

@@ -1,4 +1,4 @@
-"""Coil currents for a wanted force: the true one, on a moment that has aligned with the field."""
+"""Coil currents for a requested force: the true force on a moment that has aligned with the field."""
 
 from __future__ import annotations
 
@@ -35,7 +35,13 @@ WEAK = 0.1
 
 
 class UnreachableForceError(SmolbotError, ValueError):
-    """No currents within the limits give the wanted force.
+    """No currents within the limits give the requested force.
+
+    Parameters
+    ----------
+    message : str
+    most : float, in N
+        The strongest force in that direction.
 
     Attributes
     ----------
@@ -50,16 +56,16 @@ class UnreachableForceError(SmolbotError, ValueError):
 
 @dataclass(frozen=True)
 class Allocation:
-    """Currents and what they do to an aligned moment, by the table.
+    """Currents, and their effect on an aligned moment by the table.
 
     Attributes
     ----------
     currents : ndarray, shape (n_coils,), in A
-    field : ndarray, shape (3,), in T
-    force : ndarray, shape (3,), in N
-        ``|m| grad|B|``. The part out of the plane is the surface's to bear.
+    field : ndarray, shape (3,), in T, world frame
+    force : ndarray, shape (3,), in N, world frame
+        ``|m| grad|B|``. The surface supports the part out of the plane.
     direction_error : float, in rad
-        Angle between the wanted direction and the force, in the horizontal plane.
+        Angle between the requested direction and the force, in the horizontal plane.
     """
 
     currents: FloatArray
@@ -90,15 +96,16 @@ class ForceReach:
 
     @property
     def polygon(self) -> FloatArray:
-        """Corners (n, 2) of what can be reached, in N."""
+        """Corners (n, 2) of the polygon of possible forces, in N."""
         return self.force[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=1)
 
 
 class ForceAllocator:
     """Finds currents whose force points in a given direction of the horizontal plane.
 
-    A robot whose magnet has turned into the field B feels ``F = |m| grad|B|`` (not a force along B). The field's
-    direction is free; of all that do, the strongest force is taken, or the least heat for a force of the wanted size.
+    The force on a robot whose magnet has turned into the field B is ``F = |m| grad|B|`` (not a force along B). The
+    field's direction is free; of all solutions, the one with the strongest force is chosen, or with the least heat
+    for a force of a requested size.
 
     Parameters
     ----------
@@ -108,12 +115,17 @@ class ForceAllocator:
     unipolar : bool
         True where a supply cannot reverse: currents from 0 on, otherwise from ``-max_current`` on.
     head_first : bool
-        Pull at the head only (F.m >= 0), lest the cantilever buckle. False: by whichever end is better.
+        Pull at the head only (F.m >= 0), so that the cantilever does not buckle. False: at the better end.
     least_field : float, in T
-        Weaker fields are not used. The strongest forces need coils that oppose each other, and so come with next to
-        no field; a robot that is to turn within tens of ms wants a millitesla or more.
+        Weaker fields are not used. The strongest forces need coils that oppose each other, and so have almost no
+        field; a robot that must turn within tens of ms needs a millitesla or more.
     tolerance : float, in rad
-        By how much a force may miss its direction where none, or only a weak one, points there exactly.
+        Allowed error of the direction where no force, or only a weak one, points there exactly.
+
+    Raises
+    ------
+    InputError
+        If a current, the moment or `least_field` is not positive.
 
     Examples
     --------
@@ -127,7 +139,20 @@ class ForceAllocator:
 
     @classmethod
     def of(cls, setup: Setup, *, head_first: bool, least_field: float) -> ForceAllocator:
-        """The allocator of a law, by what the law knows of its world."""
+        """Make the allocator of a controller from its setup.
+
+        Parameters
+        ----------
+        setup : Setup
+        head_first : bool
+            Pull at the head only.
+        least_field : float, in T
+            Weaker fields are not used.
+
+        Returns
+        -------
+        ForceAllocator
+        """
         most, unipolar = setup.limits.max_current, setup.limits.unipolar
         return cls(
             setup.table, most, setup.robot.moment, unipolar=unipolar, head_first=head_first, least_field=least_field
@@ -158,27 +183,50 @@ class ForceAllocator:
         self._nudges = NUDGES[tolerance + 1e-9 >= NUDGES]
 
     def currents(self, position: FloatArray, direction: FloatArray, force: float | None = None) -> FloatArray:
-        """Currents (n_coils,), in A; see `allocate`."""
-        return self.allocate(position, direction, force).currents
-
-    def allocate(self, position: FloatArray, direction: FloatArray, force: float | None = None) -> Allocation:
-        """Currents for a force, and what they do.
+        """Compute the currents for a force; see `allocate`.
 
         Parameters
         ----------
-        position : ndarray, shape (3,), in m
-            Of the magnet, world frame.
-        direction : ndarray, shape (3,)
+        position : ndarray, shape (3,), in m, world frame
+            Of the magnet.
+        direction : ndarray, shape (3,), world frame
             Horizontal, of any length above 0.
         force : float, in N, optional
-            Size wanted, at the least heat; by default the strongest.
+            Requested size, at the least heat; by default the strongest.
+
+        Returns
+        -------
+        ndarray, shape (n_coils,), in A
 
         Raises
         ------
         UnreachableForceError
-            Says what is possible instead.
+            If no currents give this force.
+        """
+        return self.allocate(position, direction, force).currents
+
+    def allocate(self, position: FloatArray, direction: FloatArray, force: float | None = None) -> Allocation:
+        """Compute the currents for a force, and their effect.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+            Of the magnet.
+        direction : ndarray, shape (3,), world frame
+            Horizontal, of any length above 0.
+        force : float, in N, optional
+            Requested size, at the least heat; by default the strongest.
+
+        Returns
+        -------
+        Allocation
+
+        Raises
+        ------
+        UnreachableForceError
+            If no currents give this force; the message states what is possible instead.
         OutsideTableError
-            For a place that the table does not cover.
+            For a position that the table does not cover.
         InputError
             For a direction that is not horizontal, or has no length.
         """
@@ -197,7 +245,19 @@ class ForceAllocator:
         return Allocation(found, total, self.moment * slope, miss)
 
     def reach(self, position: FloatArray, directions: int = 72) -> ForceReach:
-        """Strongest force at `position` (3,), in m, for equally spaced directions of the plane."""
+        """Compute the strongest force at a position for equally spaced directions of the plane.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+            Of the magnet.
+        directions : int
+            Number of directions.
+
+        Returns
+        -------
+        ForceReach
+        """
         field, gradient = self._coils(as_floats(position, (3,), "position"))
         angles = np.asarray(np.arange(directions) * (2.0 * np.pi / directions), dtype=np.float64)
         force = np.zeros(directions)
@@ -219,7 +279,7 @@ class ForceAllocator:
     def _exact(
         self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float
     ) -> tuple[float, FloatArray]:
-        """grad|B| along `way` in T/m, not above 0 where nothing fits, and its currents."""
+        """Compute grad|B| along `way` in T/m, not above 0 where no solution exists, and its currents."""
         for slope in SLOPES:
             value, currents = search(
                 field,
@@ -239,7 +299,7 @@ class ForceAllocator:
         return value, currents
 
     def _search(self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float) -> FloatArray | None:
-        """Currents for `way`; where these are none, or weak ones, for a way beside it that is within the tolerance."""
+        """Find currents for `way`; where there are none, or weak ones, for a direction within the tolerance."""
         if wanted == 0.0:
             return np.zeros(len(field))
         value, currents = self._exact(field, gradient, way, wanted)

@@ -1,4 +1,4 @@
-"""Pursuit of a point ahead on the path with the true force: the plainest law that goes where it is sent."""
+"""Pursuit of a point ahead on the path with the true force: the simplest controller."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ from smolbot.paths.curve import Curve
 
 
 class ForcePursuit:
-    """Pulls toward a point a little ahead on the path, at most as hard as brings it there in one window."""
+    """Pulls toward a point a little ahead on the path, at most as hard as needed to get there in one window.
+
+    Parameters
+    ----------
+    setup : Setup
+    gains : mapping of str to float
+        Values that differ from the defaults.
+    """
 
     gains: ClassVar[Mapping[str, Gain]] = {
         "lookahead_mm": Gain(0.8, 0.2, 5.0, True, meaning="distance along the path of the point that is pursued"),
@@ -49,12 +56,32 @@ class ForcePursuit:
         self._pace: Pace | None = None
 
     def reset(self, path: Curve, pose: Pose) -> None:
-        """Begin a path: first go to its start."""
+        """Start a path: first go to its start.
+
+        Parameters
+        ----------
+        path : Curve
+        pose : Pose
+        """
         self._course = Course(path)
         self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._t_min)
 
     def command(self, pose: Pose) -> Command:
-        """Currents toward the point that is pursued."""
+        """Compute the currents toward the pursued point.
+
+        Parameters
+        ----------
+        pose : Pose
+
+        Returns
+        -------
+        Command
+
+        Raises
+        ------
+        InputError
+            Before the first `reset`.
+        """
         course = self._course
         if course is None:
             raise InputError("force_pursuit has no path yet: call reset first.")
@@ -81,7 +108,16 @@ class ForcePursuit:
         return Command(window, saturated, note, progress=course.progress, phase=phase)
 
     def reach(self, path: Curve) -> Reach:
-        """The strongest force that the law could exert along the path; 0 where none points along it."""
+        """Compute the strongest possible force along the path; 0 where none points along it.
+
+        Parameters
+        ----------
+        path : Curve
+
+        Returns
+        -------
+        Reach
+        """
         arc = path.sampled(0.5e-3)
         points, tangents = path.at(arc), path.tangent(arc)
         force, error = np.zeros(len(arc)), np.zeros(len(arc))

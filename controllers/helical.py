@@ -1,4 +1,4 @@
-"""Screws a helical robot along a path, leg by leg: plans turns and axes of the magnet, and gets over a step-out."""
+"""Controller of a helical robot: plans turns and axes of the magnet leg by leg, and recovers from step-outs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QUARTER = 0.25
 
 @dataclass(frozen=True)
 class _Flown:
-    """A maneuver that was commanded: from where, through which legs, and where it should lead."""
+    """A commanded maneuver: its start, its legs, and the predicted end."""
 
     state: FloatArray
     legs: list[Leg]
@@ -38,14 +38,21 @@ class _Flown:
 
 
 class Helical:
-    """Plans, in every pause, the next turns of the magnet and its axis in each, so that the helix keeps to the path.
+    """Plans, in every pause, the next turns of the magnet and its axis in each, so that the helix follows the path.
 
-    The plan rolls the helix forward as it was learned to go, and ends where the place of the next pause would no
-    longer be sure enough. A leg that comes out far too short is a step-out: the magnet turned on without the robot.
-    Then the robot backs off, to seat it again, and goes on more slowly, for drag takes its share of the torque in
-    proportion to the rate.
+    The plan simulates the helix with the learned model, and ends where the position at the next pause would no
+    longer be certain enough. A leg that comes out far too short is a step-out: the magnet turned without the robot.
+    Then the robot moves back, so that it engages with the gel again, and continues at a lower rate, since drag
+    takes a part of the torque in proportion to the rate.
 
-    States, said in the notes: ``cruise``, ``recover`` (with the number of the try), ``slow`` until well past the place.
+    States, shown in the notes: ``cruise``, ``recover`` (with the number of the attempt), ``slow`` until well past
+    the place of the step-out.
+
+    Parameters
+    ----------
+    setup : HelixSetup
+    gains : mapping of str to float
+        Values that differ from the defaults.
     """
 
     kinds: ClassVar[tuple[str, ...]] = ("helical",)
@@ -82,7 +89,13 @@ class Helical:
         self._phase: Phase = "approach"
 
     def reset(self, path: Curve, pose: Pose) -> None:
-        """Begin a path from a pose."""
+        """Start following a path from a pose.
+
+        Parameters
+        ----------
+        path : Curve
+        pose : Pose
+        """
         ends = path.tangent(np.array([0.0, path.length]))[:, :2]
         first, last = path.points[0, :2] - RUNWAY * ends[0], path.points[-1, :2] + RUNWAY * ends[1]
         self._points = np.ascontiguousarray(np.vstack([first, path.points[:, :2], last]))
@@ -93,7 +106,16 @@ class Helical:
         self._tried, self._blocked_at, self._frequency = 0, -math.inf, self._full
 
     def command(self, pose: Pose) -> Command:
-        """Listen until the pause has given enough poses; then judge the leg that was flown, and plan the next."""
+        """Listen until the pause has given enough poses; then evaluate the last maneuver, and plan the next one.
+
+        Parameters
+        ----------
+        pose : Pose
+
+        Returns
+        -------
+        Command
+        """
         if self._moving:
             self._moving, self._heard = False, 0
             return self._say(None, f"listening, 1 of {self._listens}")
@@ -143,7 +165,7 @@ class Helical:
             self._phase = "follow"
 
     def _judge(self, state: FloatArray, pose: Pose) -> str:
-        """Whether the robot went along with the magnet; if so, learn from it. Returns what happened, if anything."""
+        """Evaluate whether the robot followed the magnet; if so, learn from it. Return what happened, or ``''``."""
         flown = self._flown
         assert flown is not None
         planned = flown.expected[:2] - flown.state[:2]
@@ -167,15 +189,16 @@ class Helical:
         return "recovered" if recovered else ""
 
     def _recovery(self, state: FloatArray) -> list[Leg]:
-        """Back off along the way that was cut, at the lower rate."""
+        """Plan the way back along the cut channel, at the lower rate."""
         if self._back == 0:
             return []
         return [Leg(float(state[kernels.HEADING]), -1.0, self._back, self._frequency)]
 
     def _plan(self, state: FloatArray, before: float, covariance: FloatArray) -> list[Leg]:
-        """Turns ahead, each with its own axis, while the place they lead to is sure enough and the path goes on.
+        """Plan turns, each with its own axis, until the predicted position gets too uncertain or the path ends.
 
-        The magnet turned about `before` (rad) until now; nan where it comes anew, and may come at any axis.
+        `before` (rad) is the course of the magnet until now; nan where the magnet comes anew, and may start at any
+        axis.
         """
         body, factors = self.setup.helix.body, self.screwing.factors
         reach = 0.98 * self.setup.limits.max_steering_rate / self._frequency
@@ -204,7 +227,7 @@ class Helical:
         return legs
 
     def _last_turns(self, at: FloatArray, course: float, near: float) -> float:
-        """A whole turn, or as many quarters of one as bring the robot to the path's end."""
+        """Choose a full turn, or as many quarters of one as bring the robot to the path's end."""
         ends = []
         for quarters in range(1, 5):
             after = kernels.screw_on(

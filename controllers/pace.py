@@ -1,4 +1,4 @@
-"""Keeps a robot to the speed that a path asks for: how far the next window may bring it."""
+"""Keeps a robot to the path's requested speed: limits how far the next window may move it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ LEAST = 0.1e-3
 
 
 class Pace:
-    """The place where the robot should be by now, and what is missing to it.
+    """Moving set-point along the path, and the distance from the robot to it.
 
-    That place moves by the clock, so that windows and listening, turns at corners and windows that went wrong count.
+    The set-point moves with time, so that windows and listening, turns at corners and failed windows are
+    included.
 
     Parameters
     ----------
@@ -33,14 +34,19 @@ class Pace:
         self._time: float | None = None
 
     def stride(self, time: float, s: float) -> float:
-        """Arc length that the next window should bring, in m; 0 where none is wanted yet.
+        """Compute the arc length by which the next window should move the robot.
 
         Parameters
         ----------
         time : float, in s
             When the window begins.
         s : float, in m
-            Where the robot is along the path.
+            Present arc length of the robot.
+
+        Returns
+        -------
+        float, in m
+            0 where the robot is ahead of the requested speed.
         """
         profile = self._profile
         since = 0.0 if self._time is None else max(time - self._time, 0.0)

@@ -1,4 +1,4 @@
-"""Predictive control: the next window is chosen by rolling the robot's motion, turn and cantilever forward."""
+"""Model predictive control: the next window is chosen by simulating the robot's motion, turn and cantilever."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ RESCUE = 80e-6
 
 @dataclass(frozen=True)
 class _Plan:
-    """What was planned, to be compared with what happens: `moved` (2,) in m at mobility 1, `swung` (2,) by turning."""
+    """The predicted effect of a plan: `moved` (2,) in m at mobility 1, `swung` (2,) in m by turning."""
 
     pose: Pose
     heading: float
@@ -149,7 +149,13 @@ class Predictive:
         return self._adaptation
 
     def reset(self, path: Curve, pose: Pose) -> None:
-        """Begin a path: first go to its start. What was learned of the robot is kept."""
+        """Start a path: first go to its start. What was learned of the robot is kept.
+
+        Parameters
+        ----------
+        path : Curve
+        pose : Pose
+        """
         self._course = course = Course(path)
         self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._window)
         self._hurry = 1.0
@@ -165,7 +171,21 @@ class Predictive:
         ]
 
     def command(self, pose: Pose) -> Command:
-        """The window that serves the path best, by the model."""
+        """Compute the window with the least cost by the model.
+
+        Parameters
+        ----------
+        pose : Pose
+
+        Returns
+        -------
+        Command
+
+        Raises
+        ------
+        InputError
+            Before the first `reset`.
+        """
         course = self._course
         if course is None:
             raise InputError("predictive has no path yet: call reset first.")
@@ -196,11 +216,22 @@ class Predictive:
         return Command(window, saturated, note, progress=course.progress, phase=phase)
 
     def unplayed(self) -> None:
-        """The last command was not played: there is nothing to learn from it."""
+        """Discard the last plan: it was not played, so there is nothing to learn from it."""
         self._planned = None
 
     def reach(self, path: Curve) -> Reach:
-        """The strongest force along the path with a field that turns the robot in time; 0 where there is none."""
+        """Compute the strongest force along the path with a field that turns the robot in time.
+
+        The force is 0 where there is none.
+
+        Parameters
+        ----------
+        path : Curve
+
+        Returns
+        -------
+        Reach
+        """
         arc = path.sampled(0.5e-3)
         points, tangents = path.at(arc), path.tangent(arc)
         force, error = np.zeros(len(arc)), np.zeros(len(arc))
@@ -225,7 +256,7 @@ class Predictive:
         return math.atan2(ahead[1], ahead[0])
 
     def _plan(self, pose: Pose, heading: float, course: Course, stride: float) -> tuple[float, FloatArray, float, bool]:
-        """Duration, currents, progress that is expected in m, and whether it is a turn."""
+        """Compute duration, currents, expected progress in m, and whether the window is a turn."""
         place = pose.position[:2]
         c, v = math.cos(heading), math.sin(heading)
         # 1. Field and gradient of each coil at the magnet, or at the rotation centre where the table ends between them
@@ -297,7 +328,7 @@ class Predictive:
         return duration, currents[0], gone, turning
 
     def _pull(self, pose: Pose, course: Course) -> FloatArray | None:
-        """Currents straight to a point ahead, or None where none pull there."""
+        """Compute currents straight to a point ahead, or None where none pull there."""
         ahead = min(course.arc_length + 2.0 * self._ahead, course.leg_end) if course.leg >= 0 else 0.0
         way = course.at(ahead) - pose.position[:2]
         try:
@@ -310,7 +341,7 @@ class Predictive:
     def _route(
         self, pose: Pose, heading: float, course: Course
     ) -> tuple[FloatArray, FloatArray, int, int, float, FloatArray]:
-        """Points, arc, first and last vertex of the leg, arc length now, and headings along the leg."""
+        """Return points, arc, first and last vertex of the leg, present arc length, and headings along the leg."""
         if course.leg >= 0:
             first, last = course.stops[course.leg], course.stops[course.leg + 1]
             return course.points, course.arc, first, last, course.arc_length, self._headings[course.leg]
@@ -329,7 +360,7 @@ class Predictive:
         )  # fmt: skip
 
     def _with_last(self, windows: int) -> FloatArray:
-        """The last plan, then the usual starts, each held for so many windows, shape (m, windows, n_coils)."""
+        """Return the last plan and the usual starts, each held for so many windows, shape (m, windows, n_coils)."""
         starts = self._starts[windows]
         if self._planned is None:
             return starts[1:]
@@ -337,7 +368,7 @@ class Predictive:
         return starts
 
     def _learn(self, pose: Pose, heading: float) -> None:
-        """Compare the last plan with where the robot is now."""
+        """Compare the last plan with the present pose."""
         last = self._planned
         self._planned = None
         if last is None or pose.time <= last.pose.time or not pose.trusted:

@@ -1,4 +1,4 @@
-"""What a helix is learned to do, from one pause to the next: advance, steering, offset of the axis, drift."""
+"""Learned motion model of a helix, updated at every pause: advance, steering, offset of the axis, drift."""
 
 from __future__ import annotations
 
@@ -22,7 +22,17 @@ _STEPS = np.array([0.01, 0.02, math.radians(0.5), 1e-5])
 
 @dataclass(frozen=True)
 class Leg:
-    """A piece of a maneuver: `turns` turns about a course (rad), ahead (`sense` 1) or back (-1), at `frequency` Hz."""
+    """A part of a maneuver with constant course.
+
+    Attributes
+    ----------
+    course : float, in rad
+        Of the magnet's axis.
+    sense : float
+        1 forward, -1 back.
+    turns : float
+    frequency : float, in Hz
+    """
 
     course: float
     sense: float
@@ -31,15 +41,20 @@ class Leg:
 
 
 class Screwing:
-    """A helix whose advance, steering, axis offset and drift are learned by a Kalman filter over legs.
+    """A helix whose advance, steering, axis offset and drift are learned by a Kalman filter over maneuvers.
+
+    Parameters
+    ----------
+    helix : Helix
+    wander : float, in rad
+        Standard deviation of the heading's random change in one turn.
 
     Attributes
     ----------
     factors : ndarray, shape (4,)
-        As `smolbot.motion.helixkernels` takes them.
+        In the order of `smolbot.motion.helixkernels`.
     covariance : ndarray, shape (4, 4)
     wander : float, in rad
-        Heading that a turn adds by chance.
     """
 
     def __init__(self, helix: Helix, wander: float) -> None:
@@ -49,7 +64,20 @@ class Screwing:
         self.covariance = np.diag(SPREAD**2)
 
     def predict(self, state: FloatArray, legs: list[Leg], factors: FloatArray | None = None) -> FloatArray:
-        """State (6,) after some legs, the magnet's axis free before the first."""
+        """Predict the state after some legs, with the magnet's axis free before the first.
+
+        Parameters
+        ----------
+        state : ndarray, shape (6,)
+            As described in `smolbot.motion.helixkernels`.
+        legs : list of Leg
+        factors : ndarray, shape (4,), optional
+            Used in place of the learned ones.
+
+        Returns
+        -------
+        ndarray, shape (6,)
+        """
         out, used = state.copy(), self.factors if factors is None else factors
         out[kernels.COURSE] = np.nan
         for leg in legs:
@@ -57,9 +85,22 @@ class Screwing:
         return out
 
     def spread(self, state: FloatArray, legs: list[Leg], covariance: FloatArray) -> FloatArray:
-        """Covariance (3, 3) of where the legs lead, along and across their end's heading (m), and of the heading (rad).
+        """Predict the covariance of the end of some legs.
 
-        From that of the pose (6, 6), from what is not yet known of the helix, and from what turns add by chance.
+        It combines the covariance of the pose, that of the learned factors, and the random changes of each turn.
+
+        Parameters
+        ----------
+        state : ndarray, shape (6,)
+            At the start.
+        legs : list of Leg
+        covariance : ndarray, shape (6, 6)
+            Of the pose at the start, in m and rad.
+
+        Returns
+        -------
+        ndarray, shape (3, 3), in m² and rad²
+            Along and across the heading at the end, and of the heading.
         """
         end, frame, jacobian = self._jacobian(state, legs)
         turns = sum(leg.turns for leg in legs)
@@ -77,14 +118,19 @@ class Screwing:
         return out
 
     def learn(self, state: FloatArray, legs: list[Leg], found: FloatArray, covariance: FloatArray, seat: float) -> None:
-        """Correct the beliefs by where some legs from `state` were `found` to lead (6,).
+        """Update the factors with the measured end of some legs.
 
         Parameters
         ----------
+        state : ndarray, shape (6,)
+            At the start.
+        legs : list of Leg
+        found : ndarray, shape (6,)
+            Measured at the end.
         covariance : ndarray, shape (6, 6)
-            Of the pose that was found.
+            Of the measured pose, in m and rad.
         seat : float, in m
-            By how much the advance is off because the roll was not known at the start.
+            Uncertainty of the advance, since the roll was not known at the start.
         """
         end, frame, jacobian = self._jacobian(state, legs)
         turns = sum(leg.turns for leg in legs)
@@ -107,9 +153,9 @@ class Screwing:
         self.covariance = left @ prior @ left.T + gain @ noise @ gain.T
 
     def _jacobian(self, state: FloatArray, legs: list[Leg]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where legs lead, the frame (2, 2) along and across there, and how the end changes (3, 4) with each factor.
+        """Compute the end of some legs, the frame (2, 2) along and across there, and the end's derivatives (3, 4).
 
-        Its rows are along, across and in heading.
+        Derivatives are for each factor; their rows are along, across and in heading.
         """
         end = self.predict(state, legs)
         forward = np.array([math.cos(end[kernels.HEADING]), math.sin(end[kernels.HEADING])])

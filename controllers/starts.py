@@ -1,4 +1,4 @@
-"""Currents from which the search for a plan starts."""
+"""Initial currents for the search for a plan."""
 
 from __future__ import annotations
 
@@ -13,12 +13,16 @@ MOST_STARTS = 64
 
 
 def plan_starts(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Sets of currents (n, n_coils), in A: every coil on or off; with many coils, no more than two of them on.
+    """Make sets of currents to start from: every coil on or off; with many coils, at most two of them on.
 
     Parameters
     ----------
     low, high : ndarray, shape (n_coils,), in A
-        Limits; coils that can be reversed have a `low` under 0.
+        Limits; coils that can be reversed have a negative `low`.
+
+    Returns
+    -------
+    ndarray, shape (n, n_coils), in A
 
     Examples
     --------

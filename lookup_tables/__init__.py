@@ -1,4 +1,4 @@
-"""Field tables: COMSOL's text export, tables computed from coils, their interpolation, and a cache for built ones."""
+"""Field tables: COMSOL's text export, tables computed from coils, interpolation, and a cache of computed tables."""
 
 from lazy_loader import attach_stub
 

@@ -20,9 +20,23 @@ ROUNDING = 1e-9
 
 
 def mesh_axis(low: float, high: float, spacing: float) -> FloatArray:
-    """Equally spaced samples from `low` to `high`, both included, at most `spacing` apart; all in m.
+    """Make equally spaced samples, both ends included.
 
-    Equal ends give one sample.
+    Parameters
+    ----------
+    low, high : float, in m
+        Ends; equal ends give one sample.
+    spacing : float, in m
+        Largest distance between samples.
+
+    Returns
+    -------
+    ndarray, shape (n,), in m
+
+    Raises
+    ------
+    TableError
+        If `low` is above `high`, or `spacing` is not positive.
 
     Examples
     --------
@@ -44,13 +58,18 @@ def build(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray) ->
     Parameters
     ----------
     coils : sequence of RoundCoil or FlatCoil
-        In the order in which the table shall have them.
+        In the order of the table.
     x, y, z : ndarray, shape (nx,), (ny,), (nz,), in m
-        Equally spaced, world frame. The mesh must not reach into a winding.
+        Equally spaced, world frame. The mesh must not extend into a winding.
 
     Returns
     -------
     FieldTable
+
+    Raises
+    ------
+    TableError
+        Without coils, or if the field on the mesh is not that of free space.
     """
     from lookup_tables.table import FieldTable
 

@@ -1,4 +1,4 @@
-"""Built tables kept on disk, keyed by what they were built from."""
+"""Cache of computed tables on disk; the key is a hash of all their inputs."""
 
 from __future__ import annotations
 
@@ -39,17 +39,23 @@ def cached_table(
     *,
     cache_dir: str | os.PathLike[str] | None = None,
 ) -> FieldTable:
-    """`build`, or the same table from an earlier call.
+    """Build a table as `build` does, or read the same table from the cache.
 
     The key covers the coils, the mesh, this package's format and magpylib's version. A file that cannot be read is
-    built anew; a folder that cannot be written means a table without a cache, and one warning for each folder.
+    built anew. If the folder cannot be written, the table is built without a cache, with one warning per folder.
 
     Parameters
     ----------
-    coils, x, y, z
-        As `build` takes them.
+    coils : sequence of Coil
+        See `build`.
+    x, y, z : ndarray, shape (nx,), (ny,), (nz,), in m
+        See `build`.
     cache_dir : path, optional
         Folder of the cache; by default `default_cache_dir`.
+
+    Returns
+    -------
+    FieldTable
     """
     folder = Path(cache_dir) if cache_dir is not None else default_cache_dir()
     path = folder / f"table-{table_key(coils, x, y, z)}.npz"
@@ -63,7 +69,18 @@ def cached_table(
 
 
 def table_key(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray) -> str:
-    """Key, 64 hexadecimal digits, of all that a built table depends on."""
+    """Compute the key of all inputs that a built table depends on.
+
+    Parameters
+    ----------
+    coils : sequence of Coil
+    x, y, z : ndarray, shape (nx,), (ny,), (nz,), in m
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
     recipe = {
         "format": FORMAT_VERSION,
         "magpylib": version("magpylib"),
@@ -75,7 +92,12 @@ def table_key(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray
 
 
 def default_cache_dir() -> Path:
-    """`$SMOLBOT_CACHE`, else the smolbot folder of the user's cache: XDG's, on Windows LOCALAPPDATA."""
+    """Return `$SMOLBOT_CACHE`, or the smolbot folder of the user's cache: XDG's, on Windows LOCALAPPDATA.
+
+    Returns
+    -------
+    Path
+    """
     if named := os.environ.get("SMOLBOT_CACHE"):
         return Path(named)
     if sys.platform == "win32" and (local := os.environ.get("LOCALAPPDATA")):
@@ -86,16 +108,27 @@ def default_cache_dir() -> Path:
 
 
 def used(path: Path) -> None:
-    """Note that a kept file was of use, so that others go first; a folder that cannot be written notes nothing."""
+    """Mark a cached file as used, so that others are deleted first; a folder that cannot be written is ignored.
+
+    Parameters
+    ----------
+    path : Path
+    """
     with suppress(OSError):
         os.utime(path)
 
 
 def keep(path: Path, write: Callable[[str], None]) -> None:
-    """Let `write` fill a file under another name and rename it, so that no reader ever sees half a file.
+    """Write a file under a temporary name and rename it, so that no reader ever finds half a file.
 
-    What was longest of no use goes, until the folder's fields take `LARGEST` bytes at most. A folder that cannot be
-    written is no fault: there is one warning for each.
+    The least recently used files are deleted until the folder's fields take `LARGEST` bytes at most. A folder that
+    cannot be written is no error: there is one warning for each.
+
+    Parameters
+    ----------
+    path : Path
+    write : callable
+        Writes the file whose name it is given.
     """
     temporary = ""
     try:
@@ -121,10 +154,10 @@ def keep(path: Path, write: Callable[[str], None]) -> None:
 
 
 def _make_room(newest: Path, total: int) -> None:
-    """Delete the fields that were longest of no use, and what a killed process left half written.
+    """Delete the least recently used fields, and unfinished files of killed processes.
 
-    Never `newest`, of `total` bytes, nor what another process may be writing. One that reads has read all before it
-    uses any; one that finds nothing builds anew.
+    Never `newest`, of `total` bytes, nor a file that another process may be writing. A process that reads a file
+    has read all of it before it uses any; one that finds no file builds it anew.
     """
     found = []
     for file in newest.parent.iterdir():

@@ -1,7 +1,7 @@
 """Air coils of finite winding cross-section, computed by magpylib.
 
-A winding is a bundle of turns. A few current loops at the Gauss-Legendre nodes of its cross-section stand for it, with
-the weights of that rule, which converges much faster than equally spaced turns.
+A winding is a bundle of turns. A few current loops at the Gauss-Legendre nodes of its cross-section represent it,
+with the weights of that rule, which converges much faster than equally spaced turns.
 """
 
 from __future__ import annotations
@@ -29,30 +29,44 @@ PARALLEL = 1e-6
 
 
 class Coil(Protocol):
-    """What a table can be built from."""
+    """Protocol of a coil from which a table can be built."""
 
     @property
     def name(self) -> str:
-        """As rig files and tables call it."""
+        """Name in rig files and tables."""
 
     def field(self, points: FloatArray) -> FloatArray:
-        """Flux density (n, 3), in T per A, at points (n, 3), in m, world frame."""
+        """Compute the flux density per ampere.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m, world frame
+
+        Returns
+        -------
+        ndarray, shape (n, 3), in T/A, world frame
+        """
 
     def parameters(self) -> dict[str, Any]:
-        """All that the field depends on, as plain values; the key of the cache is made from it."""
+        """Return all inputs of the field as plain values, from which the cache's key is made.
+
+        Returns
+        -------
+        dict of str to plain values
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class RoundCoil:
     """A round coil with a rectangular winding cross-section, without a core.
 
-    Parameters
+    Attributes
     ----------
     name : str
-        As rig files and tables call it, for instance ``+x``.
-    center : ndarray, shape (3,), in m
-        Middle of the winding, world frame.
-    axis : ndarray, shape (3,)
+        Name in rig files and tables, for instance ``+x``.
+    center : ndarray, shape (3,), in m, world frame
+        Middle of the winding.
+    axis : ndarray, shape (3,), world frame
         Direction of the field at the centre for a positive current; of any length. An actuation coil's field at the
         workspace points toward the coil: the one at +x has the axis +x.
     inner_radius, outer_radius, length : float, in m
@@ -60,8 +74,8 @@ class RoundCoil:
     turns : float
         Number of turns.
     radial_loops, axial_loops : int
-        Current loops that stand for the winding. For one of 20 x 20 mm seen from 18 mm away, 5 x 5 loops are within
-        5e-7 of the winding, 8 x 8 within 1e-10.
+        Current loops that represent the winding. For a cross-section of 20 x 20 mm, 18 mm away, 5 x 5 loops are
+        within 5e-7 of the winding, 8 x 8 within 1e-10.
 
     Examples
     --------
@@ -90,14 +104,28 @@ class RoundCoil:
             )
 
     def loops(self) -> Iterator[tuple[float, float, float]]:
-        """Radius (m), place along the axis from the centre (m) and share of the ampere-turns of each loop."""
+        """Iterate over the current loops.
+
+        Yields
+        ------
+        radius : float, in m
+        place : float, in m
+            Along the axis, from the centre.
+        share : float
+            Of the ampere-turns.
+        """
         middle, half = 0.5 * (self.inner_radius + self.outer_radius), 0.5 * (self.outer_radius - self.inner_radius)
         for radial, radial_share in _nodes(self.radial_loops):
             for axial, axial_share in _nodes(self.axial_loops):
                 yield middle + half * radial, 0.5 * self.length * axial, radial_share * axial_share
 
     def source(self) -> Any:
-        """A `magpylib.Collection` of current loops that carries 1 A."""
+        """Make magpylib's current loops, which carry 1 A.
+
+        Returns
+        -------
+        magpylib.Collection
+        """
         magpylib: Any = import_module("magpylib")
         from scipy.spatial.transform import Rotation
 
@@ -115,18 +143,17 @@ class RoundCoil:
         )
 
     def field(self, points: FloatArray) -> FloatArray:
-        """Flux density per ampere, from magpylib's loops in the coil's own cylinder coordinates.
+        """Compute the flux density per ampere, by magpylib's loops in the coil's own cylinder coordinates.
 
-        Points that share radius and height, as most of a mesh does by symmetry, are computed once.
+        Points with the same radius and height, as most of a mesh has by symmetry, are computed once.
 
         Parameters
         ----------
-        points : ndarray, shape (n, 3), in m
-            In the world frame.
+        points : ndarray, shape (n, 3), in m, world frame
 
         Returns
         -------
-        ndarray, shape (n, 3), in T/A
+        ndarray, shape (n, 3), in T/A, world frame
         """
         from magpylib.core import current_circle_Hfield
 
@@ -147,7 +174,12 @@ class RoundCoil:
         return np.asarray(radial[:, None] * unit + axial[:, None] * self.axis)
 
     def parameters(self) -> dict[str, Any]:
-        """All that the field depends on, as plain values."""
+        """Return all inputs of the field as plain values.
+
+        Returns
+        -------
+        dict of str to plain values
+        """
         return _plain(self)
 
 
@@ -155,26 +187,26 @@ class RoundCoil:
 class FlatCoil:
     """A coil of rectangular turns on a flat bobbin, without a core.
 
-    Parameters
+    Attributes
     ----------
     name : str
-        As rig files and tables call it.
-    center : ndarray, shape (3,), in m
-        Middle of the winding, world frame.
-    axis : ndarray, shape (3,)
+        Name in rig files and tables.
+    center : ndarray, shape (3,), in m, world frame
+        Middle of the winding.
+    axis : ndarray, shape (3,), world frame
         Direction of the field at the centre for a positive current; of any length.
     length : float, in m
         Extent of the winding along the axis.
     width, height : float, in m
         Sides of the innermost turn: `width` along `width_direction`, `height` across it and the axis.
-    width_direction : ndarray, shape (3,)
-        Its part across the axis counts; of any length.
+    width_direction : ndarray, shape (3,), world frame
+        Only its part perpendicular to the axis is used; of any length.
     turns : float
         Number of turns.
     build_up : float, in m
         Thickness of the winding, outward from the innermost turn; 0 for a single thin layer.
     axial_loops, build_loops : int
-        Current loops that stand for the winding, along the axis and through its thickness.
+        Current loops that represent the winding, along the axis and through its thickness.
     """
 
     name: str
@@ -201,7 +233,12 @@ class FlatCoil:
         _freeze_vectors(self, ("width_direction",))
 
     def source(self) -> Any:
-        """A `magpylib.Collection` of rectangular current loops that carries 1 A."""
+        """Make magpylib's rectangular current loops, which carry 1 A.
+
+        Returns
+        -------
+        magpylib.Collection
+        """
         magpylib: Any = import_module("magpylib")
         wide, high = self.width_direction, np.cross(self.axis, self.width_direction)
         build = _nodes(self.build_loops) if self.build_up else [(0.0, 1.0)]
@@ -217,18 +254,46 @@ class FlatCoil:
         return magpylib.Collection(*turns)
 
     def field(self, points: FloatArray) -> FloatArray:
-        """Flux density (n, 3), in T per A, at points (n, 3), in m, world frame."""
+        """Compute the flux density per ampere.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m, world frame
+
+        Returns
+        -------
+        ndarray, shape (n, 3), in T/A, world frame
+        """
         points, source = as_points(points), self.source()
         chunks = [source.getB(points[i : i + CHUNK]).reshape(-1, 3) for i in range(0, len(points), CHUNK)]
         return np.concatenate(chunks) if chunks else np.empty((0, 3))
 
     def parameters(self) -> dict[str, Any]:
-        """All that the field depends on, as plain values."""
+        """Return all inputs of the field as plain values.
+
+        Returns
+        -------
+        dict of str to plain values
+        """
         return _plain(self)
 
 
 def as_points(points: Any) -> FloatArray:
-    """Return positions as floats of shape (n, 3), or raise `TableError` that says what was given."""
+    """Return positions as floats of shape (n, 3).
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+
+    Raises
+    ------
+    TableError
+        For another shape; the message names it.
+    """
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         hint = " For one point, pass positions[None, :]." if array.shape == (3,) else ""

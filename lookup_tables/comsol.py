@@ -20,12 +20,20 @@ from lookup_tables.samples import FloatArray, Samples
 
 
 def read_comsol(path: Path) -> Samples:
-    """Read an export.
+    """Read a COMSOL export.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Samples
 
     Raises
     ------
     TableError
-        With one ``file:line: fault`` for the first fault of each kind, and how many more there are of it.
+        With one ``file:line: fault`` for the first fault of each kind, and how many more of it there are.
     """
     try:
         raw = path.read_bytes()
@@ -61,7 +69,7 @@ _Parts = tuple[list[FloatArray], FloatArray, list[Expression], str]
 
 
 def _read_spreadsheet(lines: list[str], header: Header, path: str) -> _Parts:
-    """Axes in the file's unit, values (n_expressions, nx, ny, nz), expressions, and where they are named."""
+    """Read axes in the file's unit, values (n_expressions, nx, ny, nz), expressions, and their line."""
     place = f"{path}:{header.last_number}"
     words = header.last_line[1:].replace(",", " ").replace(";", " ").split(maxsplit=3)
     if [word.lower() for word in words[:3]] != ["x", "y", "z"]:
@@ -99,7 +107,7 @@ def _read_spreadsheet(lines: list[str], header: Header, path: str) -> _Parts:
 
 
 def _read_grid(lines: list[str], start: int, path: str) -> _Parts:
-    """As `_read_spreadsheet`; `start` is the index of the ``% Grid`` line."""
+    """Read the same as `_read_spreadsheet`; `start` is the index of the ``% Grid`` line."""
     faults, at = Faults(path), start + 1
     axes: list[FloatArray] = []
     for name in "xyz":
@@ -148,7 +156,7 @@ def _read_grid(lines: list[str], start: int, path: str) -> _Parts:
 def _grid_block(
     rows: list[tuple[int, str]], shape: tuple[int, int, int], name: str, axes: list[FloatArray], faults: Faults, at: int
 ) -> FloatArray:
-    """Values (nx, ny, nz) of one expression; zeros, and faults, where it cannot be read."""
+    """Read the values (nx, ny, nz) of one expression; zeros, and faults, where they cannot be read."""
     nx, ny, nz = shape
     if len(rows) != ny * nz:
         line = rows[-1][0] if rows else at

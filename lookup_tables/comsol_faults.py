@@ -1,4 +1,4 @@
-"""Faults of an export: the slow search for their lines, and one message with the first of each kind."""
+"""Faults of an export: a slow search for their lines, and one message with the first of each kind."""
 
 from __future__ import annotations
 
@@ -19,7 +19,13 @@ STEP_TOLERANCE = 1e-3
 
 
 class Faults:
-    """Faults of one file by kind: the first of each kind in words, the others counted."""
+    """Faults of one file by kind: the first of each kind in words, the others counted.
+
+    Parameters
+    ----------
+    path : str
+        Of the file, for messages.
+    """
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -27,14 +33,36 @@ class Faults:
         self._more: dict[str, int] = {}
 
     def add(self, kind: str, line: int | None, fault: str, count: int = 1) -> None:
-        """Note `count` faults of a kind, the first of which is at `line` (None: of the file as a whole)."""
+        """Add faults of one kind.
+
+        Parameters
+        ----------
+        kind : str
+        line : int or None
+            Line of the first one; None for a fault of the whole file.
+        fault : str
+            Message, used if it is the first of its kind.
+        count : int
+            Number of faults.
+        """
         if kind not in self._first:
             self._first[kind] = f"{self.path}:{line}: {fault}" if line else f"{self.path}: {fault}"
             count -= 1
         self._more[kind] = self._more.get(kind, 0) + count
 
     def add_unless_number(self, word: str, line: int, what: str, node: Sequence[float]) -> None:
-        """Note a value that is nan, infinite or no number."""
+        """Add a fault if a value is nan, infinite or no number.
+
+        Parameters
+        ----------
+        word : str
+            The value.
+        line : int
+        what : str
+            Name of the value.
+        node : sequence of float
+            Coordinates of its node.
+        """
         try:
             fine = bool(np.isfinite(float(word)))
         except ValueError:
@@ -48,7 +76,21 @@ class Faults:
     def report_nodes(
         self, axes: list[FloatArray], nodes: IntArray, counts: IntArray, lines: list[str], header: int
     ) -> None:
-        """Note the nodes that no row has, and those that two rows have."""
+        """Add the nodes without a row, and those with two rows.
+
+        Parameters
+        ----------
+        axes : list of ndarray
+            Coordinates along x, y and z.
+        nodes : ndarray of int, shape (n_rows,)
+            Flat index of each row's node.
+        counts : ndarray of int, shape (n_nodes,)
+            Rows per node.
+        lines : list of str
+            Of the file.
+        header : int
+            Number of lines of the header.
+        """
         shape = tuple(len(axis) for axis in axes)
         missing, double = np.flatnonzero(counts == 0), int(counts[counts > 1].sum() - (counts > 1).sum())
         if len(missing):
@@ -63,18 +105,45 @@ class Faults:
             self.add("double", numbers[row], f"node {where} occurs twice, first in line {numbers[first]}", double)
 
     def raise_any(self) -> None:
-        """Raise a `TableError` with all faults noted, if there are any."""
+        """Raise an error with all faults, if there are any.
+
+        Raises
+        ------
+        TableError
+            If a fault was added.
+        """
         if self._first:
             raise self.error()
 
     def error(self) -> TableError:
-        """The error that lists them."""
+        """Make the error that lists all faults.
+
+        Returns
+        -------
+        TableError
+        """
         rest = ((first, self._more[kind]) for kind, first in self._first.items())
         return TableError("\n".join(f"{first}{f'; {more} more like it' if more else ''}." for first, more in rest))
 
 
 def locate_rows(lines: list[str], header: int, expressions: list[Expression], path: str) -> TableError:
-    """Search the rows of a spreadsheet, one by one, for what the fast reader stumbled over."""
+    """Find the faulty rows of a spreadsheet that the fast reader refused, one by one.
+
+    Parameters
+    ----------
+    lines : list of str
+        Of the file.
+    header : int
+        Number of lines of the header.
+    expressions : list of Expression
+        Of the columns.
+    path : str
+        Of the file, for messages.
+
+    Returns
+    -------
+    TableError
+    """
     faults, width = Faults(path), 3 + len(expressions)
     order, names = arrange(expressions, path)
     labels = [f"B{'xyz'[component]} of coil {names[coil]}" for coil, component in order]
@@ -100,12 +169,35 @@ def locate_rows(lines: list[str], header: int, expressions: list[Expression], pa
 
 
 def data_lines(lines: list[str], header: int) -> list[int]:
-    """Numbers, from 1, of the lines after the header that hold values."""
+    """Find the lines after the header that hold values.
+
+    Parameters
+    ----------
+    lines : list of str
+        Of the file.
+    header : int
+        Number of lines of the header.
+
+    Returns
+    -------
+    list of int
+        Line numbers, from 1.
+    """
     return [i + 1 for i in range(header, len(lines)) if lines[i].strip() and not lines[i].startswith("%")]
 
 
 def numbers_or_none(text: str) -> FloatArray | None:
-    """All numbers of a line, or None if it holds anything else."""
+    """Parse all numbers of a line.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+        None if the line holds anything else.
+    """
     try:
         return np.array([float(word) for word in text.replace(",", " ").replace(";", " ").split()])
     except ValueError:
@@ -113,7 +205,23 @@ def numbers_or_none(text: str) -> FloatArray | None:
 
 
 def find_axis(column: FloatArray, name: str, faults: Faults, line: int | None = None) -> tuple[FloatArray, IntArray]:
-    """The axis (n,) whose values a column repeats, and the place of each row on it; notes unequal steps."""
+    """Find the axis whose values a column repeats; unequal steps are added to the faults.
+
+    Parameters
+    ----------
+    column : ndarray, shape (n_rows,)
+    name : str
+        Of the axis, for messages.
+    faults : Faults
+    line : int, optional
+        Line of the axis in the file, for messages.
+
+    Returns
+    -------
+    axis : ndarray, shape (n,)
+    index : ndarray of int, shape (n_rows,)
+        Index of each row on the axis.
+    """
     distinct, back = np.unique(column, return_inverse=True)
     width = float(distinct[-1] - distinct[0])
     new = np.concatenate([[True], np.diff(distinct) > SAME_VALUE * width])

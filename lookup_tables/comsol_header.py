@@ -1,4 +1,4 @@
-"""What the ``%`` lines of a COMSOL export say: units, and which expression belongs to which coil."""
+"""Header of a COMSOL export (its ``%`` lines): units, and the coil and component of each expression."""
 
 from __future__ import annotations
 
@@ -14,7 +14,18 @@ _EXPRESSION = re.compile(r"(\S+)\s*\(([^()]*)\)\s*(?:@\s*(.*?))?(?=\s+\S+\s*\([^
 
 
 class Expression(NamedTuple):
-    """One column or data block: its name, the component it is (``x``, ``y``, ``z`` or empty), scale to T, suffix."""
+    """One column or data block.
+
+    Attributes
+    ----------
+    name : str
+    component : str
+        ``x``, ``y``, ``z`` or empty.
+    scale : float
+        To T.
+    suffix : str
+        Text after ``@``.
+    """
 
     name: str
     component: str
@@ -23,7 +34,19 @@ class Expression(NamedTuple):
 
 
 class Header(NamedTuple):
-    """The lines before the data; each of them with its number."""
+    """The lines before the data.
+
+    Attributes
+    ----------
+    nodes : int or None
+        Number of nodes, if the header states it.
+    length_scale : float
+        To m.
+    last_line : str
+        Last line of the header.
+    last_number : int
+        Its line number, from 1.
+    """
 
     nodes: int | None
     length_scale: float
@@ -32,14 +55,23 @@ class Header(NamedTuple):
 
 
 def parse_header(lines: list[str], place: str) -> Header:
-    """Read the leading ``%`` lines.
+    """Parse the leading ``%`` lines.
 
     Parameters
     ----------
     lines : list of str
-        Those of the whole file.
+        Of the whole file.
     place : str
         The file's name, for errors.
+
+    Returns
+    -------
+    Header
+
+    Raises
+    ------
+    TableError
+        If there is no header, its length unit is missing or unknown, or the table is not three-dimensional.
     """
     leading: list[str] = []
     for line in lines:
@@ -70,7 +102,23 @@ def parse_header(lines: list[str], place: str) -> Header:
 
 
 def parse_expressions(text: str, place: str) -> list[Expression]:
-    """Read expressions such as ``mf.Bx (mT) @ 1: I1=1`` that follow each other on a line; `place` is file and line."""
+    """Parse expressions such as ``mf.Bx (mT) @ 1: I1=1`` that follow each other on a line.
+
+    Parameters
+    ----------
+    text : str
+    place : str
+        File and line, for errors.
+
+    Returns
+    -------
+    list of Expression
+
+    Raises
+    ------
+    TableError
+        If an expression has no unit, or an unknown one.
+    """
     found, faults, end = [], [], 0
     for match in _EXPRESSION.finditer(text):
         name, unit, suffix = match[1], match[2].strip().replace("\u03bc", "µ"), (match[3] or "").strip()
@@ -93,10 +141,28 @@ def parse_expressions(text: str, place: str) -> list[Expression]:
 
 
 def arrange(expressions: list[Expression], place: str) -> tuple[list[tuple[int, int]], tuple[str, ...]]:
-    """Coil and component (0, 1, 2) of each expression, and the coils' names.
+    """Assign each expression to a coil and a component.
 
     The k-th expression that ends in x is B_x of coil k, so that exports by coil and by component both work. Without
     such letters the order is x, y, z of the first coil, then of the second.
+
+    Parameters
+    ----------
+    expressions : list of Expression
+    place : str
+        File and line, for errors.
+
+    Returns
+    -------
+    order : list of tuple of 2 int
+        Coil and component (0, 1, 2) of each expression.
+    names : tuple of str
+        Of the coils.
+
+    Raises
+    ------
+    TableError
+        If there are not three expressions for each coil.
     """
     if not expressions or len(expressions) % 3:
         raise TableError(

@@ -1,4 +1,4 @@
-"""Writer of COMSOL's text exports, for tables that COMSOL or another program shall read."""
+"""Writer of COMSOL's text exports, for tables that COMSOL or another program will read."""
 
 from __future__ import annotations
 
@@ -14,12 +14,18 @@ LAYOUTS = ("spreadsheet", "grid")
 
 
 def write_comsol(samples: Samples, path: Path, layout: str) -> None:
-    """Write the samples at 1 A in mm and mT; the coils' names stand where COMSOL puts those of a sweep.
+    """Write the samples at 1 A in mm and mT; the coils' names are written where COMSOL puts those of a sweep.
+
+    Parameters
+    ----------
+    samples : Samples
+    path : Path
+    layout : {"spreadsheet", "grid"}
 
     Raises
     ------
     TableError
-        For an unknown layout, or a coil's name with parentheses, which the header could not hold.
+        For an unknown layout, or a coil's name with parentheses, which the header cannot hold.
     """
     if layout not in LAYOUTS:
         raise TableError(f"{path}: unknown layout {layout!r}; known layouts: {', '.join(LAYOUTS)}.")

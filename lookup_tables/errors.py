@@ -1,4 +1,4 @@
-"""Errors of this package; each also derives from the built-in it resembles."""
+"""Errors of this package; each also derives from the built-in error that it resembles."""
 
 from __future__ import annotations
 

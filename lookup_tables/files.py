@@ -1,4 +1,4 @@
-"""Tables to and from files: which format, and the change from the file's frame to the world frame."""
+"""Reading and writing of tables: file formats, and the transformation from the file's frame to the world frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,29 @@ def read_samples(
     origin: Sequence[float] | FloatArray,
     rotation: FloatArray | None,
 ) -> Samples:
-    """The work of `FieldTable.read`: samples at 1 A in the world frame."""
+    """Read samples at 1 A in the world frame, for `FieldTable.read`.
+
+    Parameters
+    ----------
+    path : Path
+    current : float, in A
+        Current of each coil in the file.
+    names : sequence of str, optional
+        Names of the coils; by default the file's.
+    origin : array_like, shape (3,), in m
+        Position of the file's origin in the world frame.
+    rotation : ndarray, shape (3, 3), optional
+        Takes the file's vectors to world vectors; right angles only.
+
+    Returns
+    -------
+    Samples
+
+    Raises
+    ------
+    TableError
+        If the file is missing or faulty, or a value cannot be used.
+    """
     if not path.is_file():
         beside = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))[:10] if path.parent.is_dir() else []
         there = f"; that folder has {', '.join(beside)}" if beside else ""
@@ -48,7 +70,20 @@ def read_samples(
 
 
 def write_samples(samples: Samples, path: Path, layout: str) -> None:
-    """The work of `FieldTable.write`."""
+    """Write samples, for `FieldTable.write`.
+
+    Parameters
+    ----------
+    samples : Samples
+    path : Path
+    layout : {"spreadsheet", "grid"}
+        Of the text.
+
+    Raises
+    ------
+    TableError
+        If the file cannot be written.
+    """
     try:
         if path.suffix == ".npz":
             _write_npz(samples, path)
@@ -88,7 +123,7 @@ def _read_npz(path: Path) -> Samples:
 
 
 def _to_world(samples: Samples, origin: FloatArray, rotation: FloatArray | None, path: Path) -> Samples:
-    """Turn and shift axes and vectors; a right-angle rotation permutes the axes and flips some."""
+    """Rotate and shift axes and vectors; a right-angle rotation permutes the axes and flips some."""
     turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
     if turn.shape != (3, 3):
         raise TableError(f"{path}: rotation must have shape (3, 3); got {turn.shape}.")

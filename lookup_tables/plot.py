@@ -82,6 +82,6 @@ def plot_table(table: FieldTable, path: str | os.PathLike[str], z: float | None 
 
 
 def _plane(table: FieldTable, x: FloatArray, y: FloatArray, z: float) -> FloatArray:
-    """Field (n_coils, nx, ny, 3), in T per A, on a horizontal mesh."""
+    """Evaluate the field (n_coils, nx, ny, 3), in T per A, on a horizontal mesh."""
     points = np.stack(np.meshgrid(x, y, [z], indexing="ij"), axis=-1).reshape(-1, 3)
     return table.field(points).reshape(table.n_coils, len(x), len(y), 3)

@@ -23,7 +23,7 @@ PLACES_PER_SPLINE = 8
 
 
 class _Axis(NamedTuple):
-    """What one axis of n samples gives to the fit, in cells; ``r`` modes diagonalise mass and stiffness."""
+    """Contribution of one axis of n samples to the fit, in cells; ``r`` modes diagonalise mass and stiffness."""
 
     modes: FloatArray  # (n + 4, r): B-spline coefficients of each mode
     stiffness: FloatArray  # (r,): integral of the squared slope of each mode, its mass being 1
@@ -33,7 +33,7 @@ class _Axis(NamedTuple):
 
 
 def fit_potential(spacing: FloatArray, samples: FloatArray) -> FloatArray:
-    """Spline coefficients of the potential.
+    """Fit the spline coefficients of the potential.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def fit_potential(spacing: FloatArray, samples: FloatArray) -> FloatArray:
     ndarray, shape (nx + 4, ny + 4, nz + 4, n_coils), in T m / A
         For `lookup_tables.splines`. For one plane of samples, the potential off the plane is that of a field
         without curl and divergence to second order, so that the whole gradient is known on the plane.
-        The same to the last bit however many threads linear algebra is lent: it uses one.
+        Linear algebra uses one thread, so that the last bits do not depend on the number of threads.
     """
     import scipy.linalg  # noqa: F401  (a library that is not loaded yet cannot be limited)
     from threadpoolctl import threadpool_limits
@@ -70,7 +70,7 @@ def _fit(spacing: FloatArray, samples: FloatArray) -> FloatArray:
 
 
 def _fit_plane(spacing: FloatArray, samples: FloatArray, normal: int) -> FloatArray:
-    """phi = phi_0 - s B_n - s^2 / 2 laplace(phi_0), where s is the height above the plane and B_n the normal field."""
+    """Fit one plane: phi = phi_0 - s B_n - s^2 / 2 laplace(phi_0), with height s above it and normal field B_n."""
     first, second = (i for i in range(3) if i != normal)
     a, b = _axis(samples.shape[1 + first]), _axis(samples.shape[1 + second])
     h = spacing[[first, second]]
@@ -99,7 +99,7 @@ def _solve(axes: list[_Axis], spacing: FloatArray, projected: FloatArray) -> Flo
 
 
 def _back(axes: list[_Axis], amplitudes: FloatArray) -> FloatArray:
-    """B-spline coefficients, coils last, of amplitudes (n_coils, ...) of products of modes."""
+    """Convert amplitudes (n_coils, ...) of products of modes to B-spline coefficients, coils last."""
     return np.ascontiguousarray(np.moveaxis(_apply([a.modes for a in axes], amplitudes), 0, -1))
 
 
@@ -131,14 +131,14 @@ def _axis(n: int) -> _Axis:
 
 
 def _polynomials(cells: int, degree: int) -> FloatArray:
-    """B-spline coefficients (cells + 5, degree + 1) of the powers 0 to `degree` of the place in cells."""
+    """Fit B-spline coefficients (cells + 5, degree + 1) to the powers 0 to `degree` of the coordinate in cells."""
     places = np.linspace(0.0, cells, PLACES_PER_SPLINE * (cells + DEGREE))
     powers = places[:, None] ** np.arange(degree + 1)
     return np.asarray(np.linalg.lstsq(_basis_matrices(places, cells)[0], powers, rcond=None)[0])
 
 
 def _basis_matrices(places: FloatArray, cells: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values, first and second derivatives, each (n_places, cells + 5), of all B-splines."""
+    """Compute values, first and second derivatives, each (n_places, cells + 5), of all B-splines."""
     out, weights = np.zeros((3, len(places), cells + DEGREE)), np.empty((3, DEGREE + 1))
     for row, place in enumerate(places):
         first = basis(float(place), cells, weights)

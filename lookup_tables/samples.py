@@ -1,4 +1,4 @@
-"""What a file of a table holds, in whatever format."""
+"""Contents of a table's file, in any format."""
 
 from __future__ import annotations
 
@@ -11,7 +11,17 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Samples(NamedTuple):
-    """Axes in m, field (n_coils, nx, ny, nz, 3) in T, coil names, and a fit if there is one."""
+    """Samples of the field on a mesh.
+
+    Attributes
+    ----------
+    x, y, z : ndarray, shape (nx,), (ny,), (nz,), in m
+    field : ndarray, shape (n_coils, nx, ny, nz, 3), in T
+    names : tuple of str
+        Of the coils.
+    potential : ndarray, shape (nx + 4, ny + 4, nz + 4, n_coils), in T m / A, optional
+        Fitted coefficients, if there are any.
+    """
 
     x: FloatArray
     y: FloatArray

@@ -1,11 +1,12 @@
 """Compiled evaluation of quintic splines of the scalar potential: field and gradient in one pass.
 
-The potential phi of coil c, for a current of 1 A, is a sum of products of quintic B-splines on equally spaced knots,
+The potential phi of coil c, for a current of 1 A, is a sum of products of quintic B-splines on equally spaced
+knots,
 
     phi_c(x, y, z) = sum_ijk a[i, j, k, c] N_i(u) N_j(v) N_k(w),   (u, v, w) = (point - origin) / spacing,
 
-so that B = -grad phi is free of curl and its gradient symmetric, whatever the coefficients. Kernels that call each
-other share this file, since numba's cache does not see a change in another one.
+so that B = -grad phi is free of curl and its gradient symmetric, for any coefficients. Kernels that call each
+other share this file, since numba's cache does not notice a change in another one.
 """
 
 from __future__ import annotations
@@ -25,7 +26,16 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(function: _Function) -> _Function:
-    """Compile with numba's cache; without one, with a warning, where no folder for it can be written."""
+    """Compile with numba's cache; without it, and with a warning, where no folder for it can be written.
+
+    Parameters
+    ----------
+    function : callable
+
+    Returns
+    -------
+    callable
+    """
     try:
         return cast(_Function, numba.njit(cache=True, error_model="numpy", nogil=True)(function))
     except RuntimeError:  # numba found no folder that it may write
@@ -36,14 +46,15 @@ def compiled(function: _Function) -> _Function:
 
 @compiled
 def basis(u: float, cells: int, weights: FloatArray) -> int:
-    """Values, first and second derivatives of the six B-splines at `u`, by the recursion for equally spaced knots.
+    """Compute the six B-splines at a point, and their derivatives, by the recursion for equally spaced knots.
 
         N^k_j(t) = ((t + k - j) N^(k-1)_(j-1)(t) + (1 - t + j) N^(k-1)_j(t)) / k
 
     Parameters
     ----------
     u : float, in cells
-        Place on the axis; the samples are at 0, 1, ..., `cells`. Beyond the ends the end cell's polynomial goes on.
+        Coordinate on the axis; the samples are at 0, 1, ..., `cells`. Beyond the ends the end cell's polynomial is
+        extrapolated.
     cells : int
         Number of cells of the axis.
     weights : ndarray, shape (3, 6)
@@ -136,9 +147,27 @@ def evaluate_points(
     field: FloatArray,
     gradient: FloatArray,
 ) -> int:
-    """Fill field (n_coils, n, 3) and gradient (n_coils, n, 3, 3); return the first point outside, or -1.
+    """Compute field and gradient at some points.
 
-    `limits`, shape (2, 3), are the lowest and highest coordinates answered, in m; a nan is outside.
+    Parameters
+    ----------
+    coefficients : ndarray, shape (nx + 4, ny + 4, nz + 4, n_coils), in T m / A
+    origin : ndarray, shape (3,), in m
+        First node.
+    spacing : ndarray, shape (3,), in m
+        Mesh width.
+    limits : ndarray, shape (2, 3), in m
+        Lowest and highest coordinates inside; a nan is outside.
+    points : ndarray, shape (n, 3), in m
+    field : ndarray, shape (n_coils, n, 3), in T per A
+        Filled.
+    gradient : ndarray, shape (n_coils, n, 3, 3), in T per (A m)
+        Filled.
+
+    Returns
+    -------
+    int
+        Index of the first point outside, or -1.
     """
     one_field, one_gradient = np.empty((field.shape[0], 3)), np.empty((field.shape[0], 3, 3))
     for n in range(points.shape[0]):

@@ -1,4 +1,4 @@
-"""`FieldTable`: the field of several coils on a mesh, and what lies between the nodes."""
+"""`FieldTable`: the field of several coils on a mesh, and its interpolation between the nodes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,16 @@ CHECKED_NODES = 25  # per axis, at which the residual is computed
 
 
 class Spline(NamedTuple):
-    """Of the potential: coefficients (nx + 4, ny + 4, nz + 4, n_coils), T m / A; first node, mesh width (3,), m."""
+    """Spline of the potential.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (nx + 4, ny + 4, nz + 4, n_coils), in T m / A
+    origin : ndarray, shape (3,), in m
+        First node.
+    spacing : ndarray, shape (3,), in m
+        Mesh width.
+    """
 
     coefficients: FloatArray
     origin: FloatArray
@@ -32,18 +41,18 @@ class Spline(NamedTuple):
 class FieldTable:
     """Flux density of each coil at 1 A in a box of the world frame.
 
-    Between the nodes the field is B = -grad phi, phi being a quintic spline fitted to the samples
-    (`lookup_tables.potential`). So the field has no curl, `gradient` is its exact derivative and symmetric, and noise
-    of the samples that no field without curl can have is averaged out. The divergence is not forced to zero; for
-    coils it comes out below 1e-7 of the gradient. Measured for a round coil of 25 mm radius, 28 mm from the box:
-    relative error of the field 3e-10 and of the gradient 6e-8 at worst with a mesh of 0.5 mm, 6e-6 and 1e-4 with
-    one of 2 mm and four planes. One point of four coils takes the kernel 3 us, `field` about 10 us.
+    Between the nodes the field is B = -grad phi, where phi is a quintic spline fitted to the samples
+    (`lookup_tables.potential`). So the field has no curl, `gradient` is its exact derivative and symmetric, and
+    noise of the samples that has a curl is averaged out. The divergence is not forced to zero; for coils it comes
+    out below 1e-7 of the gradient. Measured for a round coil of 25 mm radius, 28 mm from the box: relative error of
+    the field 3e-10 and of the gradient 6e-8 at worst with a mesh of 0.5 mm, 6e-6 and 1e-4 with one of 2 mm and four
+    planes. One point of four coils takes the kernel 3 us, `field` about 10 us.
 
     Parameters
     ----------
     x, y, z : ndarray, shape (nx,), (ny,), (nz,), in m
-        Equally spaced, world frame. One of them may have a single sample: along that axis the field is then taken to
-        be the same everywhere, while the gradient, known from div B = 0 and curl B = 0, is still complete.
+        Equally spaced, world frame. One of them may have a single sample: along that axis the field is then assumed
+        to be constant, while the gradient, known from div B = 0 and curl B = 0, is still complete.
     field : ndarray, shape (n_coils, nx, ny, nz, 3), in T/A
         Samples at the nodes, world frame.
     names : sequence of str
@@ -55,7 +64,7 @@ class FieldTable:
     ------
     TableError
         For shapes that do not match, meshes that are not equally spaced, samples that are not finite, and samples
-        that are more than 5 % of the largest field away from every field without curl.
+        that deviate by more than 5 % of the largest field from every field without curl.
     """
 
     def __init__(
@@ -102,21 +111,30 @@ class FieldTable:
         return np.array([a[0] for a in axes]), np.array([a[-1] for a in axes])
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """Whether the table covers each of the points (n, 3), in m; an axis of one sample covers every value."""
+        """Return whether the table covers each of some points.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m, world frame
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            An axis of one sample covers every value.
+        """
         points = as_points(points)
         return np.asarray(((points >= self._limits[0]) & (points <= self._limits[1])).all(axis=1))
 
     def field(self, points: FloatArray) -> FloatArray:
-        """Flux density of each coil at 1 A.
+        """Compute the flux density of each coil at 1 A.
 
         Parameters
         ----------
-        points : ndarray, shape (n, 3), in m
-            In the world frame.
+        points : ndarray, shape (n, 3), in m, world frame
 
         Returns
         -------
-        ndarray, shape (n_coils, n, 3), in T/A
+        ndarray, shape (n_coils, n, 3), in T/A, world frame
 
         Raises
         ------
@@ -126,21 +144,41 @@ class FieldTable:
         return self.field_and_gradient(points)[0]
 
     def gradient(self, points: FloatArray) -> FloatArray:
-        """Spatial derivative of the field: ``[c, n, i, j] = dB_i / dx_j``, symmetric; raises as `field` does.
+        """Compute the spatial derivative of the field of each coil at 1 A.
 
         Parameters
         ----------
-        points : ndarray, shape (n, 3), in m
-            In the world frame.
+        points : ndarray, shape (n, 3), in m, world frame
 
         Returns
         -------
         ndarray, shape (n_coils, n, 3, 3), in T/(A m)
+            ``[c, n, i, j] = dB_i / dx_j``, symmetric.
+
+        Raises
+        ------
+        OutsideTableError
+            See `field`.
         """
         return self.field_and_gradient(points)[1]
 
     def field_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Both `field` and `gradient`, at the price of one."""
+        """Compute both `field` and `gradient`, at the cost of one.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m, world frame
+
+        Returns
+        -------
+        field : ndarray, shape (n_coils, n, 3), in T/A
+        gradient : ndarray, shape (n_coils, n, 3, 3), in T/(A m)
+
+        Raises
+        ------
+        OutsideTableError
+            See `field`.
+        """
         points = as_points(points)
         field = np.empty((len(self.names), len(points), 3))
         gradient = np.empty((len(self.names), len(points), 3, 3))
@@ -170,9 +208,13 @@ class FieldTable:
         names : sequence of str, optional
             Names of the coils; by default the file's.
         origin : array_like, shape (3,), in m
-            Where the file's origin lies in the world frame.
+            Position of the file's origin in the world frame.
         rotation : ndarray, shape (3, 3), optional
-            Takes the file's vectors to world vectors. In right angles only, so that the mesh stays one.
+            Takes the file's vectors to world vectors. Right angles only, so that the mesh stays along the axes.
+
+        Returns
+        -------
+        FieldTable
 
         Raises
         ------
@@ -196,6 +238,11 @@ class FieldTable:
             Replaced if it exists.
         layout : {"spreadsheet", "grid"}
             Of the text. Numbers keep all their digits.
+
+        Raises
+        ------
+        TableError
+            If the file cannot be written.
         """
         from lookup_tables.files import write_samples
 
@@ -203,7 +250,7 @@ class FieldTable:
         write_samples(held, Path(path), layout)
 
     def _residual(self) -> FloatArray:
-        """Largest distance of samples and fit on a thinned mesh, relative to each coil's largest field, (n_coils,)."""
+        """Compute each coil's largest deviation of samples from fit, relative to its largest field."""
         places = [np.linspace(0, len(a) - 1, min(len(a), CHECKED_NODES)) for a in (self.x, self.y, self.z)]
         axes = [a[np.unique(at.astype(int))] for a, at in zip((self.x, self.y, self.z), places, strict=True)]
         picked = [np.searchsorted(full, a) for full, a in zip((self.x, self.y, self.z), axes, strict=True)]
@@ -239,7 +286,7 @@ def _millimetres(point: FloatArray) -> str:
 
 
 def _even(axis: Any, name: str) -> FloatArray:
-    """The axis with its rounding removed, or an error if it is not ascending in equal steps."""
+    """Remove the rounding of an axis, or raise an error if it does not ascend in equal steps."""
     samples = np.asarray(axis, dtype=np.float64)
     if samples.ndim != 1 or len(samples) == 0 or not np.isfinite(samples).all():
         raise TableError(f"Axis {name} must be finite numbers of shape (n{name},); got shape {samples.shape}.")

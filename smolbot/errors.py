@@ -1,4 +1,4 @@
-"""Every error smolbot raises on purpose; each also derives from the built-in it resembles."""
+"""All errors that smolbot raises on purpose; each also derives from the built-in error that it resembles."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ class SafetyError(RigError):
 
 
 class OperatorStopError(RigError):
-    """A person ended a run: by a key, by a button of the bench, by saying so when asked."""
+    """A person ended a run: by a key, by a button at the bench, or by answering no to a question."""
 
 
 class SignalLostError(SmolbotError, RuntimeError):
@@ -234,7 +234,26 @@ class PluginError(SmolbotError, ImportError):
 
 @contextmanager
 def writing(path: str | Path, what: str = "", done: str = "written") -> Iterator[None]:
-    """What the system says against a file or folder that the block writes, as our error; `what` says what it holds."""
+    """Convert an `OSError` of the block, which writes a file or folder, into an `InputError`.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder that is written; named in the message.
+    what : str
+        What it holds, for the message.
+    done : str
+        Past participle of the failed action, for the message.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    InputError
+        If the block raises `OSError`.
+    """
     try:
         yield
     except OSError as error:
@@ -242,7 +261,20 @@ def writing(path: str | Path, what: str = "", done: str = "written") -> Iterator
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """`` Did you mean …?`` with the known name most like `name`, or that of another unit; empty if none is."""
+    """Suggest the known name that is most like an unknown one, or the same name with another unit.
+
+    Parameters
+    ----------
+    name : str
+        The unknown name.
+    known : iterable of str
+        Names that exist.
+
+    Returns
+    -------
+    str
+        `` Did you mean …?`` with a leading space; empty if no known name is similar.
+    """
     known = list(known)
     stem = name.rsplit("_", 1)[0]
     other_unit = [one for one in known if one.rsplit("_", 1)[0] in (stem, name)]

@@ -1,1 +1,1 @@
-"""The closed loop as a linear sampled system along a path: margins, responses, a regulator to start gains from."""
+"""The closed loop as a linear sampled system along a path: margins, responses, and a regulator to start gains from."""

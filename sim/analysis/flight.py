@@ -1,4 +1,4 @@
-"""A mission flown on the controller's own model with its real tracker and its real law, cycle by cycle."""
+"""Simulate a mission on the controller's own motion model, with the real tracker and the real law, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -36,38 +36,62 @@ PLACES = 9
 
 @dataclass(frozen=True)
 class State:
-    """Where the robot truly is: rotation centre (3,) in m, heading in rad."""
+    """True pose of the robot.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,), in m, world frame
+        Rotation centre.
+    heading : float, in rad
+    """
 
     position: FloatArray
     heading: float
 
     def moved(self, along: FloatArray, turn: float) -> State:
-        """After a displacement (2,) in m and a turn in rad."""
+        """Return the state after a displacement and a turn.
+
+        Parameters
+        ----------
+        along : ndarray, shape (2,), in m, world frame
+        turn : float, in rad
+            About the vertical.
+
+        Returns
+        -------
+        State
+        """
         return State(self.position + np.array([along[0], along[1], 0.0]), self.heading + turn)
 
     def orientation(self) -> FloatArray:
-        """Quaternion (4,) of a robot that lies level."""
+        """Return the orientation of a robot that lies level.
+
+        Returns
+        -------
+        ndarray, shape (4,)
+            Unit quaternion, scalar first, body to world.
+        """
         return quaternion_from_axes(np.array([math.cos(self.heading), math.sin(self.heading), 0.0]), _UP, "zy")
 
 
 @dataclass(frozen=True)
 class Instant:
-    """One cycle, as it stood when the law was asked.
+    """One cycle of a simulated flight, at the moment when the law computes its command.
 
     Attributes
     ----------
     number : int
         Of the cycle in its flight.
     tracker, controller
-        As they were just before this cycle's `heard` and `pose`; copy them before use. None where not asked for.
+        Copies from just before this cycle's update; copy them again before use. None where no copy was requested.
     shot, heard
-        What the tracker was told.
+        The tracker's input: the shot played and the measured pose.
     state : State
-        True.
+        Ground truth.
     pose : Pose
-        As handed to the law.
+        Tracked pose, the law's input.
     command : Command
-        What it answered.
+        The law's output.
     cycle, wait : float, in s
         From one command to the next, and from the middle of listening to the end of the shot.
     """
@@ -85,7 +109,11 @@ class Instant:
 
 
 class Model:
-    """A mission's beliefs, made once: motion of the robot, timeline of a cycle, covariance of a pose.
+    """What a mission assumes, built once: motion of the robot, timeline of a cycle, covariance of a pose.
+
+    Parameters
+    ----------
+    mission : Mission
 
     Raises
     ------
@@ -113,14 +141,41 @@ class Model:
         return sum(w.duration for w in self.listening) + self.mission.rig.turnaround
 
     def controller(self, gains: Mapping[str, float] | None = None) -> Controller:
-        """The mission's law, with its gains or others."""
+        """Build the mission's law.
+
+        Parameters
+        ----------
+        gains : mapping of str to float, optional
+            Instead of the mission's gains.
+
+        Returns
+        -------
+        Controller
+        """
         made: Controller = load("controllers", self.mission.law)(
             self.setup, self.mission.gains if gains is None else gains
         )
         return made
 
     def motion(self, state: State, window: object) -> tuple[FloatArray, float]:
-        """Displacement (2,) in m and turn in rad that a window causes, as believed."""
+        """Compute the motion that a window causes, by the controller's own model.
+
+        Parameters
+        ----------
+        state : State
+        window : Window
+            Only an `Actuate` with a current moves the robot.
+
+        Returns
+        -------
+        displacement : ndarray, shape (2,), in m, world frame
+        turn : float, in rad
+
+        Raises
+        ------
+        InputError
+            Where the field is not known.
+        """
         if not isinstance(window, Actuate) or not any(window.currents):
             return np.zeros(2), 0.0
         self.require_inside(state.position)
@@ -132,18 +187,52 @@ class Model:
         return step, after - state.heading
 
     def require_inside(self, position: FloatArray) -> None:
-        """Raise `InputError` where the field is not known."""
+        """Check that a position lies in the field table.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+
+        Raises
+        ------
+        InputError
+            If it does not.
+        """
         if not self.setup.table.contains(position[None, :])[0]:
             x, y = position[:2] * 1e3
             raise InputError(f"{self.mission.name}: the robot would leave the field table near ({x:.1f}, {y:.1f}) mm.")
 
     def covariance(self, progress: float) -> FloatArray:
-        """Covariance (6, 6) of a pose heard at arc length `progress` m."""
+        """Return the covariance of a pose measured at a place on the path.
+
+        Parameters
+        ----------
+        progress : float, in m
+            Arc length.
+
+        Returns
+        -------
+        ndarray, shape (6, 6), in m and rad
+        """
         found: FloatArray = self._covariances[int(np.argmin(np.abs(self._arc - progress)))]
         return found
 
     def copied(self, controller: Controller) -> Controller:
-        """A controller in the same state, that may be asked without the first one knowing."""
+        """Copy a controller, so that the copy can be queried without changing the original.
+
+        Parameters
+        ----------
+        controller : Controller
+
+        Returns
+        -------
+        Controller
+
+        Raises
+        ------
+        InputError
+            If the law cannot be copied.
+        """
         memo: dict[int, Any] = {id(shared): shared for shared in (self.setup, self.setup.table)}
         try:
             return copy.deepcopy(controller, memo)
@@ -153,7 +242,16 @@ class Model:
             ) from error
 
     def copied_tracker(self, tracker: Tracker) -> Tracker:
-        """The same for a tracker."""
+        """Copy a tracker; the field table and the robot are shared.
+
+        Parameters
+        ----------
+        tracker : Tracker
+
+        Returns
+        -------
+        Tracker
+        """
         memo: dict[int, Any] = {id(shared): shared for shared in (self.setup.table, self.setup.robot)}
         return copy.deepcopy(tracker, memo)
 
@@ -225,14 +323,38 @@ def fly(
 
 
 def turned(pose: Pose, across: float, normal: FloatArray, turn: float) -> Pose:
-    """The same pose `across` m farther along `normal` (2,), turned by `turn` rad about the vertical."""
+    """Return a pose that is displaced across the path and turned about the vertical.
+
+    Parameters
+    ----------
+    pose : Pose
+    across : float, in m
+        Displacement along `normal`.
+    normal : ndarray, shape (2,)
+        Unit vector across the path, world frame.
+    turn : float, in rad
+
+    Returns
+    -------
+    Pose
+    """
     shift = across * np.array([normal[0], normal[1], 0.0])
     rotation = quaternion_from_rotation_vector(np.array([0.0, 0.0, turn]))
     return replace(pose, position=pose.position + shift, orientation=quaternion_product(rotation, pose.orientation))
 
 
 def require_loop(mission: Mission) -> None:
-    """Raise `InputError` if the mission has no law, or one that does not pull by coils."""
+    """Check that a mission has a law that pulls a robot by coils.
+
+    Parameters
+    ----------
+    mission : Mission
+
+    Raises
+    ------
+    InputError
+        If it has none.
+    """
     if getattr(getattr(mission, "sections", None), "controller", None) is None:
         raise InputError(f"{mission.name}: has no [controller]: it only localizes: there is no loop to analyse.")
     kind: str = mission.robot.kind

@@ -1,6 +1,7 @@
-"""One cycle of the loop as small numbers: what a little off the path, or a little turned, makes of the next motion.
+"""Linearise one cycle of the loop: how a small deviation from the path changes the next motion.
 
-The law is asked as it is, with what it remembers, at poses as far from the nominal one as tracked poses err.
+The law is evaluated as it is, with its internal state, at poses that deviate from the nominal one as much as tracked
+poses err.
 """
 
 from __future__ import annotations
@@ -36,9 +37,11 @@ NO_MOTION, TINY = 1e-24, 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """The loop about one nominal cycle. Deviations x are (across the path in m, heading in rad).
+    """The loop linearised about one nominal cycle. Deviations x are (across the path in m, heading in rad).
 
-        x' = x + M x + G x^,      M: the same window from elsewhere;  G: the window that the law gives for a pose x^
+        x' = x + M x + G x^
+
+    M is the motion of the same window from a deviating state; G is that of the window that the law gives for a pose x^.
 
     Attributes
     ----------
@@ -50,17 +53,17 @@ class Cycle:
     duration, wait : float, in s
         Of the cycle; from the middle of listening to its end.
     sigma : ndarray, shape (2,)
-        Standard deviation of the tracked pose, which the law is asked within.
+        Standard deviation of the tracked pose; the law is evaluated within it.
     motion : ndarray, shape (2, 2)
         M.
     feedback : ndarray, shape (2, 2)
-        G: the gain that leaves the least of a motion unexplained, over poses that err as tracked ones do.
+        G: the gain with the least residual motion, over poses that err as tracked ones do.
     explained : ndarray, shape (2,)
         Share of the variance of the motion (across, turn) that G explains; 1 for a linear law.
     currents : ndarray, shape (2, n_coils), per A
-        Motion by a change of each coil's current.
+        Motion per change of each coil's current.
     kalman : ndarray, shape (3, 2)
-        What an error of the heard pose adds to the tracked (across, heading, drift across in m/s).
+        Change of the tracked state (across, heading, drift across in m/s) per error of the measured pose.
     saturated : bool
     """
 
@@ -79,7 +82,20 @@ class Cycle:
 
 
 def linearised(model: Model, instant: Instant, pairs: int = PAIRS) -> Cycle:
-    """The loop about one instant of a flight in which tracker and law were kept."""
+    """Linearise the loop about one instant of a flight.
+
+    Parameters
+    ----------
+    model : Model
+    instant : Instant
+        With copies of tracker and law.
+    pairs : int
+        Pairs of poses at which the law is evaluated.
+
+    Returns
+    -------
+    Cycle
+    """
     assert instant.tracker is not None
     assert instant.controller is not None
     path, state, command = model.mission.path, instant.state, instant.command
@@ -119,10 +135,30 @@ def linearised(model: Model, instant: Instant, pairs: int = PAIRS) -> Cycle:
 def probed(
     model: Model, controller: Controller, pose: Pose, state: State, normal: FloatArray, sigma: FloatArray, pairs: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Feedback (2, 2) of a law as it stands, and the share (2,) of the variance that it explains.
+    """Fit the feedback of a law about a pose.
 
-    A law has dead zones, limits and choices, so that a derivative at a point may be anything. This is the gain that
-    a noisy input sees: least squares over poses that err as the tracked one does.
+    A law has dead zones, limits and branches, so a derivative at a point may be anything. This is the gain that a noisy
+    input sees: least squares over poses that err as the tracked one does.
+
+    Parameters
+    ----------
+    model : Model
+    controller : Controller
+    pose : Pose
+        Nominal.
+    state : State
+        True state, from which motions are computed.
+    normal : ndarray, shape (2,)
+        Unit vector across the path.
+    sigma : ndarray, shape (2,), in m and rad
+        Standard deviation of the tracked pose.
+    pairs : int
+
+    Returns
+    -------
+    feedback : ndarray, shape (2, 2)
+    explained : ndarray, shape (2,)
+        Share of the variance that it explains.
     """
     points = _normal_points(pairs) * sigma
     moved = np.empty((len(points), 2))
@@ -187,7 +223,20 @@ def _kalman(model: Model, instant: Instant, normal: FloatArray, sigma: FloatArra
 
 
 def averaged(cycles: list[Cycle], index: int, reach: int) -> Cycle:
-    """The mean loop of the cycles up to `reach` before and after `index`: what the loop sees while it settles."""
+    """Average the loop over neighbouring cycles: what the loop sees while it settles.
+
+    Parameters
+    ----------
+    cycles : list of Cycle
+    index : int
+        Of the cycle in the middle.
+    reach : int
+        Cycles before and after it.
+
+    Returns
+    -------
+    Cycle
+    """
     near = cycles[max(index - reach, 0) : index + reach + 1]
     here = cycles[index]
 

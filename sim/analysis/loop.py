@@ -1,9 +1,4 @@
-"""The sampled loop as matrices: closed with a factor, or with late poses; its margins and responses.
-
-The loop is cut where the law's answer moves the robot, which is the same as at the heard pose. A factor there is a
-robot that answers more strongly than believed; a delay is a pose that comes late. Both act on place and heading at
-once, so the loop has one factor and two channels: its margins are those of the characteristic loci, not of one entry.
-"""
+"""The sampled loop as matrices: closed with a factor or with delayed poses; its margins and responses."""
 
 from __future__ import annotations
 
@@ -74,7 +69,16 @@ class SampledLoop:
 
     @classmethod
     def of(cls, cycle: Cycle) -> SampledLoop:
-        """The loop frozen at one cycle."""
+        """Build the loop of one linearised cycle.
+
+        Parameters
+        ----------
+        cycle : Cycle
+
+        Returns
+        -------
+        SampledLoop
+        """
         drifts = np.array([[1.0], [0.0]])
         return cls(cycle.motion, cycle.feedback, cycle.kalman, drifts, cycle.duration, cycle.wait)
 
@@ -84,9 +88,18 @@ class SampledLoop:
         return len(self.motion)
 
     def opened(self, late: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """State-space (A, B, C) from the motion w (n,) that an answer makes to the answer that the law gives, (n,).
+        """Return the open loop in state space, from the motion w (n,) to the motion that the law commands (n,).
 
         The state is (x, x^, v, x one cycle ago, two ago, …); closed, w = c C z.
+
+        Parameters
+        ----------
+        late : int
+            Cycles by which poses are delayed.
+
+        Returns
+        -------
+        a, b, c : ndarray, shapes (k, k), (k, n), (n, k)
         """
         # state: true deviation (n), estimate (n), drift (m), then the last `late` deviations; input: the law's motion
         n, m = self.drifts.shape
@@ -119,42 +132,101 @@ class SampledLoop:
         return a, b, c
 
     def closed(self, factor: float = 1.0, late: int = 0) -> FloatArray:
-        """The matrix that takes one cycle's state to the next."""
+        """Return the matrix that takes one cycle's state to the next.
+
+        Parameters
+        ----------
+        factor : float
+            Loop gain relative to the law's.
+        late : int
+            Cycles by which poses are delayed.
+
+        Returns
+        -------
+        ndarray, shape (k, k)
+        """
         a, b, c = self.opened(late)
         return a + factor * b @ c
 
     def radius(self, factor: float = 1.0, late: int = 0) -> float:
-        """Size of the largest pole of the closed loop."""
+        """Return the magnitude of the largest pole of the closed loop.
+
+        Parameters
+        ----------
+        factor : float
+            Loop gain relative to the law's.
+        late : int
+            Cycles by which poses are delayed.
+
+        Returns
+        -------
+        float
+        """
         return float(np.max(np.abs(np.linalg.eigvals(self.closed(factor, late)))))
 
     def poles(self) -> ComplexArray:
-        """Of the closed loop, the largest first."""
+        """Return the poles of the closed loop, the largest first.
+
+        Returns
+        -------
+        ndarray of complex, shape (k,)
+        """
         found = np.linalg.eigvals(self.closed())
         return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
 
     def loci(self, angles: FloatArray, late: int = 0) -> ComplexArray:
-        """Eigenvalues (k, n) of minus the open loop at angles (k,) per cycle, in rad: -1 is where it would ring on."""
+        """Return the eigenvalues of minus the open loop; at -1 the closed loop oscillates.
+
+        Parameters
+        ----------
+        angles : ndarray, shape (k,), in rad per cycle
+        late : int
+            Cycles by which poses are delayed.
+
+        Returns
+        -------
+        ndarray of complex, shape (k, n)
+        """
         a, b, c = self.opened(late)
         z = np.exp(1j * angles)[:, None, None]
         response = -(c @ np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(b, (len(angles), *b.shape))))
         return np.asarray(np.linalg.eigvals(response), dtype=np.complex128)
 
     def heard(self) -> FloatArray:
-        """What an error (n,) of the heard pose adds to the state of the closed loop."""
+        """Return how an error of the measured pose enters the state of the closed loop.
+
+        Returns
+        -------
+        ndarray, shape (k, n)
+        """
         n, m = self.drifts.shape
         out = np.zeros((2 * n + m, n))
         out[n:] = self.kalman
         return out
 
     def system(self) -> StateSpace:
-        """The closed loop for python-control: from an error of the heard pose to the deviations."""
+        """Return the closed loop for python-control: from an error of the measured pose to the deviations.
+
+        Returns
+        -------
+        control.StateSpace
+        """
         import control
 
         n = self.size
         return control.ss(self.closed(), self.heard(), np.eye(n, 2 * n + len(self.drifts[0])), 0.0, dt=self.period)
 
     def step(self, cycles: int) -> FloatArray:
-        """Deviations (cycles + 1, n) after the robot was put 1 m, or 1 rad, off in its first deviation, unnoticed."""
+        """Return the response to an unmeasured unit step of the first deviation.
+
+        Parameters
+        ----------
+        cycles : int
+
+        Returns
+        -------
+        ndarray, shape (cycles + 1, n), in m and rad
+        """
         a = self.closed()
         state = np.zeros(len(a))
         state[0] = 1.0
@@ -209,7 +281,16 @@ class Margins:
 
 
 def margins(loop: SampledLoop) -> Margins:
-    """All of them."""
+    """Compute gain, phase and delay margins, bandwidth and settling of a loop.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+
+    Returns
+    -------
+    Margins
+    """
     a, b, c = loop.opened()
     fed = b @ c
     radius = loop.radius()

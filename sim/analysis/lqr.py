@@ -1,7 +1,4 @@
-"""A linear-quadratic regulator for the sampled loop, and the gains of a law whose feedback comes closest to it.
-
-A starting point for a search, no more: it knows the plan along the path from the law, and no limits, noise or mismatch.
-"""
+"""A linear-quadratic regulator for the sampled loop, and the gains of a law whose feedback comes closest to it."""
 
 from __future__ import annotations
 
@@ -32,7 +29,22 @@ class Weights:
 
     @classmethod
     def parse(cls, text: str) -> Weights:
-        """From ``0.1,10,0.5``: mm, degrees, share of a full current. Raises `InputError` for anything else."""
+        """Read weights from text.
+
+        Parameters
+        ----------
+        text : str
+            Such as ``0.1,10,0.5``: mm, degrees, share of a full current.
+
+        Returns
+        -------
+        Weights
+
+        Raises
+        ------
+        InputError
+            For anything else than three numbers above 0.
+        """
         try:
             across, heading, current = (float(part) for part in text.split(","))
         except ValueError:
@@ -69,11 +81,22 @@ MOST = 48
 
 
 def regulator(cycle: Cycle, weights: Weights, max_current: float) -> FloatArray:
-    """Feedback (2, 2) of the linear-quadratic regulator: motion (across in m, turn in rad) by deviation.
+    """Compute the feedback of the linear-quadratic regulator.
 
-    The window's currents are free about those that the law chose; its duration is the law's.
+    The window's currents vary about those that the law chose; its duration is the law's.
 
         x' = (1 + M) x + B u,   minimise the sum of (x / w_x)^2 + (u / (w_u I_max))^2
+
+    Parameters
+    ----------
+    cycle : Cycle
+    weights : Weights
+    max_current : float, in A
+
+    Returns
+    -------
+    ndarray, shape (2, 2)
+        Motion (across in m, turn in rad) per deviation.
     """
     import control
 
@@ -109,7 +132,19 @@ class Found:
 
 
 def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST) -> Found:
-    """Search the law's declared ranges, one gain after the other, for the feedback nearest to the regulator's."""
+    """Search the law's declared ranges, one gain after the other, for the feedback nearest to the regulator's.
+
+    Parameters
+    ----------
+    model : Model
+    weights : Weights, optional
+    most : int
+        Largest number of flights.
+
+    Returns
+    -------
+    Found
+    """
     weights = weights or Weights()
     declared: Mapping[str, Gain] = load("controllers", model.mission.law).gains
     start = {name: float(model.mission.gains.get(name, gain.default)) for name, gain in declared.items()}
@@ -151,7 +186,19 @@ def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST
 def between(
     declared: Mapping[str, Gain], start: Mapping[str, float], end: Mapping[str, float], share: float
 ) -> dict[str, float]:
-    """Gains at `share` of the way from `start` to `end`, each on its own scale."""
+    """Interpolate gains, each on its own scale.
+
+    Parameters
+    ----------
+    declared : mapping of str to Gain
+    start, end : mapping of str to float
+    share : float
+        0 at `start`, 1 at `end`.
+
+    Returns
+    -------
+    dict of str to float
+    """
     out = {}
     for name, goal in end.items():
         a, b = start[name], goal

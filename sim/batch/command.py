@@ -1,4 +1,4 @@
-"""``smolbot simulate``: one mission over many seeds, each a tank drawn anew."""
+"""The command ``smolbot simulate``: one mission over many seeds, each with a newly sampled tank."""
 
 from __future__ import annotations
 
@@ -54,7 +54,21 @@ def simulate(
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds of ``A..B`` (both included) or of a single number.
+    """Parse a range of seeds.
+
+    Parameters
+    ----------
+    text : str
+        ``A..B`` (both included) or a single number.
+
+    Returns
+    -------
+    list of int
+
+    Raises
+    ------
+    InputError
+        If it is neither, or runs downwards.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Where flights run: processes of this machine, or a dask cluster."""
+"""Executors for flights: processes of this machine, or a dask cluster."""
 
 from __future__ import annotations
 

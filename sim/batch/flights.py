@@ -13,7 +13,7 @@ from smolbot.functions.simulate import Flight
 
 
 class Plant(StrEnum):
-    """The whole tank, or its motion alone with pose noise in place of signals."""
+    """The full tank, or its motion alone with pose noise in place of signals."""
 
     FULL = "full"
     REDUCED = "reduced"
@@ -27,7 +27,25 @@ def fly_seeds(
     seeds: list[int],
     plant: Plant = Plant.FULL,
 ) -> Iterator[Flight]:
-    """Flights as they end, in any order, over any `concurrent.futures.Executor`."""
+    """Fly a mission once per seed, in parallel.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor
+    mission : str
+        Name or path.
+    rig : str or None
+        Name or path; None for the mission's own.
+    settings : dict of str to str
+        Overrides, as ``--set`` takes them.
+    seeds : list of int
+    plant : Plant
+
+    Yields
+    ------
+    Flight
+        As they end, in any order.
+    """
     forget_missions()
     futures = [executor.submit(fly_one, mission, rig, settings, seed, plant) for seed in seeds]
     for future in as_completed(futures):
@@ -43,7 +61,23 @@ def forget_missions() -> None:
 
 
 def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, plant: Plant = Plant.FULL) -> Flight:
-    """One flight, in whatever process this is; files are read once per process."""
+    """Fly a mission once, in the calling process; files are read once per process.
+
+    Parameters
+    ----------
+    mission : str
+        Name or path.
+    rig : str or None
+        Name or path; None for the mission's own.
+    settings : dict of str to str
+        Overrides, as ``--set`` takes them.
+    seed : int
+    plant : Plant
+
+    Returns
+    -------
+    Flight
+    """
     from smolbot.config.load import load_mission
     from smolbot.flight.session import fly
 
@@ -60,10 +94,17 @@ def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, 
 
 
 def warm_rates(flights: list[Flight]) -> dict[str, float | None]:
-    """Flights a minute from each process' first flight on, since that one loads what the others find.
+    """Compute flights per minute without each process's first flight, which loads the files that the others reuse.
 
-    `warm` is that of all processes together, `per_processor` what one would make that has a core to itself. None
-    where no process flew twice.
+    Parameters
+    ----------
+    flights : list of Flight
+
+    Returns
+    -------
+    dict of str to float or None
+        ``warm`` is the rate of all processes together, ``per_processor`` that of one which has a core to itself.
+        None if no process flew twice.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The picture of many flights: every path, and the spread of their errors."""
+"""The figure of many flights: every trajectory, and their errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,14 @@ if TYPE_CHECKING:
 
 
 def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
-    """Write the picture of all flights of one mission to `path` (PNG, 16:9)."""
+    """Write the figure of all flights of one mission (PNG, 16:9).
+
+    Parameters
+    ----------
+    mission : Mission
+    flights : list of Flight
+    path : Path
+    """
     world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
     with sheet(path, headline(mission, flights), f"{world}, each flight a robot and a bench drawn anew") as figure:
         grid = figure.add_gridspec(
@@ -37,7 +44,17 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
 
 
 def headline(mission: AnyMission, flights: list[Flight]) -> str:
-    """How many passed, labelled."""
+    """Format the number of passed flights, with a label if they are not of the full tank with mismatches.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    flights : list of Flight
+
+    Returns
+    -------
+    str
+    """
     passed = sum(f.summary["verdict"] == "passed" for f in flights)
     figures = {"ideal": any(f.summary["ideal"] for f in flights), "plant": flights[0].summary["plant"]}
     return f"{mission.name}: {passed} of {len(flights)} flights passed{label_of(figures)}"
@@ -55,7 +72,18 @@ def _draw_trails(axes: Axes, mission: Mission, flights: list[Flight]) -> None:
 
 
 def draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str], limit: float | None) -> None:
-    """One bar a seed for each of some columns of the results, and the limit that they should keep to, if any."""
+    """Draw one bar per seed for each of some columns of the results, and their limit.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    flights : list of Flight
+    title : str
+    columns : list of str
+        Keys of `COLUMNS`.
+    limit : float or None
+        In the unit of the columns; None draws no line.
+    """
     names = {"localization_mean_mm": "each pose", "tracked_mean_mm": "tracked"}
     seeds = np.array([f.summary["seed"] for f in flights])
     width = 0.8 / len(columns)

@@ -1,4 +1,4 @@
-"""Small statistics that reports need."""
+"""Confidence intervals for reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The picture of many observations: every track, or how measurements scattered, and the spread of errors and rates."""
+"""The figure of many observations: every trajectory or the scatter of measurements, and errors and rates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,14 @@ Row = tuple[str, list[str], float | None]
 
 
 def draw_observations(mission: Observation, flights: list[Flight], path: Path) -> None:
-    """Write the picture of one observation over many seeds to `path` (PNG, 16:9)."""
+    """Write the figure of one observation over many seeds (PNG, 16:9).
+
+    Parameters
+    ----------
+    mission : Observation
+    flights : list of Flight
+    path : Path
+    """
     wanted = mission.sections.verdict
     error: Row = ("Mean localization error, in mm", ["localization_mean_mm"], wanted.mean_localization_mm)
     turn: Row = ("Mean orientation error, in degrees", ["orientation_mean_deg"], None)
@@ -37,7 +44,7 @@ def draw_observations(mission: Observation, flights: list[Flight], path: Path) -
 
 
 def _draw_tracks(figure: Any, place: SubplotSpec, mission: Observation, flights: list[Flight]) -> None:
-    """Where each device truly was, from above and from the front."""
+    """Draw each device's true trajectory, from above and from the front."""
     above, front = two_views(figure, place, mission.rig.container)
     for axes, across in ((above, 1), (front, 2)):
         outline(axes, mission.rig.container, across)

@@ -1,1 +1,1 @@
-"""The tank's camera: top-view videos of a simulated run, and high-speed clips of a swinging cantilever."""
+"""The tank's camera: top-view videos of a simulated run, and high-speed clips of an oscillating cantilever."""

@@ -1,6 +1,6 @@
-"""A pinhole camera over the tank, not quite upright, with what a lens leaves of its distortion.
+"""A pinhole camera over the tank, slightly tilted, with a small residual lens distortion.
 
-Its projection is written here and nowhere else: `smolbot.runs.optics`, which has to find its way back from pixels,
+Its projection is written here and nowhere else: `smolbot.runs.optics`, which computes positions from pixels,
 has its own.
 """
 
@@ -30,19 +30,19 @@ distortion in the corner of a corrected lens (relative)."""
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where a camera is, and where it looks.
+    """Pose and lens of a camera.
 
     Attributes
     ----------
     place : ndarray, shape (3,), in m
         Entrance pupil, world frame.
     axes : ndarray, shape (3, 3)
-        Rows: world directions of the picture's right and down, and of the view.
+        Rows: world directions of the picture's right and down, and of the view; a rotation from world to camera.
     focal : float, in pixels
     middle : tuple of 2, in pixels
-        Where the view's axis meets the picture; (0, 0) is the middle of the first pixel.
+        Principal point; (0, 0) is the middle of the first pixel.
     bend : float
-        Radial distortion: a point at the distance r (focal lengths) from the axis is seen at ``r (1 + bend r²)``.
+        Radial distortion: a point at the distance r (focal lengths) from the axis appears at ``r (1 + bend r²)``.
     size : tuple of 2, in pixels
         Width and height.
     """
@@ -55,7 +55,17 @@ class Camera:
     size: tuple[int, int]
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of world points (n, 3) in m."""
+        """Project world points into the picture.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m
+            World frame.
+
+        Returns
+        -------
+        ndarray, shape (n, 2), in pixels
+        """
         seen = (points - self.place) @ self.axes.T
         flat = seen[:, :2] / seen[:, 2:]
         flat = flat * (1.0 + self.bend * np.sum(flat**2, axis=1, keepdims=True))
@@ -63,28 +73,43 @@ class Camera:
 
     @property
     def lens(self) -> FloatArray:
-        """Place, axes, focal length, middle and bend as the kernels take them, shape (16,)."""
+        """Position, axes, focal length, principal point and distortion as the kernels take them, shape (16,)."""
         return np.array([*self.place, *self.axes.ravel(), self.focal, *self.middle, self.bend])
 
     def rays(self, pixels: FloatArray) -> FloatArray:
-        """World directions (n, 3), of unit length, of what is seen at pixels (n, 2)."""
+        """Compute the viewing directions of pixels.
+
+        Parameters
+        ----------
+        pixels : ndarray, shape (n, 2)
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Unit vectors, world frame.
+        """
         return np.asarray(rays(np.ascontiguousarray(pixels, dtype=np.float64), self.lens))
 
 
 def draw_camera(
     rng: np.random.Generator, target: FloatArray, span: float, size: tuple[int, int], distance: float
 ) -> Camera:
-    """A camera put up by hand: over `target`, some degrees off the vertical, turned a little.
+    """Sample a camera set up by hand: above `target`, tilted by some degrees and slightly turned.
 
     Parameters
     ----------
+    rng : numpy.random.Generator
     target : ndarray, shape (3,), in m
-        What it is pointed at.
+        Point that it is aimed at, world frame.
     span : float, in m
-        What the shorter side of the picture must hold at the target.
+        Length at the target that the shorter side of the picture must hold.
     size : tuple of 2, in pixels
     distance : float, in m
-        From the target, give or take a twentieth.
+        From the target; varied by 5 %.
+
+    Returns
+    -------
+    Camera
     """
     tilt, towards = np.radians(rng.uniform(*TILT_DEG)), rng.uniform(0.0, 2.0 * math.pi)
     turn = np.radians(rng.uniform(*TURN_DEG))
@@ -106,13 +131,41 @@ def draw_camera(
 
 
 def crossing(place: FloatArray, rays: FloatArray, height: float) -> FloatArray:
-    """Where rays (n, 3) from places (3,) or (n, 3) cross the horizontal plane at `height`, shape (n, 3)."""
+    """Compute where rays intersect a horizontal plane.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,) or (n, 3), in m
+        Origins of the rays, world frame.
+    rays : ndarray, shape (n, 3)
+        Directions, world frame.
+    height : float, in m
+        Of the plane.
+
+    Returns
+    -------
+    ndarray, shape (n, 3), in m
+        World frame.
+    """
     along = (height - place[..., 2]) / rays[:, 2]
     return np.asarray(place + along[:, None] * rays)
 
 
 def refracted(rays: FloatArray, index: float) -> FloatArray:
-    """Unit rays (n, 3) that come down on a level surface from air, within a liquid of refractive `index` (Snell)."""
+    """Refract rays that enter a liquid from above through its level surface (Snell).
+
+    Parameters
+    ----------
+    rays : ndarray, shape (n, 3)
+        Unit vectors, world frame.
+    index : float
+        Refractive index of the liquid.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Unit vectors, world frame.
+    """
     across = rays[:, :2] / index
     down = -np.sqrt(1.0 - np.sum(across**2, axis=1))
     return np.column_stack([across, down])

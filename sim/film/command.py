@@ -1,4 +1,4 @@
-"""``smolbot film``: what a camera over the simulated tank would have recorded of a run, or of a swinging cantilever."""
+"""The command ``smolbot film``: a camera's video of a simulated run, or of an oscillating cantilever."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def film(
     truth: Annotated[Path | None, typer.Option(help="CSV file for the true poses, to evaluate a tracker.")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Film a run from above, as a lab's camera would: tilt, print, uneven light, meniscus, blur, noise, compression.
+    """Film a run from above, with a lab camera's tilt, print, uneven light, meniscus, blur, noise and compression.
 
-    Beside the video a TOML file says where its markers lie, for smolbot track --fiducials.
+    Beside the video a TOML file gives the positions of its markers, for smolbot track --fiducials.
     """
     if (run is None) == (swing is None):
         raise InputError("Name the folder of a run, or --swing ROBOT.")

@@ -1,4 +1,4 @@
-"""Films a trail: frame by frame, with noise, blur, flicker and the codec's own losses, into a video file."""
+"""Film a trajectory: frame by frame, with noise, blur, flicker and compression losses, into a video file."""
 
 from __future__ import annotations
 
@@ -33,20 +33,22 @@ FLICKER, READ_NOISE, SHOT_NOISE = 0.004, 0.6, 0.012  # of the light (relative); 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What was filmed, and what the lab knows of its camera; the truth is for whoever judges a tracker.
+    """A film's ground truth, and the camera height that the lab knows.
 
     Attributes
     ----------
-    camera, stage, looks
-        As drawn.
+    camera, stage, looks : Camera, Stage, Looks
+        As sampled.
     times : ndarray, shape (n,), in s
         Of the frames, on the run's clock.
-    positions, orientations : ndarray, shape (n, 3) and (n, 4)
-        True poses in the frames (rotation centre).
-    hidden : ndarray, shape (n,)
+    positions : ndarray, shape (n, 3), in m
+        True rotation centres in the frames, world frame.
+    orientations : ndarray, shape (n, 4)
+        True unit quaternions in the frames, scalar first.
+    hidden : ndarray of bool, shape (n,)
         Frames in which something covers the robot.
     camera_height : float, in m
-        Of the camera over the world's z = 0, by ruler.
+        Of the camera over the world's z = 0, measured with a ruler.
     """
 
     camera: Camera
@@ -60,12 +62,17 @@ class Film:
 
     @property
     def headings(self) -> FloatArray:
-        """True azimuth of body z (n,), in rad."""
+        """True azimuth of body z in the frames, shape (n,), in rad."""
         ahead = np.array([matrix_from_quaternion(q)[:, 2] for q in self.orientations])
         return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
     def fiducials_toml(self) -> str:
-        """The file that a lab writes about its markers and camera."""
+        """Format the file in which a lab describes its markers and camera.
+
+        Returns
+        -------
+        str
+        """
         lines = [
             "# Markers around the container, and the camera over it; mm in the rig's world frame.",
             "[fiducials]",
@@ -85,7 +92,12 @@ class Film:
         return "\n".join(lines) + "\n"
 
     def write_truth(self, path: Path) -> None:
-        """A CSV row per frame: time_s, rotation centre in m, heading_rad, hidden."""
+        """Write a CSV row per frame: time_s, rotation centre in m, heading_rad, hidden.
+
+        Parameters
+        ----------
+        path : Path
+        """
         rows = ["frame,time_s,x_m,y_m,z_m,heading_rad,hidden"]
         for i, (time, place, heading) in enumerate(zip(self.times, self.positions, self.headings, strict=True)):
             values = ",".join(f"{v:.9g}" for v in (time, *place, heading))
@@ -98,27 +110,35 @@ def film(
     begin: float | None = None, end: float | None = None, size: tuple[int, int] = (1280, 960),
     hidden: Sequence[tuple[float, float]] = (), posts: bool = True,
 ) -> Film:  # fmt: skip
-    """Film `trail` from above into the video `path`.
+    """Film a trajectory from above into a video.
 
     Parameters
     ----------
     trail : Trail
     rig, robot : RigConfig, RobotConfig
         Container, liquid and housing.
+    path : Path
+        Of the video.
     seed : int
-        Of everything about the camera: where it hangs, print and light, colours, meniscus, noise.
+        Of the camera's pose, markers, light, colours, meniscus and noise.
     fps : float, in 1/s
-    begin, end : float, in s
-        On the run's clock; default: all of the trail.
+    begin, end : float, in s, optional
+        On the run's clock; the complete trajectory if not given.
+    size : tuple of 2, in pixels
+        Width and height.
     hidden : sequence of (float, float), in s
-        When a rod lies over the robot.
+        Times during which a rod covers the robot.
     posts : bool
-        Markers stand on posts too, not on the plate alone.
+        Put markers on posts too, not on the plate only.
+
+    Returns
+    -------
+    Film
 
     Raises
     ------
     InputError
-        If nothing is to be filmed, or the file cannot be written.
+        If there are fewer than two frames, or the file cannot be written.
     """
     rng = np.random.default_rng([seed, 0xF11])
     begin = float(trail.times[0]) if begin is None else begin
@@ -163,7 +183,7 @@ Region = tuple[int, int, int, int]
 
 
 def _around(camera: Camera, stage: Stage, looks: Looks, position: FloatArray, robot: Region) -> Region:
-    """The region that robot and shadow together may change."""
+    """Return the region that robot and shadow together may change."""
     depth = position[2] - stage.floor
     shadow = np.array([*(position[:2] + depth * stage.lamp), stage.floor])
     reach = float(np.max(looks.half)) + SHADOW_REACH
@@ -177,14 +197,38 @@ def _around(camera: Camera, stage: Stage, looks: Looks, position: FloatArray, ro
 
 
 def blurred(image: FloatArray, sigma: float) -> FloatArray:
-    """Image as a lens gives it that is sharp to `sigma` pixels."""
+    """Blur an image with a Gaussian.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width, 3)
+    sigma : float, in pixels
+
+    Returns
+    -------
+    ndarray, shape (height, width, 3)
+    """
     import cv2
 
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma))
 
 
 def blurred_region(image: FloatArray, region: Region, sigma: float) -> tuple[Region, FloatArray]:
-    """A blurred region of an image, with enough around it that no edge shows."""
+    """Blur a region of an image, with a margin so that no edge shows.
+
+    Parameters
+    ----------
+    image : ndarray, shape (height, width, 3)
+    region : tuple of 4, in pixels
+        First column and row, last column and row (excluded).
+    sigma : float, in pixels
+
+    Returns
+    -------
+    region : tuple of 4
+        As given.
+    patch : ndarray, shape (rows, columns, 3)
+    """
     u0, v0, u1, v1 = region
     a, b = max(u0 - PADDING, 0), max(v0 - PADDING, 0)
     patch = blurred(image[b : v1 + PADDING, a : u1 + PADDING], sigma)
@@ -197,7 +241,7 @@ def _put(frame: FloatArray, patch: tuple[Region, FloatArray]) -> None:
 
 
 def _cover(frame: FloatArray, camera: Camera, position: FloatArray) -> None:
-    """A rod of 12 mm, held over the robot from the right edge of the picture."""
+    """Draw a rod of 12 mm over the robot, from the right edge of the picture."""
     scale = camera.focal / float(np.linalg.norm(position - camera.place))
     (u, v), half = camera.project(position[None])[0], ROD_HALF_WIDTH * scale
     rows = slice(max(int(v - half), 0), max(int(v + half), 0))
@@ -208,7 +252,14 @@ def _cover(frame: FloatArray, camera: Camera, position: FloatArray) -> None:
 
 
 class Grain:
-    """A sensor's noise, flicker of the light, and rounding to 8 bits."""
+    """Adds a sensor's noise and the light's flicker, and rounds to 8 bits.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    size : tuple of 2, in pixels
+        Width and height.
+    """
 
     def __init__(self, rng: np.random.Generator, size: tuple[int, int]) -> None:
         width, height = size
@@ -218,7 +269,17 @@ class Grain:
         ]
 
     def over(self, frame: FloatArray) -> Any:
-        """The frame (height, width, 3) as 8-bit picture."""
+        """Convert a frame to a noisy 8-bit picture.
+
+        Parameters
+        ----------
+        frame : ndarray, shape (height, width, 3)
+            Grey levels.
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width, 3)
+        """
         height, width = frame.shape[:2]
         pool = self._pool[int(self._rng.integers(NOISE_POOL))]
         a, b = self._rng.integers(0, JITTER, 2)
@@ -230,10 +291,18 @@ class Grain:
 class Writer:
     """A video file of 8-bit colour frames; MPEG-4 in .mp4, motion JPEG in .avi.
 
+    Parameters
+    ----------
+    path : Path
+    fps : float, in 1/s
+        At which it is to be played.
+    size : tuple of 2, in pixels
+        Width and height.
+
     Raises
     ------
     InputError
-        If the file cannot be written, or its ending names no video.
+        If the file cannot be written, or has another suffix.
     """
 
     def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
@@ -255,5 +324,11 @@ class Writer:
         self._writer.release()
 
     def write(self, frame: Any) -> None:
-        """Append a frame (height, width, 3)."""
+        """Append a frame.
+
+        Parameters
+        ----------
+        frame : ndarray of uint8, shape (height, width, 3)
+            BGR.
+        """
         self._writer.write(frame)

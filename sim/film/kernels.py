@@ -1,4 +1,4 @@
-"""Compiled ray casting, a ray for each pixel or part of it; they call each other and so share this file."""
+"""Compiled ray casting, one ray per pixel or part of it; the kernels call each other and so share this file."""
 
 # mypy: disable-error-code="untyped-decorator"
 from __future__ import annotations
@@ -32,7 +32,19 @@ LINE_AT, LINE_WIDTH, SLOPE_TONE, LINE_TONE = 1.6, 0.25, 0.5, 0.35
 
 @njit(cache=True, error_model="numpy")
 def ray(u: float, v: float, lens: FloatArray) -> tuple[float, float, float]:
-    """World direction, of unit length, of what is seen at a pixel."""
+    """Compute the viewing direction of a pixel.
+
+    Parameters
+    ----------
+    u, v : float, in pixels
+    lens : ndarray, shape (16,)
+        See `Camera.lens`.
+
+    Returns
+    -------
+    tuple of 3
+        Unit vector, world frame.
+    """
     bx, by = (u - lens[MIDDLE]) / lens[FOCAL], (v - lens[MIDDLE + 1]) / lens[FOCAL]
     x, y = bx, by
     for _ in range(UNBENDING):
@@ -47,7 +59,19 @@ def ray(u: float, v: float, lens: FloatArray) -> tuple[float, float, float]:
 
 @njit(cache=True, error_model="numpy")
 def rays(pixels: FloatArray, lens: FloatArray) -> FloatArray:
-    """World directions (n, 3) of what is seen at pixels (n, 2)."""
+    """Compute the viewing directions of pixels.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (n, 2)
+    lens : ndarray, shape (16,)
+        See `Camera.lens`.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Unit vectors, world frame.
+    """
     out = np.empty((len(pixels), 3))
     for i in range(len(pixels)):
         out[i] = ray(pixels[i, 0], pixels[i, 1], lens)
@@ -56,7 +80,20 @@ def rays(pixels: FloatArray, lens: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def refract(dx: float, dy: float, index: float) -> tuple[float, float, float]:
-    """Direction within a liquid of a unit ray that comes down from air on its level surface (Snell)."""
+    """Refract a unit ray that enters a liquid from above through its level surface (Snell).
+
+    Parameters
+    ----------
+    dx, dy : float
+        Horizontal components of the ray, world frame.
+    index : float
+        Refractive index of the liquid.
+
+    Returns
+    -------
+    tuple of 3
+        Unit vector, world frame.
+    """
     x, y = dx / index, dy / index
     return x, y, -math.sqrt(1.0 - x * x - y * y)
 
@@ -66,7 +103,30 @@ def in_box(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, turn: FloatArray, middle: FloatArray,
     half: FloatArray, first: float, last: float,
 ) -> tuple[float, int]:  # fmt: skip
-    """Length of a ray inside a turned box between two parameters, and through which body axis' face it came in."""
+    """Intersect a ray with a rotated box.
+
+    Parameters
+    ----------
+    px, py, pz : float, in m
+        Origin of the ray, world frame.
+    dx, dy, dz : float
+        Direction of the ray, world frame.
+    turn : ndarray, shape (3, 3)
+        Rotation from box to world.
+    middle : ndarray, shape (3,), in m
+        World frame.
+    half : ndarray, shape (3,), in m
+        Half sides.
+    first, last : float
+        Limits of the ray's parameter.
+
+    Returns
+    -------
+    length : float
+        Of the ray inside the box, in units of the direction.
+    face : int
+        Box axis of the face through which it enters.
+    """
     ox, oy, oz = px - middle[0], py - middle[1], pz - middle[2]
     enter, leave, face = -FAR, FAR, 0
     for k in range(3):
@@ -89,11 +149,36 @@ def see_empty(
     scale: float, width: int, height: int, lens: FloatArray, box: FloatArray, plate: Sheet, caps: Sheet,
     corner: FloatArray, posts: FloatArray, tones: FloatArray, shading: FloatArray, relief: int,
 ) -> FloatArray:  # fmt: skip
-    """The scene without a robot, (height, width, 3), each pixel the mean of `relief`² rays.
+    """Render the scene without a robot.
 
-    Entries of `box`: middle (2) and half sides (2) of the container's inside, floor, surface, top of the wall, its
-    thickness, refractive index. `plate` and `caps` are what is printed on the floor and on the posts' tops, `scale`
-    pixels per m; rows of `posts`: middle (3) and half sides (3).
+    Parameters
+    ----------
+    scale : float, in pixels per m
+        Of `plate` and `caps`.
+    width, height : int, in pixels
+        Of the picture.
+    lens : ndarray, shape (16,)
+        See `Camera.lens`.
+    box : ndarray, shape (9,)
+        Middle (2) and half sides (2) of the container's inside, floor, surface, top of the wall, its thickness
+        (all m), refractive index.
+    plate, caps : ndarray, shape (rows, columns, 3)
+        What is printed on the floor and on the posts' tops.
+    corner : ndarray, shape (2,), in m
+        Lower left corner of `plate` and `caps`, world frame.
+    posts : ndarray, shape (n, 6), in m
+        Middle (3) and half sides (3) of each.
+    tones : ndarray, shape (4, 3)
+        See `Stage`.
+    shading : ndarray, shape (5,)
+        See `Stage`.
+    relief : int
+        Each pixel is the mean of `relief`² rays.
+
+    Returns
+    -------
+    ndarray, shape (height, width, 3)
+        Grey levels.
     """
     out = np.empty((height, width, 3))
     cx, cy, hx, hy, floor, surface, top, wall, index = box
@@ -164,22 +249,41 @@ def see_robot(
     behind: FloatArray, u0: int, v0: int, fine: int, lens: FloatArray, surface: float, index: float, turn: FloatArray,
     boxes: FloatArray, resin: FloatArray, clear: float, ring: FloatArray, lamp: FloatArray, upright: int,
 ) -> FloatArray:  # fmt: skip
-    """A region of the picture with the robot in it, (height, width, 3), each pixel the mean of `fine`² rays.
+    """Render a region of the picture with the robot in it.
 
     Parameters
     ----------
     behind : ndarray, shape (height, width, 3)
-        The region without the robot; its first pixel is (u0, v0).
+        The region without the robot.
+    u0, v0 : int, in pixels
+        First column and row of the region.
+    fine : int
+        Each pixel is the mean of `fine`² rays.
+    lens : ndarray, shape (16,)
+        See `Camera.lens`.
+    surface : float, in m
+        Height of the liquid's surface, world frame.
+    index : float
+        Refractive index of the liquid.
     turn : ndarray, shape (3, 3)
-        Takes body vectors to world vectors.
-    boxes : ndarray, shape (3, 2, 3)
-        Middle (world, m) and half sides of housing, magnet and blade.
+        Rotation from body to world.
+    boxes : ndarray, shape (3, 2, 3), in m
+        Middle (world frame) and half sides of housing, magnet and blade.
     resin : ndarray, shape (3,)
-        Colour of much resin; `clear` m of it leave 1/e of the light.
+        Colour of thick resin.
+    clear : float, in m
+        Thickness of resin that transmits 1/e of the light.
     ring : ndarray, shape (3,)
-        Strength and width (m) of the meniscus, and how one-sided its light is; `lamp` (2,) is where it comes from.
+        Strength and width (m) of the meniscus, and asymmetry of its brightness.
+    lamp : ndarray, shape (2,)
+        Horizontal direction of the light.
     upright : int
-        The body axis that stands upright.
+        The vertical body axis.
+
+    Returns
+    -------
+    ndarray, shape (height, width, 3)
+        Grey levels.
     """
     height, width = behind.shape[0], behind.shape[1]
     out = np.empty((height, width, 3))

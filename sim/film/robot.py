@@ -1,5 +1,4 @@
-"""The robot before the camera: a clear printed housing, half in the liquid, with its magnet and the ring of a
-meniscus."""
+"""The robot in the picture: a clear printed housing, half in the liquid, with its magnet and its meniscus."""
 
 from __future__ import annotations
 
@@ -25,18 +24,18 @@ CLEAR = 2.6e-3  # m of resin that transmit 1/e of the light
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """A robot as it was printed and put down.
+    """Appearance of a robot.
 
     Attributes
     ----------
     center, half : ndarray, shape (3,), in m
         Middle of the housing from the rotation centre, and half its sides, body frame.
     magnet_center, magnet_half : ndarray, shape (3,), in m
-        The magnet at rest, seen from the rotation centre.
+        The magnet at rest from the rotation centre, and half its sides, body frame.
     resin : ndarray, shape (3,)
         Colour, BGR.
     ring : ndarray, shape (3,)
-        Strength, width (m) of the meniscus, and how one-sided its light is.
+        Strength and width (m) of the meniscus, and asymmetry of its brightness.
     """
 
     center: FloatArray
@@ -47,14 +46,38 @@ class Looks:
     ring: FloatArray
 
     def boxes(self, position: FloatArray, rotation: FloatArray) -> FloatArray:
-        """Middles (world, m) and half sides of housing, magnet and blade, shape (3, 2, 3)."""
+        """Compute middles (world frame) and half sides of housing, magnet and blade.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            Rotation centre, world frame.
+        rotation : ndarray, shape (3, 3)
+            From body to world.
+
+        Returns
+        -------
+        ndarray, shape (3, 2, 3), in m
+        """
         blade = np.array([0.0, 0.0, self.magnet_center[2] - BLADE[2]])
         middles = position + np.array([self.center, self.magnet_center, blade]) @ rotation.T
         return np.stack([middles, np.array([self.half, self.magnet_half, BLADE])], axis=1)
 
 
 def draw_looks(rng: np.random.Generator, robot: RobotConfig, afloat: bool) -> Looks:
-    """Housing and magnet by the robot file, printed to 50 µm, with a colour and a meniscus of its own."""
+    """Sample a robot's appearance: dimensions by the robot file to 50 µm, colour and meniscus.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    robot : RobotConfig
+    afloat : bool
+        Whether it floats, with a meniscus around it.
+
+    Returns
+    -------
+    Looks
+    """
     half = 0.5 * (np.array(robot.size) + rng.normal(0.0, SIZE_ERROR, 3))
     device = robot.device
     return Looks(
@@ -66,7 +89,22 @@ def draw_looks(rng: np.random.Generator, robot: RobotConfig, afloat: bool) -> Lo
 
 
 def region(camera: Camera, looks: Looks, position: FloatArray, rotation: FloatArray) -> tuple[int, int, int, int]:
-    """First and last column and row (u0, v0, u1, v1) that robot and meniscus may fill, within the picture."""
+    """Return the region of the picture that robot and meniscus may fill.
+
+    Parameters
+    ----------
+    camera : Camera
+    looks : Looks
+    position : ndarray, shape (3,), in m
+        Rotation centre, world frame.
+    rotation : ndarray, shape (3, 3)
+        From body to world.
+
+    Returns
+    -------
+    tuple of 4, in pixels
+        First column and row, last column and row (excluded).
+    """
     signs = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
     corners = position + (looks.center + signs * (looks.half + AROUND)) @ rotation.T
     pixels = camera.project(corners)
@@ -79,7 +117,24 @@ def region(camera: Camera, looks: Looks, position: FloatArray, rotation: FloatAr
 def paint(
     frame: FloatArray, stage: Stage, camera: Camera, looks: Looks, position: FloatArray, orientation: FloatArray
 ) -> tuple[int, int, int, int]:
-    """Paint the robot into `frame` (height, width, 3), in place; return the region (u0, v0, u1, v1) that it fills."""
+    """Paint the robot into a frame, in place.
+
+    Parameters
+    ----------
+    frame : ndarray, shape (height, width, 3)
+    stage : Stage
+    camera : Camera
+    looks : Looks
+    position : ndarray, shape (3,), in m
+        Rotation centre, world frame.
+    orientation : ndarray, shape (4,)
+        Unit quaternion, scalar first.
+
+    Returns
+    -------
+    tuple of 4, in pixels
+        The region that it fills: first column and row, last column and row (excluded).
+    """
     rotation = matrix_from_quaternion(orientation)
     u0, v0, u1, v1 = region(camera, looks, position, rotation)
     width, height = u1 - u0, v1 - v0
@@ -94,7 +149,17 @@ def paint(
 
 
 def shade(frame: FloatArray, stage: Stage, camera: Camera, looks: Looks, position: FloatArray) -> None:
-    """Darken `frame` in place where the robot's soft shadow falls on the floor."""
+    """Darken a frame, in place, where the robot's soft shadow falls on the floor.
+
+    Parameters
+    ----------
+    frame : ndarray, shape (height, width, 3)
+    stage : Stage
+    camera : Camera
+    looks : Looks
+    position : ndarray, shape (3,), in m
+        Rotation centre, world frame.
+    """
     depth = position[2] - stage.floor
     middle = np.array([*(position[:2] + depth * stage.lamp), stage.floor])
     reach = float(np.max(looks.half)) + SHADOW_REACH

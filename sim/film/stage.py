@@ -1,4 +1,4 @@
-"""What stands still before the camera: plate with printed markers, container, liquid, uneven light."""
+"""The static scene before the camera: plate with printed markers, container, liquid, uneven light."""
 
 from __future__ import annotations
 
@@ -25,8 +25,19 @@ MARKER_PIXELS = 60  # of a marker's picture
 
 @dataclass(frozen=True)
 class Marker:
-    """A printed marker: its number, its middle as it should be, where and how it truly lies (m, rad), on a post or
-    not."""
+    """A printed marker.
+
+    Attributes
+    ----------
+    number : int
+        Its id.
+    center, true_center : tuple of 2, in m
+        Nominal and true middle (x, y), world frame.
+    turn : float, in rad
+        True rotation about z.
+    raised : bool
+        Whether it is on a post.
+    """
 
     number: int
     center: tuple[float, float]
@@ -37,7 +48,7 @@ class Marker:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Container and plate, and how they are lit; lengths in m, world frame.
+    """Container and plate, and their lighting; lengths in m, world frame.
 
     Attributes
     ----------
@@ -46,14 +57,14 @@ class Stage:
     floor, surface, top : float
         Heights of floor, liquid surface and wall.
     index : float
-        Refractive index of what fills it.
+        Refractive index of the liquid or gel.
     markers : tuple of Marker
     lamp : ndarray, shape (2,)
-        How far a shadow falls sideways, per metre of height.
+        Horizontal displacement of a shadow, per metre of height.
     tones : ndarray, shape (4, 3)
         Colours (BGR, 0 to 255) of plate, ink, wall, and the tint of the liquid (a factor times 255).
     shading : ndarray, shape (5,)
-        Of the light over the picture: slope right and down, falling off outwards, and where a lamp mirrors itself.
+        Of the light over the picture: slope right and down, decrease outwards, and position of a lamp's reflection.
     """
 
     center: FloatArray
@@ -81,16 +92,40 @@ class Stage:
         return np.array(rows).reshape(-1, 6)
 
     def inside(self, points: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Which points (n, 2 or 3) lie over the container's floor, or within `margin` around it."""
+        """Return which points lie over the container's floor.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 2) or (n, 3), in m
+            World frame.
+        margin : float, in m
+            Added around the floor.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
         away = np.abs(points[:, :2] - self.center) - margin
         return np.asarray(np.all(away < self.half, axis=1))
 
 
 def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) -> Stage:
-    """The rig's container on a plate, printed and lit by hand: markers at its corners, and on posts at its sides.
+    """Sample the scene: the rig's container on a plate, with markers at its corners and on posts at its sides.
 
-    The posts end at the liquid's surface: markers in two planes tell where the camera is, and those in the robot's own
-    see it without parallax. Print alone, all in one plane, leaves a camera's tilt unsure by half a degree.
+    The posts end at the liquid's surface: markers in two planes determine the camera's position, and those at the
+    robot's height show it without parallax. Markers in one plane leave the camera's tilt uncertain by half a
+    degree.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    rig : RigConfig
+    posts : bool
+        Put markers on posts too, not on the plate only.
+
+    Returns
+    -------
+    Stage
     """
     box = rig.container
     center, half = box.center, 0.5 * box.size
@@ -124,9 +159,19 @@ def draw_stage(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True) 
 
 
 def printed_sheets(stage: Stage, rng: np.random.Generator) -> tuple[Sheet, Sheet, FloatArray]:
-    """The plate and the posts' tops from straight above, (n, n, 3), and their lower left corner (2,) in m.
+    """Draw the plate and the posts' tops as seen from straight above.
 
-    Row 0 is the lowest y.
+    Parameters
+    ----------
+    stage : Stage
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    plate, caps : ndarray of float32, shape (n, n, 3)
+        Grey levels; row 0 is the lowest y.
+    low : ndarray, shape (2,), in m
+        Their lower left corner, world frame.
     """
     import cv2
 
@@ -175,7 +220,19 @@ def _print_marker(sheet: Sheet, marker: Marker, low: FloatArray, ink: FloatArray
 
 
 def photograph(stage: Stage, camera: Camera, rng: np.random.Generator) -> FloatArray:
-    """The empty scene as the sensor would have it without noise and blur, (height, width, 3), in grey levels."""
+    """Render the empty scene, without noise and blur.
+
+    Parameters
+    ----------
+    stage : Stage
+    camera : Camera
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray, shape (height, width, 3)
+        Grey levels.
+    """
     plate, caps, low = printed_sheets(stage, rng)
     width, height = camera.size
     box = np.array([*stage.center, *stage.half, stage.floor, stage.surface, stage.top, WALL, stage.index])

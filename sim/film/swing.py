@@ -1,5 +1,4 @@
-"""High-speed clips of a cantilever that is excited and let go, as under a microscope (the paper's Movie S1 and Fig.
-S2)."""
+"""High-speed clips of a cantilever that is excited and released, as under a microscope (Movie S1 and Fig. S2)."""
 
 from __future__ import annotations
 
@@ -35,10 +34,22 @@ MAGNET_HALF, BLADE_HALF = 0.5e-3, 0.02e-3  # m: half a side of the magnet, half 
 
 @dataclass(frozen=True, eq=False)
 class SwingFilm:
-    """A clip's truth: deflections (n,), in rad, at the frames' times (n,), in s; when the drive ended (s); the
-    device as drawn.
+    """A clip's ground truth.
 
-    `damping` (1/s) is that of an exponential decay, `loss` (rad/s) what the amplitude loses in a linear one.
+    Attributes
+    ----------
+    times : ndarray, shape (n,), in s
+        Of the frames.
+    angles : ndarray, shape (n,), in rad
+        Deflections.
+    released : float, in s
+        End of the drive.
+    frequency : float, in Hz
+    damping : float, in 1/s
+        Of an exponential decay.
+    loss : float, in rad/s
+        Decrease of the amplitude in a linear decay.
+    theta_max : float, in rad
     """
 
     times: FloatArray
@@ -50,7 +61,12 @@ class SwingFilm:
     theta_max: float
 
     def write_truth(self, path: Path) -> None:
-        """A CSV row per frame: time_s, angle_rad."""
+        """Write a CSV row per frame: frame, time_s, angle_rad.
+
+        Parameters
+        ----------
+        path : Path
+        """
         rows = [f"{i},{t:.9g},{a:.9g}" for i, (t, a) in enumerate(zip(self.times, self.angles, strict=True))]
         path.write_text("\n".join(["frame,time_s,angle_rad", *rows]) + "\n", encoding="utf-8")
 
@@ -58,11 +74,29 @@ class SwingFilm:
 def swung(
     rig: RigConfig, robot: RobotConfig, seed: int, cycles: int, free: float, current: float
 ) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-    """Deflection (n,) in rad, over time (n,) in s, of the tank's own cantilever in a housing held over the
-    excitation coils.
+    """Simulate the tank's cantilever in a housing held over the excitation coils: driven, then free.
 
-    Driven by `cycles` of `current` (A) at the believed resonance, then free for `free` s. Returned are also when the
-    drive ended, and the device as packed for the kernel.
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    seed : int
+    cycles : int
+        Length of the drive, in periods of the assumed resonance.
+    free : float, in s
+        Time after the drive.
+    current : float, in A
+        Amplitude of the drive.
+
+    Returns
+    -------
+    times : ndarray, shape (n,), in s
+    angles : ndarray, shape (n,), in rad
+        Deflection.
+    released : float, in s
+        End of the drive.
+    device : ndarray
+        As `sim.tank.magnetics.cantilever.swing` takes it.
     """
     settings = rig.section_of("tank", TankSettings)
     streams = Streams.from_seed(seed)
@@ -97,14 +131,34 @@ def film_swing(
     rig: RigConfig, robot: RobotConfig, path: Path, *, seed: int = 1, fps: float = 5000.0, cycles: int = 10,
     free: float = 0.15, current: float = 6.0,
 ) -> SwingFilm:  # fmt: skip
-    """Film a cantilever with a bright magnet, along its axis of oscillation, into the clip `path`.
+    """Film a cantilever with a bright magnet, along its axis of oscillation, into a clip.
 
-    The file is to be played at 25 frames per second and says so; `fps` is what it was recorded at.
+    The file is to be played at 25 frames per second and its header contains that rate.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    path : Path
+        Of the clip.
+    seed : int
+    fps : float, in 1/s
+        At which it is recorded.
+    cycles : int
+        Length of the drive, in periods of the assumed resonance.
+    free : float, in s
+        Time after the drive.
+    current : float, in A
+        Amplitude of the drive.
+
+    Returns
+    -------
+    SwingFilm
 
     Raises
     ------
     InputError
-        If the frame rate is too low to show the swing, or the file cannot be written.
+        If the frame rate is too low for the oscillation, or the file cannot be written.
     """
     fewest = FRAMES_PER_PERIOD * robot.device.frequency
     if not fewest <= fps <= MAX_FPS:
@@ -132,7 +186,7 @@ def film_swing(
 
 
 class _Scene:
-    """A dark chamber, a steel blade, a bright magnet; seen not quite along the axis, and turned."""
+    """A dark chamber, a steel blade and a bright magnet, viewed slightly off the axis and rotated."""
 
     def __init__(self, rng: np.random.Generator, l0: float) -> None:
         self.l0, self.blur = l0, rng.uniform(0.8, 1.3)
@@ -154,7 +208,7 @@ class _Scene:
         self.chamber = 18.0 + 30.0 * wall + 6.0 * rng.uniform() * (self.z < -0.3e-3)
 
     def picture(self, theta: float) -> FloatArray:
-        """The scene with the magnet deflected by `theta` rad, without noise and blur, shape (rows, columns, 3)."""
+        """Render the scene (rows, columns, 3) with the magnet deflected by `theta` rad, without noise and blur."""
         half = MAGNET_HALF
         c, s = math.cos(theta), math.sin(theta)
         # own axes of the magnet: ahead along the deflected cantilever

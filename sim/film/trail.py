@@ -1,4 +1,4 @@
-"""Where a simulated robot truly was: the trail that a run has left, as the camera films it."""
+"""True trajectory of a simulated robot, read from a run's record."""
 
 from __future__ import annotations
 
@@ -42,14 +42,35 @@ class Trail:
         object.__setattr__(self, "orientations", turned)
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Positions (n, 3) and orientations (n, 4) at `times`, straight between rows, at rest before and after."""
+        """Interpolate linearly between rows; before and after, the robot is at rest.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,), in s
+
+        Returns
+        -------
+        positions : ndarray, shape (n, 3), in m
+            World frame.
+        orientations : ndarray, shape (n, 4)
+        """
         places = np.column_stack([np.interp(times, self.times, column) for column in self.positions.T])
         turned = np.column_stack([np.interp(times, self.times, column) for column in self.orientations.T])
         return places, turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
 def read_trail(run: str | Path) -> tuple[Trail, AnyMission]:
-    """The trail of a recorded run, its true poses when the device was heard and when each shot ended; and its mission.
+    """Read the true poses of a recorded run: one in each listening window and one at each shot's end.
+
+    Parameters
+    ----------
+    run : str or Path
+        Folder of the run.
+
+    Returns
+    -------
+    trail : Trail
+    mission : Mission or Observation
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A headless browser on a console's page, and its clock held against the machine's."""
+"""A headless browser on a console's page, with its clock synchronised to the machine's."""
 
 from __future__ import annotations
 
@@ -27,7 +27,13 @@ SLACK = 0.002
 
 
 def missing() -> str:
-    """Why there is no browser; empty where there is one."""
+    """Return why there is no browser.
+
+    Returns
+    -------
+    str
+        Empty where there is one.
+    """
     gone = [path for path in (CHROMIUM, DRIVER) if not Path(path).is_file()]
     try:
         import selenium  # noqa: F401
@@ -67,7 +73,13 @@ class Browser(Closing):
         return path
 
     def open(self, address: str, timeout: float = 60.0) -> None:
-        """Load a page, until its bar has heard of the console."""
+        """Load a page, and wait until its bar is connected to the console.
+
+        Parameters
+        ----------
+        address : str
+        timeout : float, in s
+        """
         self.driver.get(address)
         end = time.monotonic() + timeout
         while self.text("state") in ("", "NO CONTACT"):
@@ -80,12 +92,40 @@ class Browser(Closing):
         )
 
     def text(self, name: str) -> str:
-        """What stands in the element of that id."""
+        """Return the text of an element.
+
+        Parameters
+        ----------
+        name : str
+            Its id.
+
+        Returns
+        -------
+        str
+        """
         found = self.driver.execute_script("return document.getElementById(arguments[0])?.textContent || ''", name)
         return str(found)
 
     def until(self, name: str, texts: tuple[str, ...], timeout: float = 60.0) -> str:
-        """Wait until one of `texts` stands in an element; that text."""
+        """Wait until an element shows one of some texts.
+
+        Parameters
+        ----------
+        name : str
+            Its id.
+        texts : tuple of str
+        timeout : float, in s
+
+        Returns
+        -------
+        str
+            The text.
+
+        Raises
+        ------
+        TimeoutError
+            If none came in time.
+        """
         end = time.monotonic() + timeout
         while (found := self.text(name)) not in texts:
             if time.monotonic() > end:
@@ -94,11 +134,16 @@ class Browser(Closing):
         return found
 
     def clock(self) -> tuple[float, float]:
-        """What must be added to the page's times (s) to have the machine's monotonic clock, and how sure that is.
+        """Compare the page's clock with the machine's monotonic clock.
 
-        A page says when, by the wall's clock, its own began; a look at both of the machine's clocks gives the rest.
-        That
-        is held against what the page's clock shows between two looks at the machine's.
+        The page reports, by the wall clock, when its own clock began; the difference of the machine's two clocks gives
+        the rest. The result is checked against the page's time between two readings of the machine's.
+
+        Returns
+        -------
+        offset : float, in s
+            To add to the page's times.
+        uncertainty : float, in s
 
         Raises
         ------
@@ -119,7 +164,12 @@ class Browser(Closing):
         return offset, SLACK
 
     def watch_clicks(self, *, then_leave: bool = False) -> None:
-        """Note when the button was pressed, before anything else hears of it; and leave the page right after."""
+        """Note when the button is pressed, before any other handler; optionally leave the page right after.
+
+        Parameters
+        ----------
+        then_leave : bool
+        """
         self.driver.execute_script(
             "addEventListener('pointerdown', (event) => localStorage.setItem('pressed', event.timeStamp), true);"
             + ("addEventListener('pointerdown', () => location.replace('about:blank'));" if then_leave else "")
@@ -133,11 +183,22 @@ class Browser(Closing):
         ActionChains(self.driver, duration=0).click(self.driver.find_element(By.ID, "stop")).perform()
 
     def pressed(self) -> float:
-        """When that was, in s on the clock of the page in which it was."""
+        """Return when the button was pressed.
+
+        Returns
+        -------
+        float or None, in s
+            On the page's clock.
+        """
         return 1e-3 * float(self.driver.execute_script("return localStorage.getItem('pressed')"))
 
     def complaints(self) -> list[str]:
-        """Errors that the page's scripts have logged."""
+        """Return the errors in the page's console.
+
+        Returns
+        -------
+        list of str
+        """
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
     def close(self) -> None:

@@ -80,7 +80,17 @@ class Stop:
 
 
 class ConsoleBench:
-    """Twin, console, browser and flier, each a process of its own."""
+    """Twin, console, browser and mission, each in a process of its own.
+
+    Parameters
+    ----------
+    folder : Path
+    first_port : int
+    size : (int, int)
+        Of the browser's window, in pixels.
+    browser : bool
+        Whether to open one.
+    """
 
     def __init__(self, folder: Path, first_port: int, size: tuple[int, int], browser: bool) -> None:
         self.folder, self.port = folder, first_port + 8
@@ -111,7 +121,7 @@ class ConsoleBench:
             yield self
 
     def open_console(self) -> None:
-        """A console that has no other missions than ours."""
+        """Open a console that shows only this bench's missions."""
         session = self.folder / "session"
         session.mkdir(exist_ok=True)
         place = {"XDG_RUNTIME_DIR": str(session)}
@@ -142,7 +152,13 @@ class ConsoleBench:
         self._console.wait(20)
 
     def begin(self, **how: Any) -> None:
-        """Let a flight begin."""
+        """Start a flight.
+
+        Parameters
+        ----------
+        **how
+            Passed on to the flying process.
+        """
         assert self._flier.stdin is not None
         self.twin.ask("clear")
         self._flights += 1
@@ -151,7 +167,13 @@ class ConsoleBench:
         self._flier.stdin.flush()
 
     def end(self) -> dict[str, Any]:
-        """What a flight has to say once it is over."""
+        """Wait until the flight is over.
+
+        Returns
+        -------
+        dict
+            What the flying process reported.
+        """
         assert self._flier.stdout is not None
         line = self._flier.stdout.readline()
         if not line:
@@ -160,12 +182,17 @@ class ConsoleBench:
         return told
 
     def await_shot(self, number: int, timeout: float = 60.0) -> None:
-        """Until that many shots have listened since the flight began.
+        """Wait until a number of shots have listened since the flight began.
+
+        Parameters
+        ----------
+        number : int
+        timeout : float, in s
 
         Raises
         ------
-        EndedEarlyError
-            If the flight ended before, for a reason of its own.
+        TimeoutError
+            If they have not by then.
         """
         assert self._flier.stdout is not None
         end = time.monotonic() + timeout
@@ -180,7 +207,18 @@ class ConsoleBench:
         raise RigError(f"Shot {number} did not come within {timeout:g} s.")
 
     def stop(self, way: str, wait: float) -> Stop:
-        """One flight that is stopped `wait` s after it has found the robot."""
+        """Fly, and stop the flight some time after the robot was found.
+
+        Parameters
+        ----------
+        way : str
+            Button, key or signal.
+        wait : float, in s
+
+        Returns
+        -------
+        Stop
+        """
         browser = self.browser
         if way in ("click", "leave"):
             assert browser is not None
@@ -221,7 +259,18 @@ class ConsoleBench:
         )
 
     def lateness(self, seconds: float, *, shown: bool) -> list[float]:
-        """Of one flight's cycles, in s; with console and recorder, or with neither."""
+        """Measure the lateness of one flight's cycles.
+
+        Parameters
+        ----------
+        seconds : float
+        shown : bool
+            With console and recorder, or with neither.
+
+        Returns
+        -------
+        list of float, in s
+        """
         out = str(self.folder / f"flight{self._flights}") if shown else None
         self.begin(live=shown, out=out, seconds=seconds)
         flown = self.end()
@@ -232,7 +281,17 @@ class ConsoleBench:
 
 
 def show_stops(stops: list[Stop]) -> bool:
-    """A line for each way; whether all kept to what is allowed."""
+    """Print a line for each way of stopping.
+
+    Parameters
+    ----------
+    stops : list of Stop
+
+    Returns
+    -------
+    bool
+        Whether all kept to the limits.
+    """
     fine = True
     print(HEADER)
     for way in WAYS:

@@ -78,7 +78,18 @@ class Outcome:
 
 
 class Bench:
-    """A twin in a process of its own, and missions run against it."""
+    """A twin in a process of its own, and missions run on it.
+
+    Parameters
+    ----------
+    folder : Path
+    mission : str
+    rig : str
+    settings : tuple of str
+        Of the mission, as for ``--set``.
+    control : str
+        Address of the twin's control port.
+    """
 
     def __init__(self, folder: Path, mission: str, rig: str, settings: tuple[str, ...], control: str) -> None:
         self.folder, self.mission, self.rig, self.settings = folder, mission, rig, settings
@@ -103,7 +114,20 @@ class Bench:
             log.close()
 
     def fly(self, twin: TwinControl, fault: str, phase: str, *, turning: bool = False) -> Outcome:
-        """One mission with one fault, or signal, at one moment."""
+        """Run one mission with one fault, or signal, at one moment.
+
+        Parameters
+        ----------
+        twin : TwinControl
+        fault : str
+        phase : str
+        turning : bool
+            Whether the magnet stage is involved.
+
+        Returns
+        -------
+        Outcome
+        """
         twin.ask("clear")
         before = max([entry["number"] for entry in twin.log()[-1:]], default=0)
         self._number += 1
@@ -226,7 +250,19 @@ def _send(process: subprocess.Popen[str], what: str) -> float:
 
 
 def with_ports(rig: str, folder: Path, first: int) -> Path:
-    """A copy of a shipped twin's rig file with other ports, so that it is in nobody's way."""
+    """Copy a shipped twin's rig file with other ports, so that it disturbs no other twin.
+
+    Parameters
+    ----------
+    rig : str
+    folder : Path
+    first : int
+        First port.
+
+    Returns
+    -------
+    Path
+    """
     from smolbot.config.library import find_file
 
     text = find_file(rig, "rigs").read_text(encoding="utf-8")
@@ -240,7 +276,19 @@ def with_ports(rig: str, folder: Path, first: int) -> Path:
 
 
 def cases(only: str = "") -> Iterator[tuple[bool, str, str]]:
-    """Whether it concerns the magnet stage, fault and phase."""
+    """List the cases.
+
+    Parameters
+    ----------
+    only : str
+        Part of the name of the fault.
+
+    Yields
+    ------
+    stage : bool
+        Whether it concerns the magnet stage.
+    fault, phase : str
+    """
     for fault in (*CARD_FAULTS, *SIGNALS):
         for phase in PHASES:
             if only in fault:
@@ -252,7 +300,18 @@ def cases(only: str = "") -> Iterator[tuple[bool, str, str]]:
 
 
 def run_cases(folder: Path, only: str = "", first_port: int = 32763) -> Iterator[Outcome]:
-    """Run every case whose fault's name holds `only`, one after the other."""
+    """Run every case whose fault's name contains `only`, one after the other.
+
+    Parameters
+    ----------
+    folder : Path
+    only : str
+    first_port : int
+
+    Yields
+    ------
+    Outcome
+    """
     chosen = list(cases(only))
     for turning, mission, rig, settings in (
         (False, "r_path", "twin", ("localization.quiet_s=2", "stop.max_duration_s=30")),
@@ -278,7 +337,16 @@ HEADER = (
 
 
 def line(outcome: Outcome) -> str:
-    """One case as a line of the table; times in ms."""
+    """Format one case as a line of the table; times in ms.
+
+    Parameters
+    ----------
+    outcome : Outcome
+
+    Returns
+    -------
+    str
+    """
     motors = "" if outcome.motors is None else f"{1e3 * outcome.motors:.0f}"
     verdict = f"FAILED ({outcome.reason}) " if outcome.reason else ""
     said = outcome.said[outcome.said.find("status") :][:150]

@@ -1,4 +1,4 @@
-"""Prints what the magnet stage's firmware does on a simulated board: ``python -m sim.measure.firmware_figures``."""
+"""Measure the magnet stage's firmware on a simulated board: ``python -m sim.measure.firmware_figures``."""
 
 from __future__ import annotations
 
@@ -24,14 +24,24 @@ BEAT_BYTES = 1000
 
 
 class Wire:
-    """The serial port of a simulated board, byte by byte, with no driver between."""
+    """The serial port of a simulated board, byte by byte, without a driver.
+
+    Parameters
+    ----------
+    port : str
+    """
 
     def __init__(self, port: Path) -> None:
         self._file = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self.heard = b""
 
     def send(self, text: bytes) -> None:
-        """Send, and take in what comes back meanwhile."""
+        """Send bytes, and read what arrives meanwhile.
+
+        Parameters
+        ----------
+        text : bytes
+        """
         while text:
             try:
                 text = text[os.write(self._file, text) :]
@@ -47,7 +57,19 @@ class Wire:
             return
 
     def ask(self, text: bytes, answer: bytes, patience: float = 2.0) -> bool:
-        """Send `text`; whether `answer` comes in `patience` s."""
+        """Send `text` and wait for an answer.
+
+        Parameters
+        ----------
+        text : bytes
+        answer : bytes
+        patience : float, in s
+
+        Returns
+        -------
+        bool
+            Whether it came.
+        """
         self.heard = b""
         self.send(text)
         end = time.monotonic() + patience
@@ -57,6 +79,7 @@ class Wire:
         return answer in self.heard
 
     def close(self) -> None:
+        """Close the port."""
         os.close(self._file)
 
 
@@ -72,10 +95,21 @@ class Fuzzed:
 
 
 def fuzz(uno: SimulatedUno, wire: Wire, lines: int, seed: int = 1) -> Fuzzed:
-    """Send spoiled lines to an armed board, a heartbeat now and then between them.
+    """Send corrupted lines to an armed board, with a heartbeat now and then.
 
     A line is random bytes, a command with flipped bits, cut, doubled or over-long, a wrong checksum, or a command with
-    a right checksum that asks for what is forbidden. None may move a motor.
+    a right checksum that requests something forbidden. None may move a motor.
+
+    Parameters
+    ----------
+    uno : SimulatedUno
+    wire : Wire
+    lines : int
+    seed : int
+
+    Returns
+    -------
+    Fuzzed
     """
     rng = np.random.default_rng(seed)
     uno.take_edges()
@@ -104,7 +138,16 @@ def fuzz(uno: SimulatedUno, wire: Wire, lines: int, seed: int = 1) -> Fuzzed:
 
 
 def spoiled_line(rng: np.random.Generator) -> bytes:
-    """A line, without its end, that must move nothing."""
+    """Make a corrupted line, without its end, that must move nothing.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    bytes
+    """
     command = f"MOVE {rng.integers(-9000, 9000)} {rng.integers(40, 4000)} {rng.integers(-9000, 9000)} 444"
     good = bytearray(line(int(rng.integers(0, 256)), command)[:-1])
     kind = int(rng.integers(0, 7))
@@ -161,7 +204,18 @@ def _off_after(uno: SimulatedUno, since: float) -> float:
 
 
 def jitter(uno: SimulatedUno, wire: Wire, seconds: float = 3.0) -> dict[str, tuple[float, float, float]]:
-    """Mean, standard deviation and largest deviation (s) of step intervals at a steady rate; axes and line are busy."""
+    """Measure step intervals at a steady rate while axes and serial line are busy.
+
+    Parameters
+    ----------
+    uno : SimulatedUno
+    wire : Wire
+    seconds : float
+
+    Returns
+    -------
+    dict of str to (mean, standard deviation, largest deviation), in s
+    """
     _run_up(uno, wire)
     began = time.monotonic()
     while time.monotonic() < began + 0.5 + seconds:
@@ -179,14 +233,34 @@ def jitter(uno: SimulatedUno, wire: Wire, seconds: float = 3.0) -> dict[str, tup
 
 
 def heartbeat_loss(uno: SimulatedUno, wire: Wire) -> float:
-    """Seconds from the last heartbeat to motors off, while both turn."""
+    """Measure the time from the last heartbeat to motors off, while both turn.
+
+    Parameters
+    ----------
+    uno : SimulatedUno
+    wire : Wire
+
+    Returns
+    -------
+    float, in s
+    """
     _run_up(uno, wire)
     wire.ask(line(6, "BEAT"), b"6 OK")
     return _off_after(uno, _board_time(uno))
 
 
 def hung_loop(uno: SimulatedUno, wire: Wire) -> float:
-    """Seconds from a main loop that hangs, while its interrupts still step, to motors off."""
+    """Measure the time from a main loop that hangs, while its interrupts still step, to motors off.
+
+    Parameters
+    ----------
+    uno : SimulatedUno
+    wire : Wire
+
+    Returns
+    -------
+    float, in s
+    """
     _run_up(uno, wire)
     wire.ask(line(6, "BEAT"), b"6 OK")
     since = _board_time(uno)
@@ -195,7 +269,13 @@ def hung_loop(uno: SimulatedUno, wire: Wire) -> float:
 
 
 def main(lines: int = LINES) -> None:
-    """Measure and print everything; `lines` to fuzz with."""
+    """Measure and print everything.
+
+    Parameters
+    ----------
+    lines : int
+        To fuzz with.
+    """
     flash, ram = size(build().firmware)
     print(f"flash                        {flash} of {FLASH} bytes ({100 * flash / FLASH:.1f} %)")
     print(f"RAM without stack            {ram} of {RAM} bytes ({100 * ram / RAM:.1f} %)")

@@ -1,7 +1,4 @@
-"""Flies on the twin again and again in one process: what starting a process costs is no part of what is measured.
-
-Reads a line of JSON for each flight from standard input and writes one when it is over; see `main`.
-"""
+"""Fly on the twin repeatedly in one process, so that starting a process is not measured."""
 
 from __future__ import annotations
 
@@ -31,6 +28,19 @@ class TimedLatch(Latch):
         self.heard = self.rested = float("nan")
 
     def shut(self, reason: str, ending: Ending = "failed", *, halt: bool = True) -> bool:
+        """Trip the latch, and note when it was called and when it returned.
+
+        Parameters
+        ----------
+        reason : str
+        ending : {"failed", "stopped"}
+        halt : bool
+
+        Returns
+        -------
+        bool
+            Whether it was the first.
+        """
         heard = time.monotonic()
         first = super().shut(reason, ending, halt=halt)
         if first:
@@ -39,7 +49,16 @@ class TimedLatch(Latch):
 
 
 def lateness(cycles: Sequence[CycleRecord]) -> list[float]:
-    """By how much each cycle took longer than its windows, in s: computing, and waiting for the machine."""
+    """Compute how much longer each cycle took than its windows: computing, and waiting for the machine.
+
+    Parameters
+    ----------
+    cycles : sequence of CycleRecord
+
+    Returns
+    -------
+    list of float, in s
+    """
     ended = np.array([cycle.ended for cycle in cycles])
     lasted = np.array([cycle.shot.duration for cycle in cycles])
     found: list[float] = (np.diff(ended) - lasted[1:]).tolist()

@@ -1,10 +1,4 @@
-"""Kills missions with -9 at random moments and asks whether what is left can be recovered, and is true.
-
-``python -m sim.measure.kills --kills 50 --seed 1`` flies a mission again and again in a process of its own, which
-prints every cycle as it is played and every count that the recorder says is flushed. Each is killed at a drawn moment:
-just after the folder is made, while it learns, while it flies, while it ends. Then the run is recovered, and what it
-holds is compared with what the process had printed.
-"""
+"""Kill missions with SIGKILL at random moments, and check that the remaining record is recovered and correct."""
 
 from __future__ import annotations
 
@@ -84,6 +78,16 @@ class Told:
 
     @classmethod
     def read(cls, log: Path) -> Told:
+        """Read what a victim printed.
+
+        Parameters
+        ----------
+        log : Path
+
+        Returns
+        -------
+        Told
+        """
         told = cls()
         for text in log.read_bytes().split(b"\n")[:-1]:  # what follows the last end of line was cut short
             line = json.loads(text)
@@ -103,7 +107,22 @@ class Told:
 def kill_all(
     kills: int, seed: int, mission: str, settings: Mapping[str, str], folder: Path, told: Callable[[str], None] = print
 ) -> Iterator[Outcome]:
-    """Fly once to its end, to learn how long each part takes; then kill as often as asked."""
+    """Fly once to the end, to learn how long each part takes; then kill as often as requested.
+
+    Parameters
+    ----------
+    kills : int
+    seed : int
+    mission : str
+    settings : mapping of str to str
+    folder : Path
+    told : callable
+        Called with lines for people.
+
+    Yields
+    ------
+    Outcome
+    """
     rng = np.random.default_rng(seed)
     whole = Victim(folder / "whole", mission, seed, settings)
     whole.process.wait(_PATIENCE)
@@ -122,7 +141,15 @@ def kill_all(
 
 
 class Victim:
-    """A mission that is flown in a process of its own, and prints what it does."""
+    """A mission flown in a process of its own, which prints what it does.
+
+    Parameters
+    ----------
+    folder : Path
+    mission : str
+    seed : int
+    settings : mapping of str to str
+    """
 
     def __init__(self, folder: Path, mission: str, seed: int, settings: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
@@ -145,15 +172,36 @@ class Victim:
             self.process = subprocess.Popen(order, stdout=log, stderr=errors)
 
     def told(self) -> Told:
-        """What it printed so far."""
+        """Return what it printed so far.
+
+        Returns
+        -------
+        Told
+        """
         return Told.read(self._log)
 
     def said(self) -> str:
-        """What it complained of."""
+        """Return its error output.
+
+        Returns
+        -------
+        str
+        """
         return self._errors.read_text(errors="replace").strip()[-500:]
 
     def kill(self, phase: str, delay: float) -> float:
-        """Kill it `delay` s into a part of its run; returns when that was (s, monotonic)."""
+        """Kill it some time into a part of its run.
+
+        Parameters
+        ----------
+        phase : str
+        delay : float, in s
+
+        Returns
+        -------
+        float, in s
+            When, on the monotonic clock.
+        """
         until = time.monotonic() + _PATIENCE
         while phase not in self.told().marks and self.process.poll() is None and time.monotonic() < until:
             time.sleep(_POLL)
@@ -165,7 +213,18 @@ class Victim:
 
 
 def check(victim: Victim, phase: str, killed: float) -> Outcome:
-    """Recover a killed run and compare it with what its process had printed."""
+    """Recover a killed run and compare it with what its process had printed.
+
+    Parameters
+    ----------
+    victim : Victim
+    phase : str
+    killed : float, in s
+
+    Returns
+    -------
+    Outcome
+    """
     from smolbot.errors import InputError
     from smolbot.runs.recording.reader import read_run
     from smolbot.runs.recover import recover
@@ -202,7 +261,15 @@ def check(victim: Victim, phase: str, killed: float) -> Outcome:
 
 
 def fly_as_victim(folder: Path, mission: str, seed: int, settings: Mapping[str, str]) -> None:
-    """Fly as ``smolbot run`` does, and print every cycle as it is played."""
+    """Fly as ``smolbot run`` does, and print every cycle as it is played.
+
+    Parameters
+    ----------
+    folder : Path
+    mission : str
+    seed : int
+    settings : mapping of str to str
+    """
     from smolbot.config.load import AnyMission, load_mission
     from smolbot.flight.session import fly
     from smolbot.runs.folder import RunFolder
@@ -247,7 +314,17 @@ HEADER = "kill moment  played  there  flushed   read  torn  missing   took"
 
 
 def line(number: int, outcome: Outcome) -> str:
-    """One kill as a line of the table."""
+    """Format one kill as a line of the table.
+
+    Parameters
+    ----------
+    number : int
+    outcome : Outcome
+
+    Returns
+    -------
+    str
+    """
     torn, failed = "yes" if outcome.torn else "no", [*outcome.faults, *["late"] * outcome.late]
     verdict = f"  FAILED: {'; '.join(failed[:3])}" if failed else ""
     return (

@@ -1,4 +1,4 @@
-"""How much of a processor the twin's plant takes: ``python -m sim.measure.plant_speed``."""
+"""Measure the processor load of the twin's plant: ``python -m sim.measure.plant_speed``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PIECE = 250
 
 
 def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[str, float]:
-    """Processor time per second of the plant's own time, while nothing is driven, while everything is, and so on.
+    """Measure the twin's plant: processor time per second of its own time, with nothing and with everything driven.
 
     Parameters
     ----------
@@ -25,6 +25,10 @@ def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[st
         As `load_rig` and `load_robot` find them.
     seconds : float
         Of the plant's time, for each state.
+
+    Returns
+    -------
+    dict of str to float
     """
     rig = load_rig(rig_name)
     settings = rig.section_of("tank", TankSettings)

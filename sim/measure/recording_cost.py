@@ -1,10 +1,4 @@
-"""What recording costs: the same flights with and without a recorder, in turn, in one process.
-
-``python -m sim.measure.recording_cost --mission r_path --pairs 5`` prints the processor time of the loop's thread and
-of the whole process with a recorder against without, what the recorder's own thread took, what one call costs the loop,
-and how large the record is. The simulated tank is part of what is measured; on a rig that does not wait, a cycle lasts
-as long as it lasts, and the share of it that goes to recording is told beside.
-"""
+"""Measure the cost of recording: the same flights with and without a recorder, alternating, in one process."""
 
 from __future__ import annotations
 
@@ -49,7 +43,18 @@ class Flight:
 
 
 def flight(mission: AnyMission, seed: int, folder: Path | None) -> Flight:
-    """Fly once; with a folder, the flight is recorded in it."""
+    """Fly once; with a folder, the flight is recorded in it.
+
+    Parameters
+    ----------
+    mission : Mission
+    seed : int
+    folder : Path or None
+
+    Returns
+    -------
+    Flight
+    """
     made: list[Recorder] = []
 
     def recorder(converter: Converter) -> Pump:
@@ -94,7 +99,18 @@ def _timed_calls() -> Iterator[list[float]]:
 
 
 def compare(mission: AnyMission, pairs: int, seed: int) -> Iterator[tuple[Flight, Flight]]:
-    """Pairs of flights of the same seed, without and with a recorder, now this first and now that."""
+    """Fly pairs of the same seed, without and with a recorder, in alternating order.
+
+    Parameters
+    ----------
+    mission : Mission
+    pairs : int
+    seed : int
+
+    Yields
+    ------
+    without, with_recorder : Flight
+    """
     flight(mission, seed, None)  # compiled kernels, warm caches
     for number in range(pairs):
         found: dict[bool, Flight] = {}
@@ -105,7 +121,16 @@ def compare(mission: AnyMission, pairs: int, seed: int) -> Iterator[tuple[Flight
 
 
 def figures(found: list[tuple[Flight, Flight]]) -> dict[str, Any]:
-    """Ratios of pairs, and what one cycle costs."""
+    """Compute ratios of pairs, and the cost of one cycle.
+
+    Parameters
+    ----------
+    found : list of (Flight, Flight)
+
+    Returns
+    -------
+    dict
+    """
 
     def ratios(name: str) -> dict[str, float]:
         each = [getattr(a, name) / getattr(b, name) for b, a in found]

@@ -1,9 +1,4 @@
-"""How well ``smolbot track`` finds the robot in the tank's own videos, against where it truly was.
-
-``python -m sim.measure.video_accuracy RUN … --seeds 1..3`` films each run with each camera, tracks it as a user
-would, and prints the error of the centre and of the heading. The tracker gets the video and the lab's file of markers,
-no more.
-"""
+"""Measure how well ``smolbot track`` finds the robot in the tank's own videos, compared with ground truth."""
 
 from __future__ import annotations
 
@@ -42,12 +37,35 @@ class Accuracy:
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square."""
+    """Compute the root mean square.
+
+    Parameters
+    ----------
+    values : ndarray
+
+    Returns
+    -------
+    float
+    """
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def accuracy(run: Path, seed: int, folder: Path, fps: float = 12.0, size: str = "1280x960") -> Accuracy:
-    """Film `run` with the camera of `seed`, track the video, and hold the track against the truth."""
+    """Film `run` with the camera of `seed`, track the video, and compare the track with ground truth.
+
+    Parameters
+    ----------
+    run : Path
+    seed : int
+    folder : Path
+    fps : float
+    size : str
+        Such as ``1280x960``.
+
+    Returns
+    -------
+    Accuracy
+    """
     from sim.film.command import film
     from smolbot.ui.cli.track import track
 
@@ -59,7 +77,19 @@ def accuracy(run: Path, seed: int, folder: Path, fps: float = 12.0, size: str = 
 
 
 def held_against(truth: Path, track: Path, run: str, seed: int) -> Accuracy:
-    """A track of the video of `run` by the camera of `seed`, against where its robot truly was."""
+    """Compare the track of a video of `run` by the camera of `seed` with ground truth.
+
+    Parameters
+    ----------
+    truth : Path
+    track : Path
+    run : str
+    seed : int
+
+    Returns
+    -------
+    Accuracy
+    """
     from smolbot.runs.optics.opticaltrack import read_optical_track
 
     with truth.open(encoding="utf-8") as file:
@@ -79,7 +109,18 @@ def held_against(truth: Path, track: Path, run: str, seed: int) -> Accuracy:
 
 
 def measured(runs: list[Path], seeds: list[int], fps: float) -> Iterator[Accuracy]:
-    """Every run with every camera."""
+    """Measure every run with every camera.
+
+    Parameters
+    ----------
+    runs : list of Path
+    seeds : list of int
+    fps : float
+
+    Yields
+    ------
+    Accuracy
+    """
     for run in runs:
         for seed in seeds:
             with tempfile.TemporaryDirectory() as folder:

@@ -1,1 +1,1 @@
-"""The reduced plant: the same drawn tank as an overdamped motion, with pose noise in place of signals."""
+"""The reduced plant: the same sampled tank as an overdamped motion, with pose noise in place of signals."""

@@ -1,4 +1,4 @@
-"""Errors of a localizer without its signals: its own linear model, fed with drawn noise and what it does not know."""
+"""Errors of a localizer without signals, from its own linear model, sampled noise and the true mismatches."""
 
 from __future__ import annotations
 
@@ -40,12 +40,14 @@ DOUBT_SIGMAS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """Where the signals come from: the sensors as they stand, the magnet as it is, the room's noise.
+    """True source of the signals: sensors, magnet and ambient noise.
 
     Attributes
     ----------
-    positions, axes : ndarray, shape (n_sensors, 3), in m
-        True places, and sensitive directions with what is left of the gains once the believed ones are divided out.
+    positions : ndarray, shape (n_sensors, 3), in m
+        True positions, world frame.
+    axes : ndarray, shape (n_sensors, 3)
+        True sensitive directions, world frame; their length is the true over the assumed gain.
     moment : ndarray, shape (3,), in A·m²
         At rest, body frame.
     l0 : float, in m
@@ -60,19 +62,19 @@ class Heard:
 
 
 class FitErrors:
-    """Draws the outcome of a fit around the true pose, linear in the data.
+    """Samples the outcome of a fit around the true pose, linear in the data.
 
         x = x_true + (J^T J + P)^-1 (J^T (s_true - s(x_true) + e) + P (prior - x_true))
 
-    J is the Jacobian of the localizer's own data vector s (whitened, or the paper's chain), e its noise, P its belief
-    in the amplitude. `s_true` is what the true sensors hear of the true magnet: that is the systematic part. Linear,
-    since errors of some tenths of a mm are small against the 60 mm to the sensors. Resonance and damping are
-    taken as known, for they are learned in flight.
+    J is the Jacobian of the localizer's own data vector s (whitened, or the paper's chain), e its noise, P its
+    prior information on the amplitude. `s_true` is what the true sensors measure of the true magnet: that is the
+    systematic part. Linear, since errors of some tenths of a mm are small against the 60 mm to the sensors.
+    Resonance and damping are taken as known, for they are learned in flight.
 
     Parameters
     ----------
     localizer : Localizer
-        As it is believed: sensors, device, estimator, transients.
+        With assumed sensors, device, estimator and transients.
     rig : RigConfig
     heard : Heard
     rng : numpy.random.Generator
@@ -85,18 +87,24 @@ class FitErrors:
     def draw(
         self, position: FloatArray, orientation: FloatArray, amplitude: float, half_periods: int, since: float
     ) -> Fitted:
-        """The outcome of one fit.
+        """Sample the outcome of one fit.
 
         Parameters
         ----------
-        position, orientation : ndarray, shapes (3,) in m and (4,)
-            The truth.
+        position : ndarray, shape (3,), in m
+            True rotation centre, world frame.
+        orientation : ndarray, shape (4,)
+            True unit quaternion, scalar first.
         amplitude : float, in rad
-            At the end of the drive, the truth.
+            True amplitude at the end of the drive.
         half_periods : int
             Length of the recording.
         since : float, in s
             From the end of the drive to its first sample.
+
+        Returns
+        -------
+        Fitted
         """
         key = half_periods, round(since, SINCE_DIGITS)
         if key not in self._models:
@@ -121,7 +129,7 @@ class FitErrors:
 
 
 class _Series:
-    """Sensors and a magnet, and room for the channels' power series in the deflection, with derivatives (n, K, 6)."""
+    """Sensors and a magnet, with memory for the channels' power series in the deflection and its derivatives."""
 
     def __init__(self, positions: FloatArray, axes: FloatArray, moment: FloatArray, l0: float) -> None:
         self.magnet = np.ascontiguousarray(positions), np.ascontiguousarray(axes), moment, l0
@@ -130,7 +138,7 @@ class _Series:
 
 
 class _Model:
-    """A localizer's linear model for recordings of one kind, with its answer at each of the phases laid out."""
+    """A localizer's linear model for recordings of one kind, with its response at each of the sampled phases."""
 
     def __init__(self, localizer: Localizer, rig: RigConfig, heard: Heard, half_periods: int, since: float) -> None:
         rate, sensors, device = rig.sample_rate, localizer.sensors, localizer.device
@@ -159,7 +167,7 @@ class _Model:
         self.waves = [_waves(model, math.pi * k / N_PHASES) for k in range(N_PHASES)]
 
     def variance(self, sse: float) -> float:
-        """By what a fit scales its covariance: white residuals only where they are larger than chance makes them."""
+        """Return the factor on a fit's covariance; white residuals change it only if they are significantly large."""
         freedom = max(self.n_out - kernels.N_PARAMETERS, 1)
         variance = sse / freedom
         if self._white and variance <= 1.0 + DOUBT_SIGMAS * math.sqrt(2.0 / freedom):
@@ -168,7 +176,10 @@ class _Model:
 
 
 def _waves(model: LinearModel, phase: float) -> tuple[FloatArray, FloatArray]:
-    """Answer (n_channels * powers, n_out) of the data to each channel's powers at one phase, and its derivative."""
+    """Return the data's response to each channel's powers at one phase, and its derivative by the phase.
+
+    Both have the shape (n_channels * powers, n_out).
+    """
     n_out, _, n_channels = model.matrix.shape
     labels = basis.labels()
     n_powers = int(labels[:, 0].max())
@@ -182,14 +193,19 @@ def _waves(model: LinearModel, phase: float) -> tuple[FloatArray, FloatArray]:
 
 
 def true_room(rig: RigConfig, level: float, mains: float, phasors: ComplexArray) -> NoiseModel:
-    """The drawn room as an estimator knows it that has learned it well.
+    """Build the noise model of the sampled tank, as an estimator knows it after long learning.
 
     Parameters
     ----------
+    rig : RigConfig
     level, mains : float
-        Drawn factors on the noise and on the mains frequency.
+        Sampled factors on the noise and on the mains frequency.
     phasors : ndarray of complex, shape (n_lines, n_sensors), in T
-        Peak phasors of mains and harmonics, as the true sensors hear them.
+        Peak phasors of mains and harmonics, as the true sensors measure them.
+
+    Returns
+    -------
+    NoiseModel
     """
     levels = noise_levels(rig)
     levels = replace(levels, floor=level * levels.floor, at_1hz=level * levels.at_1hz,

@@ -30,21 +30,23 @@ def linear_fit(
     weight: float,
     reference: float,
 ) -> tuple[FloatArray, FloatArray, float, float]:
-    """Where a fit ends that starts from the true pose, and what it claims.
+    """Compute the result of a fit that starts from the true pose, and its covariance.
 
     Parameters
     ----------
-    values, truth : ndarray, shape (n_channels, K)
-        Power series of the channels in the deflection, as believed and as they are, at the true pose.
+    values : ndarray, shape (n_channels, K)
+        Power series of the channels in the deflection, with assumed parameters, at the true pose.
     slopes : ndarray, shape (n_channels, K, 6)
-        Derivatives of `values` for position and rotation.
+        Derivatives of `values` by position and rotation.
+    truth : ndarray, shape (n_channels, K)
+        As `values`, with true parameters.
     now, ahead : ndarray, shape (n_channels * (K - 1), n_out)
-        The data's answer to each power but the constant, and its derivative for the phase.
+        The data's response to each power but the constant, and its derivative by the phase.
     size : float
         True amplitude, as a fraction of the reference angle.
     noise : ndarray, shape (n_out,)
     mean, weight : float
-        Belief in the amplitude, and the inverse of its variance.
+        Prior of the amplitude (fraction of the reference angle), and the inverse of its variance.
     reference : float, in rad
         The reference angle.
 
@@ -53,10 +55,10 @@ def linear_fit(
     change : ndarray, shape (8,)
         Of position (m), rotation (rad), phase (rad), amplitude (fraction).
     covariance : ndarray, shape (7, 7)
-        Of position (m), rotation (rad), amplitude (rad), for residuals of unit variance; infinite where a direction is
-        not told.
+        Of position (m), rotation (rad), amplitude (rad), for residuals of unit variance; infinite where a direction
+        is not observable.
     sse, total : float
-        Squares of the residual and of the data.
+        Sums of squares of the residual and of the data.
     """
     n_channels, n_powers = values.shape
     n_out = len(noise)
@@ -119,7 +121,7 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of a symmetric positive matrix (8, 8), scaled first so that units cost no precision; else infinite."""
+    """Invert a positive definite matrix (8, 8), scaled first to equalise units; infinite if it is singular."""
     scale, factor, inverse = np.empty(N), np.zeros((N, N)), np.zeros((N, N))
     for a in range(N):
         if matrix[a, a] <= 0.0:

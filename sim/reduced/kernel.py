@@ -1,4 +1,4 @@
-"""The overdamped robot in a drawn tank, compiled: coil field on a plane, resting cantilever, drag, surface.
+"""Compiled motion of the overdamped robot in a sampled tank: coil field, cantilever at rest, drag, surface.
 
 Kernels that call each other share this file (numba's cache does not see a change in another one).
 """
@@ -69,21 +69,24 @@ SLOWEST = 1.0  # rad²/s²: least squared frequency of the oscillation
 def plane_field(
     x: float, y: float, z: float, currents: FloatArray, grid: FloatArray, table: FloatArray
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """Field and gradient of all sources at a point near the plane: cubic B-splines in the plane, Maxwell across it.
+    """Compute field and gradient of all sources near the plane: cubic B-splines in the plane, Maxwell across it.
 
         dBx/dz = dBz/dx,   dBy/dz = dBz/dy,   dBz/dz = -(dBx/dx + dBy/dy)
 
     Parameters
     ----------
-    x, y, z : float, in m, world frame
+    x, y, z : float, in m
+        World frame.
     currents : ndarray, shape (n_sources,), in A
+    grid : ndarray, shape (4,)
+        Origin x, y (m), 1 / spacing (1/m), height of the plane (m).
     table : ndarray, shape (nx, ny, n_sources, 3), in T per A
         Spline coefficients.
 
     Returns
     -------
     tuple of 8
-        Bx, By, Bz in T, then dBx/dx, dBx/dy, dBx/dz, dBy/dy, dBy/dz in T/m.
+        Bx, By, Bz in T, then dBx/dx, dBx/dy, dBx/dz, dBy/dy, dBy/dz in T/m, world frame.
     """
     # weights of the cubic B-splines along x and y, and of their derivatives
     scale = grid[SCALE]
@@ -208,9 +211,20 @@ def _rates(
 def driving_field(
     state: FloatArray, device: FloatArray, currents: FloatArray, grid: FloatArray, table: FloatArray
 ) -> float:
-    """Field, in T, along y x m at the magnet: the part that drives the oscillation (Eq. S1).
+    """Compute the field along y x m at the magnet: the part that drives the oscillation (Eq. S1).
 
-    `currents` (n_sources,) in A and `table` are those of the excitation coils.
+    Parameters
+    ----------
+    state, device : ndarray
+        As laid out at the top of this file.
+    currents : ndarray, shape (n_sources,), in A
+        Of the excitation coils.
+    grid, table : ndarray
+        As `plane_field` takes them, for the excitation coils.
+
+    Returns
+    -------
+    float, in T
     """
     w, i, j, k = state[3], state[4], state[5], state[6]
     xx, xz = 1 - 2 * (j * j + k * k), 2 * (i * k + j * w)
@@ -227,11 +241,12 @@ def driving_field(
 
 @njit(cache=True, error_model="numpy")
 def _swing(state: FloatArray, drive: complex, stiffer: float, device: FloatArray, time: float) -> float:
-    """Let the swing go on for `time` s, up to the stops; return its mean over that time, in rad.
+    """Advance the oscillation by `time` s, up to the stops; return its mean over that time, in rad.
 
         c' = (i omega - eta) c + drive,   theta = Re c
 
-    `drive` is that of a current at resonance, as of the end of the step. Dry friction takes the place of eta (Eq. S3).
+    `drive` is the rate of growth from a current at resonance, with the phase of the step's end. For dry friction
+    the amplitude falls linearly instead (Eq. S3).
     """
     eta, omega = device[ETA], math.sqrt(max(device[OMEGA_SQUARED] * (1.0 + stiffer) - device[ETA] ** 2, SLOWEST))
     now = complex(state[NOW], -state[QUARTER])
@@ -272,30 +287,44 @@ def move(
     poses: FloatArray,
     states: FloatArray,
 ) -> int:
-    """Move the robot on through windows of constant commands, by midpoint steps; return how many rows it recorded.
+    """Move the robot through windows of constant commands, by midpoint steps.
 
     Parameters
     ----------
     state : ndarray, shape (10,)
-        As laid out at the top of this file; advanced in place, as `currents` is.
+        As laid out at the top of this file; advanced in place.
     currents : ndarray, shape (n_sources,), in A
-        Of the actuation coils, then of sources that do not change.
+        Of the actuation coils, then of constant sources; advanced in place.
     commands : ndarray, shape (n_windows, n_coils), in A
         Constant in each window.
     drives : ndarray, shape (n_windows, n_excitation), in A
         Peaks of a sine at resonance.
     lengths : ndarray, shape (n_windows,), in s
-    constants, lags : ndarray, shapes (n_coils,) and (n_excitation,), in s
-        Time constants of the actuation coils, and of the excitation coils.
-    grid, table, excitation
-        As `plane_field` takes them; the last for the excitation coils.
+    constants : ndarray, shape (n_coils,), in s
+        Time constants of the actuation coils.
+    lags : ndarray, shape (n_excitation,), in s
+        Time constants of the excitation coils.
+    grid, table, excitation : ndarray
+        As `plane_field` takes them; the last is the table of the excitation coils.
+    device, hull : ndarray
+        As laid out at the top of this file.
+    float_height : float, in m
+        See `sim.tank.carriers.hydrodynamics.Hull`.
     box : ndarray, shape (6,), in m
         Low x, high x, low y, high y of the container; half the housing's length and width.
     start : float, in s
-    times, poses : ndarray, shapes (k,) and (k, 7)
-        Receive time, rotation centre (m) and orientation at the start of each step, and at the end of the last.
+        Time of the first window.
+    times : ndarray, shape (k,), in s
+        Receives the time at the start of each step, and at the end of the last.
+    poses : ndarray, shape (k, 7)
+        Receives rotation centre (m) and orientation at these times, world frame.
     states : ndarray, shape (n_windows, 10)
         Receives the state at the start of each window.
+
+    Returns
+    -------
+    int
+        Number of rows in `times` and `poses`.
     """
     n_coils = commands.shape[1]
     half, mean, rates, one = np.empty(STATE_LENGTH), currents.copy(), np.empty(8), np.zeros(drives.shape[1])
@@ -359,7 +388,7 @@ def move(
 
 @njit(cache=True, error_model="numpy")
 def _hold_inside(state: FloatArray, box: FloatArray) -> None:
-    """Put a housing that overlaps a wall back beside it; it slides without friction, and is not turned."""
+    """Move a housing that overlaps a wall back beside it; it slides without friction, and is not turned."""
     w, i, j, k = state[3], state[4], state[5], state[6]
     ahead_x, ahead_y = abs(2 * (i * k + j * w)), abs(2 * (j * k - i * w))
     side_x, side_y = abs(1 - 2 * (j * j + k * k)), abs(2 * (i * j + k * w))
@@ -370,7 +399,15 @@ def _hold_inside(state: FloatArray, box: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def note(state: FloatArray, device: FloatArray, pose: FloatArray) -> None:
-    """Write the rotation centre (m) and the orientation of a state into a pose (7,)."""
+    """Compute the pose of a state.
+
+    Parameters
+    ----------
+    state, device : ndarray
+        As laid out at the top of this file.
+    pose : ndarray, shape (7,)
+        Receives rotation centre (m) and orientation (scalar first), world frame.
+    """
     w, i, j, k = state[3], state[4], state[5], state[6]
     x, y, z = device[MIDDLE], device[MIDDLE + 1], device[MIDDLE + 2]
     pose[0] = state[0] - ((1 - 2 * (j * j + k * k)) * x + 2 * (i * j - k * w) * y + 2 * (i * k + j * w) * z)

@@ -1,4 +1,4 @@
-"""The drawn tank, reduced: the same draws from the same seed, moved by one compiled overdamped kernel."""
+"""The sampled tank, reduced: the same samples from the same seed, moved by one compiled overdamped kernel."""
 
 from __future__ import annotations
 
@@ -28,14 +28,26 @@ SPACING = 1e-3
 class ReducedPlant:
     """Plays windows for the robot's motion alone; takes the arguments of `sim.tank.tank.Tank`.
 
-    Left out: inertia, what the excitation does to the housing, how the cantilever rings when a field changes, friction
-    and turning at walls. The swing that is left of an excitation turns the robot a little as it is pulled, and is kept.
+    Left out: inertia, effects of the excitation on the housing, oscillation of the cantilever when a field changes,
+    friction and turning at walls. The residual oscillation after an excitation, which turns a pulled robot a
+    little, is included.
+
+    Parameters
+    ----------
+    rig, robot : RigConfig, RobotConfig
+        Nominal values; the true values are sampled around them.
+    settings : TankSettings
+    start : ndarray, shape (2,), in m
+        Requested start position (x, y), world frame.
+    seed : int
+    ideal : bool
+        Sample no mismatch.
 
     Attributes
     ----------
     truth : Truth
     sensors : TrueSensors
-        Where they truly stand; nothing is recorded.
+        With true positions; nothing is recorded.
     device : ndarray
         As `sim.tank.magnetics.cantilever.swing` takes it.
     history : History
@@ -75,7 +87,17 @@ class ReducedPlant:
         times[0], poses[0] = 0.0, self.pose(self._state)
 
     def advance(self, windows: tuple[Window, ...]) -> FloatArray:
-        """Play windows one after the other; return the state (n_windows, 10) at the start of each, and note the way."""
+        """Play windows one after the other, and add the poses to the history.
+
+        Parameters
+        ----------
+        windows : tuple of Window
+
+        Returns
+        -------
+        ndarray, shape (n_windows, 10)
+            State at the start of each, as laid out in `sim.reduced.kernel`.
+        """
         lengths = np.array([w.duration for w in windows])
         commands, drives = np.zeros((len(windows), self._n)), np.zeros((len(windows), self._n_excitation))
         for row, window in enumerate(windows):
@@ -97,20 +119,31 @@ class ReducedPlant:
         return states
 
     def silence(self) -> None:
-        """Every current at zero, at once."""
+        """Set every current to zero, at once."""
         self._currents[: self._n] = 0.0
 
     def pose(self, state: FloatArray) -> FloatArray:
-        """Rotation centre (m) and orientation of a state, shape (7,)."""
+        """Compute the pose of a state.
+
+        Parameters
+        ----------
+        state : ndarray, shape (10,)
+            As laid out in `sim.reduced.kernel`.
+
+        Returns
+        -------
+        ndarray, shape (7,)
+            Rotation centre (m) and orientation (scalar first), world frame.
+        """
         pose = np.empty(7)
         note(state, self.device, pose)
         return pose
 
 
 def _plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray, FloatArray]:
-    """Grid (4,) and spline coefficients (nx, ny, n_coils + 1, 3) of every true coil on a plane, T per A.
+    """Return grid (4,) and spline coefficients (nx, ny, n_coils + 1, 3) of every true coil on a plane, in T per A.
 
-    The last source is the earth's field with the coil against it, in T.
+    The last source, in T, is the earth's field with its compensation coil.
     """
     from scipy.ndimage import spline_filter1d
 

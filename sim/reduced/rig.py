@@ -1,4 +1,4 @@
-"""The reduced rig: keeps the promise of `smolbot.core.rig.Rig`, but hands out sightings instead of signals."""
+"""The reduced rig: implements `smolbot.core.rig.Rig`, but returns simulated pose fixes instead of signals."""
 
 from __future__ import annotations
 
@@ -37,10 +37,31 @@ FLIPS = 0.5
 
 
 class ReducedRig:
-    """A tank without Bullet, sensors' samples and fits: `sim.reduced.plant` moves, `sim.reduced.errors` sees.
+    """A tank without Bullet, signals and fits.
 
-    Draws its mismatches as `sim.tank.rig.TankRig` does from the same seed; everything that it returns is labelled
+    `sim.reduced.plant` moves the robot, and `sim.reduced.errors` samples the errors of its localization.
+
+    Samples its mismatches as `sim.tank.rig.TankRig` does from the same seed; everything that it returns is labelled
     by its `provenance`.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    settings : TankSettings
+    start : ndarray, shape (2,), in m
+        Requested start position (x, y), world frame.
+    seed : int
+    ideal : bool
+        Sample no mismatch.
+
+    Attributes
+    ----------
+    sensors : SensorArray
+        At their nominal positions.
+    limits : Limits
+    witness : Witness or None
+        Reports true poses; may be set to None, which changes nothing else.
 
     Examples
     --------
@@ -97,11 +118,25 @@ class ReducedRig:
         return Sightings(localizer.sensors, localizer.device, localizer.volume, constants)
 
     def now(self) -> float:
-        """Time on the plant's virtual clock, in s."""
+        """Return the time on the plant's virtual clock.
+
+        Returns
+        -------
+        float, in s
+        """
         return self._plant.time
 
     def play(self, shot: Shot) -> Recording | None:
-        """Play a shot; return a sighting if it drove and listened, an empty recording if it only listened.
+        """Play the windows of one shot in order.
+
+        Parameters
+        ----------
+        shot : Shot
+
+        Returns
+        -------
+        Recording or None
+            A simulated pose fix if the shot drives and listens, an empty recording if it only listens, else None.
 
         Raises
         ------
@@ -129,7 +164,18 @@ class ReducedRig:
         return self._seen(shot, start, middle, states[: listening + 2])
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
-        """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
+        """Return the nominal field of the excitation coils at a point.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            World frame.
+
+        Returns
+        -------
+        ndarray, shape (n_exc, 3), in T per A
+            World frame.
+        """
         return self._believed_excitation.at(as_floats(position, (3,), "excitation_field position"))
 
     def stop(self) -> None:
@@ -137,17 +183,23 @@ class ReducedRig:
         self._plant.silence()
 
     def close(self) -> None:
-        """Play no more; harmless when repeated."""
+        """Stop for good; harmless when repeated."""
         self.stop()
         self._open = False
 
     def provenance(self) -> dict[str, Any]:
-        """The label of this plant, its seed, whether ideal, and every drawn mismatch."""
+        """Return the plant's label, its seed, whether ideal, and every sampled mismatch.
+
+        Returns
+        -------
+        dict
+            Plain lists and numbers.
+        """
         truth = self._plant.truth.as_dict()
         return {"plant": "reduced", "seed": self._seed, "ideal": self._ideal, "truth": truth}
 
     def _seen(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
-        """What is made of a listening window that began at `start` s; the last of `states` is that of its middle."""
+        """Make the recording of a listening window from `start` s on; the last of `states` is at its middle."""
         empty, rate, drive = self._no_samples, self._rate, shot.excite
         if drive is None or self._errors is None or shot.mode == "quiet":  # without signals there is no noise to learn
             return Recording(empty, rate, math.inf, drive=drive, clock=start)
@@ -165,7 +217,24 @@ class ReducedRig:
 
 
 def open_reduced(mission: AnyMission, seed: int, *, ideal: bool = False) -> ReducedRig:
-    """The reduced plant of a mission: an ``opener`` for `smolbot.flight.session.fly`. Raises as `require_flyable`."""
+    """Open the reduced plant of a mission: an ``opener`` for `smolbot.flight.session.fly`.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    seed : int
+    ideal : bool
+        Sample no mismatch.
+
+    Returns
+    -------
+    ReducedRig
+
+    Raises
+    ------
+    InputError
+        As `require_flyable`.
+    """
     require_flyable(mission)
     settings = mission.rig.section_of("tank", TankSettings)
     start = np.asarray(mission.start, dtype=np.float64)
@@ -173,7 +242,17 @@ def open_reduced(mission: AnyMission, seed: int, *, ideal: bool = False) -> Redu
 
 
 def require_flyable(mission: AnyMission) -> None:
-    """Raise `InputError` if the mission's rig is no simulated tank, or its robot is of another kind."""
+    """Check that the reduced plant can simulate a mission.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+
+    Raises
+    ------
+    InputError
+        If the mission's rig is not a simulated tank, or its robot is of another kind.
+    """
     robot = mission.robot
     kind: str = robot.kind
     if mission.rig.world != "tank":

@@ -53,7 +53,17 @@ STAGE_WIDTH, STAGE_HEIGHTS = 0.03, (0.055, 0.095)
 
 
 def steps(axis: str, span: str) -> FloatArray:
-    """True moves from the reference, in m or rad; the reference (0) is among them."""
+    """Return true displacements from the reference; the reference (0) is among them.
+
+    Parameters
+    ----------
+    axis : str
+    span : str
+
+    Returns
+    -------
+    ndarray, shape (n,), in m or rad
+    """
     if len(axis) == 2:
         return np.radians(np.arange(0.0, 360.0, 20.0) if span == WIDE else np.arange(0.0, 5.1, 1.0))
     if span == FINE:
@@ -62,7 +72,18 @@ def steps(axis: str, span: str) -> FloatArray:
 
 
 def moved(axis: str, step: float) -> tuple[FloatArray, FloatArray]:
-    """Position and orientation: translations along world axes, rotations about the device's own."""
+    """Return the pose after a displacement: translations along world axes, rotations about the device's own.
+
+    Parameters
+    ----------
+    axis : str
+    step : float, in m or rad
+
+    Returns
+    -------
+    position : ndarray, shape (3,), in m
+    orientation : ndarray, shape (4,)
+    """
     position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
     along = np.eye(3)["xyz".index(axis[-1])]
     if len(axis) == 1:
@@ -71,7 +92,17 @@ def moved(axis: str, step: float) -> tuple[FloatArray, FloatArray]:
 
 
 def reading(axis: str, pose: Pose) -> float:
-    """What the pose says of the move along or about `axis`: m, or rad of twist about the reference's own axis."""
+    """Return the displacement along or about `axis` that a pose measures.
+
+    Parameters
+    ----------
+    axis : str
+    pose : Pose
+
+    Returns
+    -------
+    float, in m, or in rad about the reference's own axis
+    """
     index = "xyz".index(axis[-1])
     if len(axis) == 1:
         return float(pose.position[index] - REFERENCE_POSITION[index])
@@ -81,7 +112,16 @@ def reading(axis: str, pose: Pose) -> float:
 
 
 def work(chunk: Chunk) -> Columns:
-    """One bench: every axis and span, every step `repeats` times."""
+    """Measure every axis and span on one bench, each step `repeats` times.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     kind = chunk["kind"]
     bench = open_bench(chunk, characterised(), chunk["mismatch"])
     rng = rng_of(chunk)
@@ -121,9 +161,20 @@ def work(chunk: Chunk) -> Columns:
 def calibrated(
     bench: StaticBench, estimators: Any, rng: np.random.Generator
 ) -> tuple[dict[str, Localizer], ArrayCalibration]:
-    """Localizers after a calibration with the device on a stage: resonance, damping, gains, axes and places.
+    """Make localizers after a calibration on a stage: resonance, damping, gains, axes and positions.
 
-    The stage visits random places and headings in the volume, none of them the study's own.
+    The stage visits random positions and headings in the volume, none of them the study's own.
+
+    Parameters
+    ----------
+    bench : StaticBench
+    estimators : sequence of str
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    localizers : dict of str to Localizer
+    correction : ArrayCalibration
     """
     places, turns = np.array(REFERENCE_POSITION), reference_orientation()
     long = [bench.record(places, turns, RING_HALF_PERIODS) for _ in range(RINGS)]
@@ -147,7 +198,16 @@ def calibrated(
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """One chunk per bench. `poses` is the number of repeats of each step."""
+    """Make one chunk per bench; `poses` is the number of repeats of each step.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     repeats = options.poses or REPEATS
     scale = 1.0 if options.mismatch is None else options.mismatch
     kinds = ("ideal", "mismatched", "calibrated") if scale > 0 else ("ideal",)
@@ -163,7 +223,20 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """MAE and standard deviation per axis, mean over benches (each with its own reference)."""
+    """Compute mean absolute error and standard deviation per axis, averaged over benches.
+
+    Each bench has its own reference.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     figures: dict[str, Any] = {"cases": []}
     rows: list[tuple[str, str]] = []
@@ -177,7 +250,16 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def one_case(columns: Columns) -> dict[str, Any]:
-    """Figures of one estimator on all benches of one kind, over one span."""
+    """Compute the figures of one estimator on all benches of one kind, over one span.
+
+    Parameters
+    ----------
+    columns : Columns
+
+    Returns
+    -------
+    dict
+    """
     benches = np.unique(columns["bench"])
     mae: dict[str, list[float]] = {axis: [] for axis in AXES}
     sigma: dict[str, list[float]] = {axis: [] for axis in AXES}
@@ -214,7 +296,16 @@ def one_case(columns: Columns) -> dict[str, Any]:
 
 
 def line(case: dict[str, Any]) -> str:
-    """One row of the table."""
+    """Format one row of the table.
+
+    Parameters
+    ----------
+    case : dict
+
+    Returns
+    -------
+    str
+    """
     each = ", ".join(f"{axis} {case['mae'][axis]:.3f}" for axis in AXES)
     left_out = f"; {case['untrusted']} of {case['poses']} untrusted" if case["untrusted"] else ""
     left_out += f"; {case['flipped']} flipped" if case["flipped"] else ""
@@ -225,7 +316,14 @@ def line(case: dict[str, Any]) -> str:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Error against the true move for each axis over the wide span, and bars of all MAE."""
+    """Draw the error against the true displacement for each axis over the wide span, and bars of all errors.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import COLORS, slide, titled
 
     cases = outcome.figures["cases"]

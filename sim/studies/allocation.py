@@ -1,4 +1,4 @@
-"""Allocated forces over the workspace: direction, size and heat against brute force and scipy, and time."""
+"""Allocated forces over the workspace compared with brute force and scipy: direction, size, heat, computing time."""
 
 from __future__ import annotations
 
@@ -51,7 +51,16 @@ ANGLES_DEG = (0.0, 17.0, 45.0, 73.0, 90.0, 131.0, 208.0, 317.0)
 
 
 class Pull:
-    """Force on an aligned moment at one place, written down plainly."""
+    """Force on an aligned moment at one position, in plain numpy.
+
+    Parameters
+    ----------
+    own : ForceAllocator
+        Whose rules are kept.
+    here : ndarray, shape (3,), in m
+    low, high : ndarray, shape (n_coils,), in A
+        Limits of the currents.
+    """
 
     def __init__(self, own: ForceAllocator, here: FloatArray, low: FloatArray, high: FloatArray) -> None:
         field, gradient = own.table.field_and_gradient(here[None, :])
@@ -66,7 +75,17 @@ class Pull:
         return field, self.own.moment * np.einsum("ni,nij->nj", field / size, slope)
 
     def allowed(self, field: FloatArray, force: FloatArray) -> FloatArray:
-        """Which of them keep to the allocator's rules."""
+        """Return which forces keep to the allocator's rules.
+
+        Parameters
+        ----------
+        field : ndarray, shape (k, 3), in T
+        force : ndarray, shape (k, 3), in N
+
+        Returns
+        -------
+        ndarray of bool, shape (k,)
+        """
         from controllers.force_allocator import SLOPES
 
         level = np.linalg.norm(field[:, :2], axis=1)
@@ -77,12 +96,14 @@ class Pull:
 
 
 def strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """The strongest force in each of some directions that brute force finds.
+    """Find by brute force the strongest force in each of some directions.
 
     Parameters
     ----------
+    pull : Pull
     toward, misses : ndarray, shape (k,), in rad
-        Directions, and by what angle a force may miss each.
+        Directions, and the tolerated angle of each.
+    rng : numpy.random.Generator
 
     Returns
     -------
@@ -139,7 +160,22 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 
 
 def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.random.Generator) -> float:
-    """Least sum of squared currents, in A², that SLSQP finds from many starts for a force of `wanted` N along `way`."""
+    """Find the smallest sum of squared currents for a force, by SLSQP from many starts.
+
+    Parameters
+    ----------
+    pull : Pull
+    way : ndarray, shape (3,)
+        Unit vector of the force.
+    wanted : float, in N
+    miss : float, in rad
+        Tolerated angle.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    float, in A²
+    """
     from scipy.optimize import minimize
 
     from controllers.force_allocator import SLOPES
@@ -167,7 +203,16 @@ def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.
 
 
 def work(chunk: Chunk) -> Columns:
-    """All directions at one place."""
+    """Allocate forces in all directions at one position.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     from controllers.force_allocator import SLACK, ForceAllocator, UnreachableForceError
     from sim.studies.benches import rig_named
     from smolbot.config.robot import load_robot
@@ -214,7 +259,16 @@ def work(chunk: Chunk) -> Columns:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """One for each place; `poses` limits how many around the middle at each distance."""
+    """Make one chunk for each position; `poses` limits how many around the centre at each distance.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     around = ANGLES_DEG[: options.poses]
     pieces = [
         (f"{name.replace(' ', '-')}-{radius:g}-{angle:g}",
@@ -227,7 +281,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Percentiles over places and directions."""
+    """Compute percentiles over positions and directions.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     figures: dict[str, Any] = {"cases": []}
     rows: list[tuple[str, str]] = []
@@ -271,7 +336,14 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Force by direction at some places, allocated and by brute force."""
+    """Draw force by direction at some positions, allocated and by brute force.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import BOUND, WHITENED, slide
 
     columns = outcome.columns

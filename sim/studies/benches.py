@@ -57,28 +57,72 @@ FLIP_DEG = 90.0
 
 
 def reference_orientation() -> FloatArray:
-    """The paper's reference: main axis (body z) along world y, oscillating in the x-y plane; quaternion (4,)."""
+    """Return the paper's reference: main axis (body z) along world y, oscillating in the x-y plane.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Quaternion, body to world.
+    """
     return quaternion_from_axes(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
 
 
 def characterised(damping: float = 1.1, model: Any = "linear") -> Device:
-    """The paper's calibrated device: 17.8 deg, 103.5 Hz, moment across the cantilever."""
+    """Make the paper's calibrated device: 17.8 deg, 103.5 Hz, moment across the cantilever.
+
+    Parameters
+    ----------
+    damping : float, in 1/s
+    model : {"linear", "exponential"}
+
+    Returns
+    -------
+    Device
+    """
     return Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, math.radians(17.8), 103.5, damping, model)
 
 
 def optimised() -> Device:
-    """The paper's optimised device: 30 deg, 160 Hz."""
+    """Make the paper's optimised device: 30 deg, 160 Hz.
+
+    Returns
+    -------
+    Device
+    """
     return Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, math.radians(30.0), 160.0, 1.1, "linear")
 
 
 @lru_cache(maxsize=8)
 def rig_named(name: str) -> RigConfig:
-    """A rig file, read once per process."""
+    """Read a rig file, once per process.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    RigConfig
+    """
     return load_rig(name)
 
 
 def open_bench(chunk: Chunk, device: Device, mismatch: float, *, spread: float = 1.0) -> StaticBench:
-    """The bench of a chunk, drawn from its seed; `spread` scales the sensors' places about the origin."""
+    """Sample the bench of a chunk from its seed.
+
+    Parameters
+    ----------
+    chunk : Chunk
+    device : Device
+    mismatch : float
+        Factor on every mismatch of the rig file.
+    spread : float
+        Scale of the sensor positions about the origin.
+
+    Returns
+    -------
+    StaticBench
+    """
     rig = rig_named(chunk["rig"])
     if spread != 1.0:
         rig = with_sensors(rig, spread * rig.sensors.positions, rig.sensors.axes)
@@ -91,9 +135,20 @@ def localizers(
     quiet: float = QUIET_SECONDS,
     reach: float | None = None,
 ) -> dict[str, Localizer]:
-    """Localizers that know what may be known: nominal sensors and device, noise from `quiet` s of quiet.
+    """Make localizers from nominal sensors and device, with noise learned from background recordings.
 
-    `reach` is the height, in m, up to which poses are looked for, where the default is not enough.
+    Parameters
+    ----------
+    bench : StaticBench
+    estimators : sequence of str
+    quiet : float, in s
+        Duration of the background recordings.
+    reach : float, optional, in m
+        Height up to which poses are searched, where the default is not enough.
+
+    Returns
+    -------
+    dict of str to Localizer
     """
     from smolbot.localization.cold_start import SearchVolume
 
@@ -107,7 +162,18 @@ def localizers(
 
 
 def prior_near(position: FloatArray, orientation: FloatArray, rng: np.random.Generator) -> Pose:
-    """A warm start: the truth, moved and turned by as much as `PRIOR_OFF` says."""
+    """Sample a warm start: the true pose with a random error of size `PRIOR_OFF`.
+
+    Parameters
+    ----------
+    position : ndarray, shape (3,), in m
+    orientation : ndarray, shape (4,)
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Pose
+    """
     off, turn = PRIOR_OFF
     moved = position + off * rng.standard_normal(3)
     turned = quaternion_product(quaternion_from_rotation_vector(turn * rng.standard_normal(3)), orientation)
@@ -115,7 +181,20 @@ def prior_near(position: FloatArray, orientation: FloatArray, rng: np.random.Gen
 
 
 def pose_row(pose: Pose, position: FloatArray, orientation: FloatArray) -> dict[str, float]:
-    """One row of `Columns`: errors, expected deviations, NEES, and what the pose says of itself."""
+    """Make one row of `Columns`: errors, standard deviations, NEES, and quality of a pose.
+
+    Parameters
+    ----------
+    pose : Pose
+    position : ndarray, shape (3,), in m
+        True.
+    orientation : ndarray, shape (4,)
+        True.
+
+    Returns
+    -------
+    dict of str to float
+    """
     error = np.concatenate([pose.position - position, rotation_error(pose.orientation, orientation)])
     expected = np.sqrt(np.diag(pose.covariance))
     scale = np.where(expected > 0, expected, 1.0)
@@ -134,7 +213,23 @@ def locate_all(
     orientation: FloatArray,
     prior: Pose | None,
 ) -> list[dict[str, Any]]:
-    """One row per estimator for one recording."""
+    """Locate one recording with each estimator.
+
+    Parameters
+    ----------
+    found : mapping of str to Localizer
+    recording : Recording
+    position : ndarray, shape (3,), in m
+        True.
+    orientation : ndarray, shape (4,)
+        True.
+    prior : Pose or None
+
+    Returns
+    -------
+    list of dict
+        One row per estimator.
+    """
     return [
         {"estimator": name, **pose_row(localizer.locate(recording, prior), position, orientation)}
         for name, localizer in found.items()

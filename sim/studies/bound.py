@@ -1,4 +1,4 @@
-"""How close poses come to the Cramer-Rao bound, against the paper's way, and whether covariances are true."""
+"""Pose errors against the Cramer-Rao bound and the paper's method, and whether covariances are true."""
 
 from __future__ import annotations
 
@@ -33,7 +33,16 @@ windows, where the phase hardly matters, 4 are enough."""
 
 
 def work(chunk: Chunk) -> Columns:
-    """Poses at the reference place on one bench: errors, and the bound at each pose's own phase."""
+    """Locate at the reference pose on one bench: errors, and the bound at each recording's phase.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     bench = open_bench(chunk, characterised(), chunk["mismatch"])
     found = localizers(bench, chunk["estimators"])
     position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
@@ -54,7 +63,16 @@ def work(chunk: Chunk) -> Columns:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Mismatches off and, unless one scale is asked for, on: then many benches, for each draws its own."""
+    """Make chunks without and, unless one scale is given, with mismatches: then many benches, each sampled anew.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     total = options.poses or DEFAULT_POSES
     scales = (0.0, 1.0) if options.mismatch is None else (options.mismatch,)
     pieces = []
@@ -65,7 +83,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Ratios over all poses; those not trusted are counted, and left in."""
+    """Compute ratios over all poses; untrusted ones are counted, and included.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     figures: dict[str, Any] = {"poses": 0, "cases": []}
     rows: list[tuple[str, str]] = []
@@ -92,7 +121,16 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def summary(columns: Columns) -> dict[str, Any]:
-    """Figures of one case."""
+    """Compute the figures of one case.
+
+    Parameters
+    ----------
+    columns : Columns
+
+    Returns
+    -------
+    dict
+    """
     errors, nees = position_errors(columns), columns["nees"]
     least = rms(columns["bound_mm"])
     right = np.max(np.abs(rotation_errors(columns)), axis=1) <= FLIP_DEG
@@ -126,7 +164,14 @@ def _line(case: dict[str, Any]) -> str:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Errors against N with the bound, and the distribution of NEES."""
+    """Draw errors against N with the bound, and the distribution of NEES.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import BOUND, COLORS, even_ticks, limit_line, name_line, slide, titled
 
     cases = outcome.figures["cases"]

@@ -26,7 +26,16 @@ NEES_MEDIAN = 5.348
 
 
 def work(chunk: Chunk) -> Columns:
-    """Random poses on one bench."""
+    """Locate random poses on one bench.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     bench = open_bench(chunk, characterised(), chunk["mismatch"])
     found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
     rows: list[dict[str, Any]] = []
@@ -54,7 +63,16 @@ def work(chunk: Chunk) -> Columns:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Mismatches off, then on, each chunk on a bench of its own."""
+    """Make chunks without, then with mismatches, each on a bench of its own.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     total = options.poses or DEFAULT_POSES
     scales = (0.0, 1.0) if options.mismatch is None else (options.mismatch,)
     pieces = [
@@ -66,7 +84,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Confident and wrong, trusted, and errors of the trusted ones."""
+    """Count poses that are confident and wrong, and trusted ones; compute errors of the trusted ones.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     figures: dict[str, Any] = {"cases": []}
     rows: list[tuple[str, str]] = []
@@ -106,7 +135,14 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Where poses are, trusted or not; and their errors against height."""
+    """Draw where poses are, trusted or not, and their errors against height.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import COLORS, LIMIT, OTHERS, limit_line, slide, titled
 
     cases = outcome.figures["cases"]

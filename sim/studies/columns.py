@@ -1,4 +1,4 @@
-"""Rows of a study as columns: joined, chosen, and turned into errors."""
+"""Rows of a study as columns: joined, selected, and turned into errors."""
 
 from __future__ import annotations
 
@@ -13,19 +13,48 @@ from smolbot.core.arrays import FloatArray
 
 
 def columns_of(rows: Sequence[Mapping[str, Any]]) -> Columns:
-    """Rows as columns; every row has the same keys."""
+    """Convert rows to columns; every row has the same keys.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+
+    Returns
+    -------
+    Columns
+    """
     return {key: np.array([row[key] for row in rows]) for key in rows[0]} if rows else {}
 
 
 def joined(parts: Sequence[Columns]) -> Columns:
-    """Columns of several chunks one after the other; keys with a leading underscore are left out."""
+    """Concatenate the columns of several chunks; keys with a leading underscore are left out.
+
+    Parameters
+    ----------
+    parts : sequence of Columns
+
+    Returns
+    -------
+    Columns
+    """
     filled = [p for p in parts if p]
     keys = [k for k in (filled[0] if filled else {}) if not k.startswith("_")]
     return {key: np.concatenate([np.atleast_1d(p[key]) for p in filled]) for key in keys}
 
 
 def chosen(columns: Columns, **values: Any) -> Columns:
-    """The rows in which the named columns have these values."""
+    """Select the rows in which the named columns have these values.
+
+    Parameters
+    ----------
+    columns : Columns
+    **values
+        Value of each named column.
+
+    Returns
+    -------
+    Columns
+    """
     keep = np.ones(len(next(iter(columns.values()))), dtype=np.bool_)
     for key, value in values.items():
         keep &= columns[key] == value
@@ -33,15 +62,43 @@ def chosen(columns: Columns, **values: Any) -> Columns:
 
 
 def position_errors(columns: Columns) -> FloatArray:
-    """Position errors (n, 3) in mm."""
+    """Return position errors.
+
+    Parameters
+    ----------
+    columns : Columns
+
+    Returns
+    -------
+    ndarray, shape (n, 3), in mm
+    """
     return np.stack([columns[f"error_{axis}_mm"] for axis in "xyz"], axis=1)
 
 
 def rotation_errors(columns: Columns) -> FloatArray:
-    """Rotation errors (n, 3) in degrees."""
+    """Return rotation errors.
+
+    Parameters
+    ----------
+    columns : Columns
+
+    Returns
+    -------
+    ndarray, shape (n, 3), in deg
+    """
     return np.stack([columns[f"error_r{axis}_deg"] for axis in "xyz"], axis=1)
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square of all values; nan where there is none."""
+    """Compute the root mean square of all values.
+
+    Parameters
+    ----------
+    values : ndarray
+
+    Returns
+    -------
+    float
+        nan where there is no value.
+    """
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan

@@ -87,7 +87,22 @@ def load_study(name: str) -> Study:
 
 
 def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool = False) -> tuple[Outcome, Path]:
-    """Run all chunks that are not done, conclude, and leave ``study.json``, ``results.csv`` and the figure."""
+    """Run all chunks that are not done, conclude, and write ``study.json``, ``results.csv`` and the figure.
+
+    Parameters
+    ----------
+    study : Study
+    options : Options
+    out : Path or None
+        Folder to write; by default a new one in ``runs/``.
+    resume : bool
+        Whether to go on with a folder that exists.
+
+    Returns
+    -------
+    outcome : Outcome
+    folder : Path
+    """
     from sim.studies.benches import rig_named
     from sim.studies.running import StudyFolder, described, executor_for, run_chunks
     from smolbot.runs.folder import dated

@@ -31,16 +31,24 @@ def bound(
     time_since_drive: float = 0.02,
     amplitude: float | None = None,
 ) -> FloatArray:
-    """Least covariance (8, 8) of position (m), rotation e (rad), phase (rad) and amplitude (rad).
+    """Compute the Cramer-Rao bound of a pose on a bench.
 
     Parameters
     ----------
-    position, orientation : ndarray, shapes (3,) in m and (4,)
+    bench : StaticBench
+    position : ndarray, shape (3,), in m
+    orientation : ndarray, shape (4,)
     half_periods : int
     phase : float, in rad
         At the end of the drive; the bound differs from phase to phase.
+    time_since_drive : float, in s
     amplitude : float, optional, in rad
         The true stop if not given.
+
+    Returns
+    -------
+    ndarray, shape (8, 8)
+        Smallest covariance of position (m), rotation e (rad), phase (rad) and amplitude (rad).
     """
     n = bench.samples(half_periods)
     size = min(max(n // BLOCKS, SMALLEST), LARGEST)
@@ -55,7 +63,22 @@ def bound(
 
 
 def whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int) -> FloatArray:
-    """``columns^T C^-1 columns`` with constants free; rows of `columns` run over channels, then blocks of `size`."""
+    """Compute ``columns^T C^-1 columns`` with a free constant in each channel.
+
+    Parameters
+    ----------
+    bench : StaticBench
+    columns : ndarray
+        Rows run over channels, then blocks of `size`.
+    count : int
+        Blocks.
+    size : int
+        Samples in a block.
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+    """
     from scipy.linalg import solve_triangular
 
     n_channels = len(bench.sensors)
@@ -84,7 +107,18 @@ def whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int
 
 
 def own_covariance(bench: StaticBench, count: int, size: int) -> FloatArray:
-    """Covariance (count, count) in T² of block means of one sensor's own noise and its converter's."""
+    """Compute the covariance of block means of one sensor's own noise and its converter's.
+
+    Parameters
+    ----------
+    bench : StaticBench
+    count : int
+    size : int
+
+    Returns
+    -------
+    ndarray, shape (count, count), in T²
+    """
     corners, deviations = bench.true_sensors.sensor_noise.processes
     turn = 2 * np.pi * corners * size / bench.rate
     lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
@@ -100,7 +134,20 @@ def own_covariance(bench: StaticBench, count: int, size: int) -> FloatArray:
 
 
 def line_waves(bench: StaticBench, count: int, size: int) -> FloatArray:
-    """Columns whose outer products add up to the lines' covariance, their phases being unknown, in T."""
+    """Return cosine and sine of each mains line, averaged over blocks.
+
+    Parameters
+    ----------
+    bench : StaticBench
+    count : int
+        Blocks.
+    size : int
+        Samples in a block.
+
+    Returns
+    -------
+    ndarray, shape (count, 2 n_lines)
+    """
     noise = bench.true_sensors.field_noise
     time = (np.arange(count) + 0.5) * size / bench.rate
     waves = []
@@ -132,5 +179,14 @@ def _slopes(
 
 
 def position_bound(covariance: FloatArray) -> float:
-    """Root mean square over the three axes, in m."""
+    """Compute the root mean square of the bound over the three axes.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (8, 8)
+
+    Returns
+    -------
+    float, in m
+    """
     return float(np.sqrt(np.trace(covariance[:3, :3]) / 3.0))

@@ -23,7 +23,16 @@ DEFAULT_POSES, BENCHES = 300, 2
 
 
 def work(chunk: Chunk) -> Columns:
-    """One damping, both modes."""
+    """Locate with one damping, in both modes.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     bench = open_bench(chunk, characterised(chunk["damping"], "exponential"), chunk["mismatch"])
     found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
     rows: list[dict[str, Any]] = []
@@ -34,7 +43,16 @@ def work(chunk: Chunk) -> Columns:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Two benches for each damping."""
+    """Make two benches for each damping.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     total, scale = options.poses or DEFAULT_POSES, options.mismatch or 0.0
     pieces = [
         (f"eta-{eta:g}-{i}", {"damping": eta, "mismatch": scale, "poses": max(total // BENCHES, 2)})
@@ -45,7 +63,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Scatter of each damping, and straight lines through it."""
+    """Compute the scatter of each damping, and fit straight lines.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": [], "trends": []}
     rows: list[tuple[str, str]] = []
@@ -78,7 +107,14 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Scatter against damping, with trend lines."""
+    """Draw scatter against damping, with trend lines.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import BOUND, COLORS, limit_line, slide, titled
 
     cases, trends = outcome.figures["cases"], outcome.figures["trends"]

@@ -1,4 +1,4 @@
-"""How deep a pose can be found to under 1 mm, against the size of the magnet (Fig. 2E)."""
+"""Depth down to which a pose is found to within 1 mm, against the size of the magnet (Fig. 2E)."""
 
 from __future__ import annotations
 
@@ -40,24 +40,63 @@ AROUND = (0.42, 0.55, 0.65, 0.75, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
 
 
 def device_with(case: str, size_mm: float) -> Device:
-    """The device with a cubic magnet of edge `size_mm`; frequency, stop, damping and l0 as they are."""
+    """Make the device with a cubic magnet of another size; frequency, stop, damping and l0 stay.
+
+    Parameters
+    ----------
+    case : str
+    size_mm : float
+        Edge.
+
+    Returns
+    -------
+    Device
+    """
     device = CASES[case][0]()
     return replace(device, moment=device.moment * (size_mm / EDGE_MM) ** 3)
 
 
 def spread_of(size_mm: float) -> float:
-    """The array grows with the magnet beyond the paper's, whose depth is about 100 mm; it does not shrink."""
+    """Return the scale of the array: it grows with magnets larger than the paper's, and does not shrink.
+
+    Parameters
+    ----------
+    size_mm : float
+
+    Returns
+    -------
+    float
+    """
     return max(size_mm / EDGE_MM, 1.0)
 
 
 def heights(case: str, size_mm: float) -> FloatArray:
-    """Heights in m, around the expected depth, which grows as the magnet does."""
+    """Return heights around the expected depth.
+
+    Parameters
+    ----------
+    case : str
+    size_mm : float
+
+    Returns
+    -------
+    ndarray, shape (n,), in m
+    """
     scale = size_mm / EDGE_MM if size_mm > EDGE_MM else (size_mm / EDGE_MM) ** SMALL_EXPONENT
     return 1e-3 * FIRST_GUESS_MM[case] * scale * np.array(AROUND)
 
 
 def work(chunk: Chunk) -> Columns:
-    """One size of one device on one bench: all heights."""
+    """Locate one size of one device on one bench at all heights.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     case, size = chunk["case"], chunk["size_mm"]
     bench = open_bench(chunk, device_with(case, size), chunk["mismatch"], spread=spread_of(size))
     reach = float(heights(case, size).max())
@@ -71,7 +110,16 @@ def work(chunk: Chunk) -> Columns:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Two benches for each size of each device."""
+    """Make two benches for each size of each device.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     total, scale = options.poses or DEFAULT_POSES, options.mismatch or 0.0
     pieces = [
         (
@@ -86,7 +134,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) -> float:
-    """Where rising `values` first pass `limit`, straight between logarithms; nan if they do not.
+    """Find where rising `values` first pass `limit`, by linear interpolation of logarithms.
+
+    Parameters
+    ----------
+    places : ndarray, shape (n,)
+    values : ndarray, shape (n,)
+    limit : float
+
+    Returns
+    -------
+    float
+        nan if they do not.
 
     Examples
     --------
@@ -103,7 +162,18 @@ def crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) ->
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Depth of each size; a straight line through the characterised device's."""
+    """Compute the depth of each size, and fit a straight line through the characterised device's.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": [], "depths": []}
     rows: list[tuple[str, str]] = []
@@ -136,7 +206,14 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Depth against size; scatter against height for the paper's magnet."""
+    """Draw depth against size, and scatter against height for the paper's magnet.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import BOUND, COLORS, OTHERS, limit_line, name_line, slide, titled
 
     depths, cases = outcome.figures["depths"], outcome.figures["cases"]

@@ -1,4 +1,4 @@
-"""Where the sensors should stand: a proposed layout over a volume, and one that a search found (N = 2)."""
+"""Sensor layouts over a volume: the rig's own, and one found by a search (N = 2)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,12 @@ WORTHWHILE = 3
 
 
 def devices() -> dict[str, Device]:
-    """The calibrated device with its moment across the cantilever, and along it."""
+    """Make the calibrated device with its moment across the cantilever, and along it.
+
+    Returns
+    -------
+    dict of str to Device
+    """
     across = characterised()
     along = Device(across.moment, np.array([0.0, 0.0, 1.0]), across.l0, across.theta_max, across.frequency,
                    across.damping, across.damping_model)  # fmt: skip
@@ -61,12 +66,30 @@ def devices() -> dict[str, Device]:
 
 
 def window(rig: RigConfig) -> Window:
-    """What is listened to."""
+    """Return the listening window.
+
+    Parameters
+    ----------
+    rig : RigConfig
+
+    Returns
+    -------
+    Window
+    """
     return Window(HALF_PERIODS, rig.sample_rate, RING_DOWN)
 
 
 def work(chunk: Chunk) -> Columns:
-    """One descent: from the rig's own layout, or from the best of some random ones."""
+    """Run one descent: from the rig's own layout, or from the best of some random ones.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     rig = rig_named(chunk["rig"])
     poses = Volume().poses(3, 2, 0)
     judged = Judge(
@@ -90,7 +113,17 @@ def work(chunk: Chunk) -> Columns:
 
 
 def layout_of(sensors: SensorArray) -> Layout | None:
-    """The array as a `Layout`; None where a sensor lies off the plane or looks aslant."""
+    """Convert an array to a `Layout`.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+
+    Returns
+    -------
+    Layout or None
+        None where a sensor lies off the plane or is not along an axis.
+    """
     axes = np.argmax(np.abs(sensors.axes), axis=1)
     straight = bool(np.abs(sensors.axes[np.arange(len(axes)), axes]).min() > 1.0 - ROUNDING)
     flat = bool(np.abs(sensors.positions[:, 2]).max() < ROUNDING)
@@ -98,7 +131,16 @@ def layout_of(sensors: SensorArray) -> Layout | None:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Descents; `--poses` says how many."""
+    """Make the descents; `poses` is their number.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     pieces = [
         (f"descent-{i:02d}", {"from_own": i == 0, "weight": WEIGHT, "patience": PATIENCE})
         for i in range(options.poses or DESCENTS)
@@ -107,7 +149,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """The best layout against the rig's own, judged on poses and in rooms that the search did not see."""
+    """Compare the best layout with the rig's own, on poses and noise that the search did not use.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     rig = rig_named(options.rig)
     best = min(parts, key=lambda part: float(part["score_um"][0]))
     found = Layout(best["_places"][0], best["_axes"][0])
@@ -145,7 +198,18 @@ LABELS = {
 
 
 def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
-    """Figures of one layout, over both devices and all rooms."""
+    """Compute the figures of one layout, over both devices and all noise environments.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    rig : RigConfig
+    poses : Poses
+
+    Returns
+    -------
+    dict
+    """
     levels, listened = noise_levels(rig), window(rig)
     center = Poses(np.array([[0.0, 0.0, MAP_HEIGHT]] * CENTER_POSES), Volume().poses(2, 1, 2).rotations)
     bound, reference, systematic, correlation, paper = [], [], [], [], []
@@ -183,7 +247,15 @@ def _rms(values: Any) -> float:
 
 
 def as_toml(layout: Layout) -> str:
-    """Lines for the ``[sensors]`` section of a rig file.
+    """Format a layout as lines of the ``[sensors]`` section of a rig file.
+
+    Parameters
+    ----------
+    layout : Layout
+
+    Returns
+    -------
+    str
 
     Examples
     --------
@@ -202,7 +274,18 @@ MAP = np.linspace(-0.02, 0.02, 9)
 
 
 def bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
-    """Bound in µm over `MAP` (rows: y) at `MAP_HEIGHT`, over both devices, four orientations and two rooms."""
+    """Compute the bound over `MAP` at `MAP_HEIGHT`, over both devices, four orientations and two noise environments.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    rig : RigConfig
+
+    Returns
+    -------
+    ndarray, shape (len(MAP), len(MAP)), in µm
+        Rows are y.
+    """
     places = np.array([[x, y, MAP_HEIGHT] for y in MAP for x in MAP])
     turns = Volume().poses(2, 1, 3).rotations[:4]
     poses = Poses(np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1)))
@@ -217,7 +300,14 @@ def bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Both layouts, and the bound that each gives at 80 mm."""
+    """Draw both layouts, and the bound that each gives at 80 mm.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import OTHERS, slide, titled
 
     figures, columns = outcome.figures, outcome.columns

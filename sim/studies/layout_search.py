@@ -1,9 +1,4 @@
-"""A search for sensor places: the same bound as `smolbot.localization.bounds`, arranged so that one sensor can move.
-
-Sensors have noise of their own and alike, and hear the mains together. Their own noise is whitened once, whatever
-the layout; each sensor then adds its share to the information, and the lines, a few directions, are taken off
-at the end (Woodbury). A move of one sensor costs a tenth of a layout.
-"""
+"""A search for sensor positions: the bound of `smolbot.localization.bounds`, arranged so that one sensor can move."""
 
 from __future__ import annotations
 
@@ -76,18 +71,32 @@ class Layout:
     axes: IntArray
 
     def sensors(self, bandwidth: float) -> SensorArray:
-        """The same as a sensor array."""
+        """Convert to a sensor array.
+
+        Parameters
+        ----------
+        bandwidth : float, in Hz
+
+        Returns
+        -------
+        SensorArray
+        """
         return SensorArray(np.column_stack([self.places, np.zeros(len(self.places))]), AXES[self.axes], bandwidth)
 
     def allowed(self) -> bool:
-        """Within the square, far enough apart, and with at least two directions."""
+        """Return whether sensors lie in the square, far enough apart, and along at least two axes.
+
+        Returns
+        -------
+        bool
+        """
         apart = np.linalg.norm(self.places[:, None] - self.places[None], axis=-1) + np.eye(len(self.places))
         inside = bool(np.abs(self.places).max() <= HALF_WIDTH + ROUNDING)
         return inside and bool(apart.min() >= MIN_DISTANCE - ROUNDING) and len(set(self.axes.tolist())) >= 2
 
 
 class Judge:
-    """Scores layouts by the rms error over poses, devices, phases and drawn directions of the mains.
+    """Scores layouts by the rms error over poses, devices, phases and sampled directions of the mains.
 
     Parameters
     ----------
@@ -95,11 +104,12 @@ class Judge:
     levels : NoiseLevels
     window : Window
     poses : Poses
+    bandwidth : float, in Hz
     mismatch : Mismatch
     weight : float
-        Of systematic errors beside random ones, as variances: 0 asks for the bound alone.
+        Of systematic errors beside random ones, as variances: 0 uses the bound alone.
     draws : int
-        Of directions and phases of the mains.
+        Sampled directions and phases of the mains.
     """
 
     def __init__(
@@ -139,7 +149,17 @@ class Judge:
                 self._courses.append((device, whiten @ np.concatenate([now, ahead]).T))
 
     def share(self, place: FloatArray, axis: int) -> Share:
-        """What one sensor adds."""
+        """Compute the contribution of one sensor.
+
+        Parameters
+        ----------
+        place : ndarray, shape (2,), in m
+        axis : int
+
+        Returns
+        -------
+        Share
+        """
         sensor = SensorArray(np.array([[*place, 0.0]]), AXES[[axis]], self.bandwidth)
         parts: list[tuple[FloatArray, ...]] = []
         for number, (device, functions) in enumerate(self._courses):
@@ -172,11 +192,31 @@ class Judge:
         return columns, errors
 
     def shares(self, layout: Layout) -> list[Share]:
-        """What each sensor of a layout adds."""
+        """Compute the contribution of each sensor of a layout.
+
+        Parameters
+        ----------
+        layout : Layout
+
+        Returns
+        -------
+        list of Share
+        """
         return [self.share(place, int(axis)) for place, axis in zip(layout.places, layout.axes, strict=True)]
 
     def best_of_random(self, n_sensors: int, count: int, rng: np.random.Generator) -> Layout:
-        """The best of some layouts thrown at random: where a search may begin."""
+        """Find the best of some random layouts: the start of a search.
+
+        Parameters
+        ----------
+        n_sensors : int
+        count : int
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        Layout
+        """
         found: list[Layout] = []
         while len(found) < count:
             layout = Layout(
@@ -188,7 +228,18 @@ class Judge:
         return min(found, key=lambda one: self.score(one, self.shares(one)))
 
     def score(self, layout: Layout, shares: Sequence[Share]) -> float:
-        """Root mean square error per axis, in m; `shares` in the order of the layout's sensors."""
+        """Compute the root mean square error per axis.
+
+        Parameters
+        ----------
+        layout : Layout
+        shares : sequence of Share
+            In the order of the layout's sensors.
+
+        Returns
+        -------
+        float, in m
+        """
         sensors = layout.sensors(self.bandwidth)
         information = np.sum([s.information for s in shares], axis=0)
         overlap = self._waves.T @ self._waves
@@ -225,7 +276,14 @@ def _inverse(information: FloatArray) -> FloatArray:
 
 
 class Search:
-    """One descent: one sensor at a time is moved, turned or exchanged, and stays if it helps."""
+    """One descent: one sensor at a time is moved, turned or exchanged; a change is kept if it helps.
+
+    Parameters
+    ----------
+    judge : Judge
+    start : Layout
+    rng : numpy.random.Generator
+    """
 
     def __init__(self, judge: Judge, start: Layout, rng: np.random.Generator) -> None:
         self._judge, self._rng = judge, rng
@@ -234,7 +292,13 @@ class Search:
         self.score = judge.score(start, self.shares)
 
     def step(self) -> bool:
-        """Try one change; True if it was kept."""
+        """Try one change.
+
+        Returns
+        -------
+        bool
+            True if it was kept.
+        """
         rng, places, axes = self._rng, self.layout.places.copy(), self.layout.axes.copy()
         i, kind = int(rng.integers(len(axes))), rng.random()
         changed = {i}
@@ -261,7 +325,14 @@ class Search:
         return True
 
     def run(self, patience: int, until: Callable[[], bool] = lambda: False) -> None:
-        """Step until nothing has helped for `patience` tries, or `until` says so."""
+        """Step until nothing has helped for `patience` tries.
+
+        Parameters
+        ----------
+        patience : int
+        until : callable
+            Ends the search earlier where it returns true.
+        """
         idle, best = 0, self.score
         while idle < patience and not until():
             self.step()

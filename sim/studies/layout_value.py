@@ -1,4 +1,4 @@
-"""What a sensor layout is worth: the bound over a volume, and what sensors slightly off leave of it."""
+"""Value of a sensor layout: the bound over a volume, and the error that small sensor errors cause."""
 
 from __future__ import annotations
 
@@ -52,7 +52,20 @@ class Volume:
     high: tuple[float, float, float] = (0.020, 0.020, 0.100)
 
     def poses(self, per_axis: int, turns: int, seed: int) -> Poses:
-        """`per_axis`³ positions on a grid, its faces included, each in `turns` orientations drawn evenly."""
+        """Make positions on a grid, faces included, each in random orientations.
+
+        Parameters
+        ----------
+        per_axis : int
+            Grid points per axis.
+        turns : int
+            Orientations per position, uniform over rotations.
+        seed : int
+
+        Returns
+        -------
+        Poses
+        """
         rng = np.random.default_rng(seed)
         lines = [np.linspace(a, b, per_axis) for a, b in zip(self.low, self.high, strict=True)]
         grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -84,7 +97,21 @@ class Judgement:
 def judge(
     sensors: SensorArray, device: Device, noise: NoiseModel, window: Window, poses: Poses, mismatch: Mismatch
 ) -> Judgement:
-    """The bound, and to first order what sensors slightly off do to an estimator that reaches it."""
+    """Compute the bound, and to first order the effect of small sensor errors on an estimator that reaches it.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    noise : NoiseModel
+    window : Window
+    poses : Poses
+    mismatch : Mismatch
+
+    Returns
+    -------
+    Judgement
+    """
     response = Response(sensors, device, noise, window)
     values, slopes = response.series(poses.positions, poses.rotations)
     bound = response.bound(poses.positions, poses.rotations)
@@ -116,7 +143,17 @@ def _sensor_changes(
 
 
 def sideways(axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two directions across each axis."""
+    """Return two directions across each axis.
+
+    Parameters
+    ----------
+    axes : ndarray, shape (n, 3)
+
+    Returns
+    -------
+    first, second : ndarray, shape (n, 3)
+        Unit vectors.
+    """
     seed = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
     first = np.cross(axes, seed)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""How far a mission's loop is from ringing on along its path, and the gains nearest to a linear-quadratic regulator."""
+"""Stability margins of a mission's loop along its path, and the gains nearest to a linear-quadratic regulator."""
 
 from __future__ import annotations
 
@@ -48,19 +48,51 @@ def _model(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...])
 
 
 def mission_of(options: Options) -> Mission:
-    """The mission that a study is about."""
+    """Load the mission of a study.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    Mission
+
+    Raises
+    ------
+    InputError
+        If no mission is named.
+    """
     if options.mission is None:
         raise InputError("study margins needs a mission: smolbot study margins MISSION, such as r_path.")
     return _loaded(options.mission, options.own_rig, options.settings)
 
 
 def weights_of(text: str | None) -> Weights:
-    """Those asked for, or the default."""
+    """Read the regulator's weights.
+
+    Parameters
+    ----------
+    text : str or None
+
+    Returns
+    -------
+    Weights
+        The default without a text.
+    """
     return Weights() if text is None else Weights.parse(text)
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """The flight's cycles in some pieces, and the search for gains; an unreachable path is refused here.
+    """Make the flight's cycles in some pieces, and the search for gains; an unreachable path is refused here.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
 
     Raises
     ------
@@ -88,7 +120,16 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def work_path(chunk: Chunk) -> Columns:
-    """Every `PARTS`-th cycle of the flight, linearised."""
+    """Linearise every `PARTS`-th cycle of the flight.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
     rows: list[tuple[int, Cycle]] = []
     for instant in fly(model, model.controller(), keep=lambda k: k % PARTS == chunk["part"]):
@@ -107,7 +148,16 @@ def work_path(chunk: Chunk) -> Columns:
 
 
 def work_gains(chunk: Chunk) -> Columns:
-    """Gains closest to the regulator, and flights of the reduced plant under the present ones and these."""
+    """Find gains closest to the regulator, and fly the reduced plant with the present gains and with these.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
     mission, found = model.mission, closest_gains(model, weights_of(chunk["weights"]))
     names, settings, declared = list(found.gains), dict(chunk["settings"]), _declared(mission)
@@ -158,7 +208,16 @@ def _flown(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> Float
 
 
 def cycles_of(columns: Columns) -> list[Cycle]:
-    """The cycles of a flight, in order, from their columns."""
+    """Rebuild the cycles of a flight from their columns, in order.
+
+    Parameters
+    ----------
+    columns : Columns
+
+    Returns
+    -------
+    list of Cycle
+    """
     order = np.argsort(columns["cycle"])
     taken = {name: np.asarray(column)[order] for name, column in columns.items()}
     matrices = {
@@ -180,7 +239,18 @@ def cycles_of(columns: Columns) -> list[Cycle]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Margins at every cycle, the worst and the median of each, and what the search for gains found."""
+    """Compute margins at every cycle, the worst and the median of each, and the result of the search for gains.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     gains, columns = parts[0], joined(parts[1:])
     cycles = cycles_of(columns)
     if len(cycles) < 2:
@@ -219,7 +289,14 @@ def _reduction(found: Margins) -> float:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """See `sim.studies.margins_picture`."""
+    """Draw the margins; see `sim.studies.margins_picture`.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.studies.margins_picture import draw_margins
 
     draw_margins(outcome, path)

@@ -1,4 +1,4 @@
-"""The picture of a loop's margins: where along the path it is firm, how it answers, its loci at the worst place."""
+"""The picture of a loop's margins: gain margin along the path, step responses, loci at the worst place."""
 
 from __future__ import annotations
 
@@ -23,7 +23,17 @@ MOST_DB = 14.0
 
 
 def loop_at(columns: Columns, index: int) -> SampledLoop:
-    """The loop of one place, from a study's columns."""
+    """Rebuild the loop of one place from a study's columns.
+
+    Parameters
+    ----------
+    columns : Columns
+    index : int
+
+    Returns
+    -------
+    SampledLoop
+    """
     drifts = np.array([[1.0], [0.0]])
     motion, feedback, kalman = (columns[f"_{name}"][index] for name in ("motion", "feedback", "kalman"))
     return SampledLoop(
@@ -32,7 +42,14 @@ def loop_at(columns: Columns, index: int) -> SampledLoop:
 
 
 def draw_margins(outcome: Outcome, path: Path) -> None:
-    """Gain margin along the path; characteristic loci and step responses at the median and the worst place."""
+    """Draw the gain margin along the path, and loci and step responses at the median and the worst place.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import PAPER, WHITENED, slide
 
     figures, columns = outcome.figures, outcome.columns

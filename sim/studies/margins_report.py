@@ -1,4 +1,4 @@
-"""What a study of margins says: numbers for ``--json``, the table, the gains file."""
+"""Output of a study of margins: numbers for ``--json``, the table, the gains file."""
 
 from __future__ import annotations
 
@@ -28,13 +28,31 @@ def _summary(table: Columns, name: str) -> dict[str, Any]:
 
 
 def worst_place(table: Columns) -> int:
-    """Index of the cycle with the smallest disc margin; of those that do not hold, the one with the largest pole."""
+    """Find the cycle with the smallest disc margin; if some are unstable, the one with the largest pole.
+
+    Parameters
+    ----------
+    table : Columns
+
+    Returns
+    -------
+    int
+    """
     disc = np.asarray(table["disc_margin"])
     return int(np.argmin(disc)) if disc.min() > 0.0 else int(np.argmax(table["largest_pole"]))
 
 
 def median_place(table: Columns) -> int:
-    """Index of the cycle whose disc margin is the median one."""
+    """Find the cycle with the median disc margin.
+
+    Parameters
+    ----------
+    table : Columns
+
+    Returns
+    -------
+    int
+    """
     order = np.argsort(table["disc_margin"])
     return int(order[len(order) // 2])
 
@@ -42,7 +60,20 @@ def median_place(table: Columns) -> int:
 def figures_of(
     mission: Mission, weights: Weights, table: Columns, found: Sequence[Margins], gains: Columns
 ) -> dict[str, Any]:
-    """Everything that is found, as numbers for ``--json``."""
+    """Collect all results as numbers for ``--json``.
+
+    Parameters
+    ----------
+    mission : Mission
+    weights : Weights
+    table : Columns
+    found : sequence of Margins
+    gains : Columns
+
+    Returns
+    -------
+    dict
+    """
     worst = worst_place(table)
     steady = np.array([m.stable for m in found])
     settle = np.asarray(table["settle_s"])
@@ -87,7 +118,17 @@ def figures_of(
 
 
 def rows_of(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]:
-    """The table for people."""
+    """Format the results as a table.
+
+    Parameters
+    ----------
+    figures : mapping
+    table : Columns
+
+    Returns
+    -------
+    list of (str, str)
+    """
     n, unstable = figures["places"], figures["unstable_places"]
     late, poles = figures["late_cycles"], figures["largest_pole"]
     period = figures["cycle_ms"]
@@ -138,7 +179,17 @@ def _least(summary: Mapping[str, Any], unit: str, digits: int = 1) -> str:
 
 
 def files(outcome: Outcome) -> dict[str, str]:
-    """The gains file, which a mission or ``--set @gains.toml`` takes."""
+    """Format the gains file, which a mission or ``--set @gains.toml`` takes.
+
+    Parameters
+    ----------
+    outcome : Outcome
+
+    Returns
+    -------
+    dict of str to str
+        Text by file name.
+    """
     from sim.tuning.report import gains_text
 
     figures = outcome.figures

@@ -17,13 +17,31 @@ BENCHES, DEFAULT_POSES = 4, 200
 
 
 def rate(half_periods: int) -> float:
-    """Poses a second: drive, ring-down and listening; computing, some milliseconds on the paper's terms, left out."""
+    """Compute poses per second from drive, ring-down and listening; computing is left out.
+
+    Parameters
+    ----------
+    half_periods : int
+
+    Returns
+    -------
+    float, in Hz
+    """
     device = characterised()
     return 1.0 / (CYCLES / device.frequency + RING_DOWN + half_periods / (2.0 * device.frequency))
 
 
 def work(chunk: Chunk) -> Columns:
-    """All N on one bench."""
+    """Locate with every N on one bench.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     bench = open_bench(chunk, characterised(), chunk["mismatch"])
     found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
     rows: list[dict[str, Any]] = []
@@ -35,14 +53,34 @@ def work(chunk: Chunk) -> Columns:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Mismatches off: they move the mean, not the scatter."""
+    """Make chunks without mismatches: they shift the mean, not the scatter.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     total, scale = options.poses or DEFAULT_POSES, options.mismatch or 0.0
     sizes = [max(total // BENCHES, 2)] * min(BENCHES, max(total // 2, 1))
     return cut(options, work, [(f"bench-{i}", {"mismatch": scale, "poses": size}) for i, size in enumerate(sizes)])
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Scatter of each N, about the mean of all benches."""
+    """Compute the scatter of each N about the mean of all benches.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": []}
     rows: list[tuple[str, str]] = []
@@ -62,7 +100,14 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Scatter against N, and against the rate that it costs."""
+    """Draw scatter against N, and against the localization rate.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import BOUND, COLORS, LIMIT, even_ticks, name_line, slide, titled
 
     cases = outcome.figures["cases"]

@@ -1,7 +1,4 @@
-"""Carries a study out: over processes, resumed where it was left, into a folder of its own.
-
-Each chunk leaves its rows in ``chunks/NAME.npz`` when it is done, so that a study resumes.
-"""
+"""Run a study over processes, resume it where it stopped, and write it into a folder of its own."""
 
 from __future__ import annotations
 
@@ -66,7 +63,17 @@ class StudyFolder:
             raise InputError(f"{self.path}: contains another study: {differ}. Resume with the same options.")
 
     def load(self, name: str) -> Columns | None:
-        """Rows of a finished chunk; None where it is not finished, or its file is broken."""
+        """Read the rows of a finished chunk.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        Columns or None
+            None where the chunk is not finished, or its file is broken.
+        """
         try:
             with np.load(self.path / "chunks" / f"{name}.npz", allow_pickle=False) as file:
                 return {key: file[key] for key in file.files}
@@ -74,14 +81,26 @@ class StudyFolder:
             return None
 
     def save(self, name: str, columns: Columns) -> None:
-        """Keep the rows of a chunk; a kill in between leaves no half file."""
+        """Write the rows of a chunk; a kill in between leaves no half file.
+
+        Parameters
+        ----------
+        name : str
+        columns : Columns
+        """
         target = self.path / "chunks" / f"{name}.npz"
         with target.with_suffix(".part").open("wb") as file:
             np.savez_compressed(file, **columns)
         os.replace(target.with_suffix(".part"), target)
 
     def finish(self, figures: Mapping[str, Any], columns: Columns) -> None:
-        """Write ``study.json`` and ``results.csv``."""
+        """Write ``study.json`` and ``results.csv``.
+
+        Parameters
+        ----------
+        figures : mapping
+        columns : Columns
+        """
         self._write_json("study.json", figures)
         shown = {key: column for key, column in columns.items() if not key.startswith("_")}
         write_rows(self.path / "results.csv", shown, zip(*map(_texts, shown.values()), strict=True))
@@ -99,7 +118,18 @@ def _texts(column: Any) -> list[str]:
 
 @contextmanager
 def executor_for(jobs: int) -> Iterator[Executor | None]:
-    """Processes for chunks: 0 for one per core; None for 1, which stays in this process."""
+    """Open processes for chunks.
+
+    Parameters
+    ----------
+    jobs : int
+        0: one per core. 1: run in this process.
+
+    Yields
+    ------
+    Executor or None
+        None where chunks run in this process.
+    """
     if (jobs or os.cpu_count() or 1) == 1:
         yield None
         return
@@ -113,16 +143,21 @@ def run_chunks(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Columns]:
-    """Rows of all chunks, in their order; those that a folder already holds are read, not run.
+    """Compute the rows of all chunks; those that a folder already holds are read, not computed.
 
     Parameters
     ----------
     chunks : sequence of Chunk
     folder : StudyFolder, optional
     executor : concurrent.futures.Executor, optional
-        Any; without one the chunks run here.
+        Any; without one the chunks run in this process.
     progress : callable, optional
-        Told how many are done, of how many.
+        Called with how many are done, of how many.
+
+    Returns
+    -------
+    list of Columns
+        In the order of the chunks.
     """
     found: dict[int, Columns] = {}
     for index, chunk in enumerate(chunks):
@@ -154,7 +189,18 @@ def run_chunks(
 
 
 def described(options: Options, study: Study, rig: RigConfig) -> dict[str, Any]:
-    """What ``study.json`` says of a study beside its figures: seed, noise, layout, devices, mismatch, versions."""
+    """Describe a study for ``study.json``: seed, noise, layout, devices, mismatch, versions.
+
+    Parameters
+    ----------
+    options : Options
+    study : Study
+    rig : RigConfig
+
+    Returns
+    -------
+    dict
+    """
     from smolbot.runs.folder import provenance
 
     origin = provenance(options.seed, {}, {})
@@ -172,7 +218,16 @@ def described(options: Options, study: Study, rig: RigConfig) -> dict[str, Any]:
 
 
 def layout_of(sensors: SensorArray) -> dict[str, Any]:
-    """Places and axes of an array, as plain lists."""
+    """Return positions and axes of an array as plain lists.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+
+    Returns
+    -------
+    dict
+    """
     return {
         "positions_mm": np.round(1e3 * sensors.positions, 4).tolist(),
         "axes": np.round(sensors.axes, 6).tolist(),
@@ -181,7 +236,16 @@ def layout_of(sensors: SensorArray) -> dict[str, Any]:
 
 
 def device_of(device: Device) -> dict[str, Any]:
-    """A device's values, with units in their names."""
+    """Return a device's values, with units in their keys.
+
+    Parameters
+    ----------
+    device : Device
+
+    Returns
+    -------
+    dict
+    """
     return {
         "moment_ma_m2": 1e3 * device.moment,
         "moment_in_body": device.moment_in_body.tolist(),

@@ -1,9 +1,4 @@
-"""A magnetic tool passes by: SMOL against static magnets that are found by their own field (Fig. S10).
-
-The static method is given what it is built for: sensors without the unknown constant, nulled by a quiet window just
-before, and a known moment. It fits five degrees of freedom to the mean of 100 ms, five periods of the mains. SMOL
-has the usual constants in its channels and fits all six, phase and amplitude.
-"""
+"""A magnetic tool passes by: SMOL against static magnets localized by their own field (Fig. S10)."""
 
 from __future__ import annotations
 
@@ -57,7 +52,16 @@ REPEATS_PER_CHUNK = 5
 
 
 def scalpel(repeat: int) -> Disturbance:
-    """Field of the passing scalpel in one repeat."""
+    """Return the field of the passing scalpel in one repeat.
+
+    Parameters
+    ----------
+    repeat : int
+
+    Returns
+    -------
+    Disturbance
+    """
     return partial(_scalpel_field, FIRST_START - repeat * START_STEP)
 
 
@@ -69,7 +73,16 @@ def _scalpel_field(start: float, times: FloatArray, places: FloatArray) -> Float
 
 
 def work(chunk: Chunk) -> Columns:
-    """Some repeats at every height, with and without scalpel: SMOL and static magnets."""
+    """Localize with SMOL and with static magnets in some repeats at every height, with and without scalpel.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     rng = rng_of(chunk)
     orientation = reference_orientation()
     bench = open_bench(chunk, characterised(), chunk["mismatch"])
@@ -112,7 +125,19 @@ def _magnet_bench(chunk: Chunk, moment: float) -> StaticBench:
 def static_error(
     bench: StaticBench, position: FloatArray, orientation: FloatArray, disturbance: Disturbance | None
 ) -> FloatArray:
-    """Position error (3,) in m of one static localization: null without the magnet, listen, average, fit."""
+    """Compute the position error of one static localization: null without the magnet, listen, average, fit.
+
+    Parameters
+    ----------
+    bench : StaticBench
+    position : ndarray, shape (3,), in m
+    orientation : ndarray, shape (4,)
+    disturbance : Disturbance or None
+
+    Returns
+    -------
+    ndarray, shape (3,), in m
+    """
     null = bench.quiet(STATIC_SECONDS)[0].field.mean(axis=1)
     heard = bench.record(position, orientation, 1, amplitude=0.0, disturbance=disturbance).field.mean(axis=1)
     direction = matrix_from_quaternion(orientation) @ bench.device.moment_in_body
@@ -123,10 +148,11 @@ def static_error(
 def fit_static(
     sensors: SensorArray, field: FloatArray, moment: float, position: FloatArray, direction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The usual fit of a dipole of known moment to static readings: five degrees of freedom.
+    """Fit a dipole of known moment to static readings: five degrees of freedom.
 
     Parameters
     ----------
+    sensors : SensorArray
     field : ndarray, shape (n_sensors,), in T
         Along each sensor's axis.
     moment : float, in A·m²
@@ -154,7 +180,16 @@ def fit_static(
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Each piece has a bench of its own and some of the repeats."""
+    """Make pieces with a bench of their own and some of the repeats.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     total = options.poses or REPEATS
     scale = 0.0 if options.mismatch is None else options.mismatch
     pieces, first = [], 0
@@ -165,7 +200,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Differential mean absolute error along z, as in Fig. 2D: from what is found at the lowest height."""
+    """Compute the differential mean absolute error along z, as in Fig. 2D: relative to the lowest height.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     cases: list[dict[str, Any]] = []
     kinds = list(dict.fromkeys(zip(columns["method"].tolist(), columns["moment_ma_m2"].tolist(), strict=True)))
@@ -189,7 +235,16 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def name_of(case: dict[str, Any]) -> str:
-    """How a case is called in table and figure."""
+    """Return the name of a case in table and figure.
+
+    Parameters
+    ----------
+    case : dict
+
+    Returns
+    -------
+    str
+    """
     method = case["method"]
     return f"static magnet, {case['moment_ma_m2']:.3g} mA m²" if method == "static" else f"SMOL, {method}"
 
@@ -215,7 +270,14 @@ def _differential(part: Columns) -> float:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Errors along z at each height with the scalpel, and their mean with and without."""
+    """Draw errors along z at each height with the scalpel, and their mean with and without.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import COLORS, OTHERS, slide, titled
 
     cases = outcome.figures["cases"]

@@ -27,7 +27,23 @@ def scatter_rows(
     rng: np.random.Generator,
     labels: dict[str, Any],
 ) -> list[dict[str, Any]]:
-    """`repeats` poses at (0, 0, `height` m) in the reference orientation, all estimators on the same recordings."""
+    """Locate at (0, 0, `height`) in the reference orientation, all estimators on the same recordings.
+
+    Parameters
+    ----------
+    bench : StaticBench
+    found : dict of str to Localizer
+    height : float, in m
+    half_periods : int
+    repeats : int
+    rng : numpy.random.Generator
+    labels : dict
+        Columns that every row gets.
+
+    Returns
+    -------
+    list of dict
+    """
     from sim.studies.benches import locate_all
 
     position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
@@ -41,7 +57,19 @@ def scatter_rows(
 
 
 def mean_bound(bench: StaticBench, height: float, half_periods: int) -> float:
-    """Cramer-Rao bound in mm at (0, 0, `height` m) of what `scatter_of` calls sigma_xyz: mean of the three axes."""
+    """Compute the Cramer-Rao bound at (0, 0, `height`) for the sigma_xyz of `scatter_of`.
+
+    Parameters
+    ----------
+    bench : StaticBench
+    height : float, in m
+    half_periods : int
+
+    Returns
+    -------
+    float, in mm
+        Mean over the three axes.
+    """
     position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
     phases = np.pi * np.arange(PHASES) / PHASES
     covariance = np.mean([bound(bench, position, orientation, half_periods, float(p)) for p in phases], axis=0)
@@ -49,7 +77,16 @@ def mean_bound(bench: StaticBench, height: float, half_periods: int) -> float:
 
 
 def scatter_of(columns: Columns) -> dict[str, Any]:
-    """Mean over the axes of the standard deviation (Eq. S26), and what a reader needs beside it; lengths in mm."""
+    """Compute the mean over the axes of the standard deviation (Eq. S26), and figures beside it; lengths in mm.
+
+    Parameters
+    ----------
+    columns : Columns
+
+    Returns
+    -------
+    dict
+    """
     errors = position_errors(columns)
     sigmas = [standard_deviation(errors[:, i]) if len(errors) > 1 else float("nan") for i in range(3)]
     right = np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) <= FLIP_DEG

@@ -1,4 +1,4 @@
-"""How long a pose takes: warm, against the same fit in numpy and scipy on the same data, and in a Monte-Carlo study."""
+"""Computing time of a pose: warm, against the same fit in numpy and scipy, and in a Monte-Carlo study."""
 
 from __future__ import annotations
 
@@ -47,10 +47,16 @@ MAX_JOBS, DEFAULT_POSES = 2, 2000
 
 
 def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[FloatArray, FloatArray]:
-    """The whitened fit as one would write it first: numpy, and scipy's Levenberg-Marquardt with its own differences.
+    """Fit as one would write it first: numpy, and scipy's Levenberg-Marquardt with finite differences.
 
     Same data, same whitening, same eight unknowns and prior of the amplitude. The model is evaluated at every sample,
     low-passed as the sensors are, averaged over the same blocks.
+
+    Parameters
+    ----------
+    localizer : Localizer
+    recording : Recording
+    prior : Pose
 
     Returns
     -------
@@ -92,9 +98,19 @@ def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[
 
 
 def seconds(action: Callable[[int], Any], repeats: int) -> FloatArray:
-    """Processor times of single calls, shape (repeats,), in s; the first, to warm up, is not counted.
+    """Measure processor times of single calls; the first, to warm up, is not counted.
 
-    Processor time, not the wall's: other programs that share the core do not enter.
+    Other programs that share the core do not enter.
+
+    Parameters
+    ----------
+    action : callable
+        Called with the number of the call.
+    repeats : int
+
+    Returns
+    -------
+    ndarray, shape (repeats,), in s
     """
     action(0)
     out = np.empty(repeats)
@@ -106,7 +122,16 @@ def seconds(action: Callable[[int], Any], repeats: int) -> FloatArray:
 
 
 def work(chunk: Chunk) -> Columns:
-    """Times on this core, then the throughput of a Monte-Carlo on two."""
+    """Measure times on this core, then the throughput of a Monte-Carlo on two.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     bench = open_bench(chunk, characterised(), 0.0)
     found, rng = localizers(bench, ("whitened", "paper")), rng_of(chunk)
     position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
@@ -142,7 +167,16 @@ def _plain(
 
 
 def monte_carlo(chunk: Chunk) -> Columns:
-    """Record and locate at N = 2, as every study does; how long it took in all, learning of the noise apart."""
+    """Record and locate at N = 2, as every study does, and measure the time; learning of the noise is left out.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     bench = open_bench(chunk, characterised(), 0.0)
     localizer = localizers(bench, ("whitened",))["whitened"]
     position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
@@ -161,7 +195,16 @@ def monte_carlo(chunk: Chunk) -> Columns:
 
 
 def throughput(chunk: Chunk) -> Columns:
-    """Poses a second of a Monte-Carlo over two processes."""
+    """Measure poses per second of a Monte-Carlo over two processes.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     jobs = min(MAX_JOBS, os.cpu_count() or 1)
     options = Options("speed", chunk.seed % 2**32, jobs, rig=chunk["rig"])
     pieces = cut(options, monte_carlo, [(f"throughput-{i}", {"poses": chunk["poses"]}) for i in range(jobs)])
@@ -177,12 +220,32 @@ def throughput(chunk: Chunk) -> Columns:
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """One piece, in this process: times are of one core."""
+    """Make one chunk, which runs in this process: times are of one core.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     return cut(options, work, [("speed", {"poses": options.poses or DEFAULT_POSES})])
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Medians and ratios."""
+    """Compute medians and ratios.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     part = parts[0]
     figures: dict[str, Any] = {"cases": []}
     rows: list[tuple[str, str]] = []
@@ -229,7 +292,14 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """Bars on a logarithmic scale."""
+    """Draw bars on a logarithmic scale.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import BOUND, COLORS, LIMIT, slide, titled
 
     cases = outcome.figures["cases"]

@@ -1,6 +1,6 @@
-"""What a study is: options, chunks of Monte-Carlo that run anywhere, an outcome.
+"""Definition of a study: options, chunks of a Monte-Carlo that run in any process, an outcome.
 
-A study is cut into chunks. Each has its own seed and draws its own bench, so the result is the same whatever the
+A study is cut into chunks. Each has its own seed and samples its own bench, so the result does not depend on the
 number of processes.
 """
 
@@ -46,7 +46,12 @@ class Options:
     weights: str | None = None
 
     def asked(self) -> dict[str, Any]:
-        """What decides the result, and must be the same when a study resumes."""
+        """Return the options that decide the result; they must be the same when a study resumes.
+
+        Returns
+        -------
+        dict
+        """
         if self.mission is not None:
             return {
                 "study": self.name, "seed": self.seed, "mission": self.mission, "rig": self.own_rig,
@@ -130,7 +135,20 @@ class Study:
 def cut(
     options: Options, work: Callable[[Chunk], Columns], pieces: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> list[Chunk]:
-    """Chunks with seeds spawned from the study's own, in order of `pieces` (name, arguments)."""
+    """Cut a study into chunks, with seeds spawned from the study's own.
+
+    Parameters
+    ----------
+    options : Options
+    work : callable
+        A module's function, which computes the rows of a chunk.
+    pieces : sequence of (str, mapping)
+        Name and arguments of each chunk.
+
+    Returns
+    -------
+    list of Chunk
+    """
     seeds = np.random.SeedSequence(options.seed).spawn(len(pieces))
     states = [int(s.generate_state(1, np.uint64)[0] >> np.uint64(1)) for s in seeds]
     shared = {"rig": options.rig, "estimators": options.estimators}
@@ -140,7 +158,16 @@ def cut(
 
 
 def split(total: int, size: int) -> list[int]:
-    """Sizes of the fewest, nearly equal pieces of at most `size`.
+    """Split a number into the fewest, nearly equal pieces of at most `size`.
+
+    Parameters
+    ----------
+    total : int
+    size : int
+
+    Returns
+    -------
+    list of int
 
     Examples
     --------
@@ -152,5 +179,14 @@ def split(total: int, size: int) -> list[int]:
 
 
 def rng_of(chunk: Chunk) -> np.random.Generator:
-    """Generator for what a study itself draws, apart from the bench's."""
+    """Make the random generator for what a study itself samples, separate from the bench's.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    numpy.random.Generator
+    """
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence([chunk.seed, 2])))

@@ -59,12 +59,27 @@ TRACKED_SEGMENT = 4
 
 
 def damped() -> dict[str, Device]:
-    """The device in air: the paper's exponential fit, and its linear one, which ends after 0.9 s."""
+    """Make the device in air: the paper's exponential fit, and its linear one, which ends after 0.9 s.
+
+    Returns
+    -------
+    dict of str to Device
+    """
     return {"exponential": characterised(1.6, "exponential"), "linear": characterised(1.1, "linear")}
 
 
 def stepping(times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Track of the stage: rest, then a step, eleven places within `SECONDS`; x runs from -25 to 25 mm."""
+    """Return the track of the stage: rest, then a step, eleven places within `SECONDS`; x from -25 to 25 mm.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,), in s
+
+    Returns
+    -------
+    positions : ndarray, shape (n, 3), in m
+    orientations : ndarray, shape (n, 4)
+    """
     count = round(TRAVEL / STEP)
     pause, move = SECONDS / (count + 1), 2.0 * STEP / TOP_SPEED
     x = np.full_like(times, -0.5 * TRAVEL)
@@ -77,7 +92,16 @@ def stepping(times: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def work(chunk: Chunk) -> Columns:
-    """One recording on one bench, cut in every way."""
+    """Locate one recording on one bench, cut into every segment length.
+
+    Parameters
+    ----------
+    chunk : Chunk
+
+    Returns
+    -------
+    Columns
+    """
     device = damped()[chunk["damping"]]
     bench = open_bench(chunk, device, chunk["mismatch"])
     found = localizers(bench, chunk["estimators"])
@@ -134,7 +158,16 @@ def _tracked(localizer: Localizer, recording: Recording, poses: tuple[Pose, ...]
 
 
 def chunks(options: Options) -> list[Chunk]:
-    """Benches drawn anew: a device that rests, under either damping, and one that steps."""
+    """Make sampled benches: a device at rest, with either damping, and one that steps.
+
+    Parameters
+    ----------
+    options : Options
+
+    Returns
+    -------
+    list of Chunk
+    """
     scale = 1.0 if options.mismatch is None else options.mismatch
     pieces = []
     for bench in range(options.poses or BENCHES):
@@ -148,7 +181,18 @@ def chunks(options: Options) -> list[Chunk]:
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
-    """Sigma over time at rest, the time until it exceeds 1 mm, and errors and outliers while the device steps."""
+    """Compute sigma over time at rest, the time until it exceeds 1 mm, and errors and outliers while the device steps.
+
+    Parameters
+    ----------
+    options : Options
+    parts : list of Columns
+        One per chunk, in order.
+
+    Returns
+    -------
+    Outcome
+    """
     columns = joined(parts)
     cases: list[dict[str, Any]] = []
     rows: list[tuple[str, str]] = []
@@ -177,7 +221,16 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
 
 
 def at_rest(part: Columns) -> dict[str, Any]:
-    """Sigma of each axis in bins of time, about each bench's own mean in the bin (at least two segments)."""
+    """Compute sigma of each axis in bins of time, about each bench's own mean in the bin (at least two segments).
+
+    Parameters
+    ----------
+    part : Columns
+
+    Returns
+    -------
+    dict
+    """
     length = part["half_periods"][0] / (2.0 * characterised().frequency)
     width = max(BIN, MIN_SEGMENTS * length)
     number = np.floor(part["time_s"] / width).astype(int)
@@ -206,7 +259,18 @@ def at_rest(part: Columns) -> dict[str, Any]:
 
 
 def crossing(times: FloatArray, sigma: FloatArray, limit: float = LIMIT_MM) -> float | None:
-    """When sigma first passes the limit, straight in its logarithm between bins; None if it never does.
+    """Find when sigma first passes the limit, by linear interpolation of its logarithm between bins.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,), in s
+    sigma : ndarray, shape (n,), in mm
+    limit : float, in mm
+
+    Returns
+    -------
+    float or None
+        None if it never does.
 
     Examples
     --------
@@ -224,7 +288,16 @@ def crossing(times: FloatArray, sigma: FloatArray, limit: float = LIMIT_MM) -> f
 
 
 def in_motion(part: Columns) -> dict[str, Any]:
-    """Errors of x at rest and on the move, and outliers, of a device that steps."""
+    """Compute errors of x at rest and in motion, and outliers, of a device that steps.
+
+    Parameters
+    ----------
+    part : Columns
+
+    Returns
+    -------
+    dict
+    """
     x, error, moves = part["x_mm"], part["error_x_mm"], part["speed_mm_s"] > MOVING_MM_S
     outside = (x < OUTLIERS_MM[0]) | (x > OUTLIERS_MM[1])
     early = part["time_s"] < EARLY
@@ -257,7 +330,14 @@ def _step_line(case: dict[str, Any]) -> str:
 
 
 def draw(outcome: Outcome, path: Path) -> None:
-    """The steps as they were found, and sigma over time."""
+    """Draw the steps as localized, and sigma over time.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    path : Path
+        PNG to write.
+    """
     from sim.batch.slide import COLORS, LIMIT, OTHERS, name_line, slide, titled
 
     cases, columns = outcome.figures["cases"], outcome.columns

@@ -1,1 +1,1 @@
-"""The tank as it truly is: bodies, coils, sensors, noise, and the rig in front of it."""
+"""The simulated tank: true bodies, coils, sensors and noise, and the rig that exposes them."""

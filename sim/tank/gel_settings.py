@@ -1,4 +1,4 @@
-"""The ``[tank.gel]`` section of a rig file: what gel, plates and magnet stage are like beyond what is believed."""
+"""The ``[tank.gel]`` section of a rig file: gel, plates and magnet stage as the controller does not know them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from smolbot.config.units import SI, NotNegative, Point, Positive, SIVector
 
 
 class Inclusion(FileModel):
-    """A round piece of stiffer gel, from floor to plate, that nobody is told of."""
+    """A round piece of stiffer gel, from floor to plate, that the controller does not know of."""
 
     center_mm: Point
     radius_mm: Positive
@@ -21,7 +21,7 @@ class Inclusion(FileModel):
 
 
 class GelMismatch(FileModel):
-    """Standard deviations, scaled by ``[tank.mismatch] scale`` and drawn as all others are."""
+    """Standard deviations of the gel's mismatches, scaled by ``[tank.mismatch] scale`` like all others."""
 
     yield_percent: NotNegative = 5.0
     viscosity_percent: NotNegative = 8.0
@@ -43,7 +43,7 @@ class GelMismatch(FileModel):
 
 
 class GelSettings(FileModel):
-    """Everything the ``[tank.gel]`` section says; every key has a default."""
+    """All keys of the ``[tank.gel]`` section; each has a default."""
 
     thread_hold: Positive = 4.0
     bearing: Positive = 7.0

@@ -1,4 +1,4 @@
-"""What has happened in the tank, and the witness who may be asked about it."""
+"""The robot's true poses over time, and the witness that reports them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROUNDING = 1e-9
 
 
 class History:
-    """Where the robot truly was at the start of every physics step; grows as the tank runs."""
+    """The robot's true pose at the start of every physics step; grows as the tank runs."""
 
     def __init__(self) -> None:
         self._times = np.empty(FIRST_ROWS)
@@ -24,7 +24,19 @@ class History:
         self._count = 0
 
     def reserve(self, more: int) -> tuple[FloatArray, FloatArray]:
-        """Room for `more` further rows: views of times (more,) and poses (more, 7) that the caller fills."""
+        """Append `more` empty rows and return views of them for the caller to fill.
+
+        Parameters
+        ----------
+        more : int
+            Number of rows.
+
+        Returns
+        -------
+        times : ndarray, shape (more,), in s
+        poses : ndarray, shape (more, 7)
+            Rotation centre (m) and quaternion (scalar first), world frame.
+        """
         need = self._count + more
         if need > len(self._times):
             size = max(need, 2 * len(self._times))
@@ -35,11 +47,22 @@ class History:
         return self._times[start:need], self._poses[start:need]
 
     def drop_last(self, rows: int = 1) -> None:
-        """Forget the last rows."""
+        """Remove the last rows.
+
+        Parameters
+        ----------
+        rows : int
+            Number of rows.
+        """
         self._count -= rows
 
     def forget_before(self, time: float) -> None:
-        """Forget the rows before `time` s, but for the last of them."""
+        """Remove the rows before a time, except for the last of them.
+
+        Parameters
+        ----------
+        time : float, in s
+        """
         first = max(int(np.searchsorted(self._times[: self._count], time)) - 1, 0)
         left = self._count - first
         self._times[:left] = self._times[first : self._count].copy()
@@ -47,13 +70,39 @@ class History:
         self._count = left
 
     def since(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Times (p,) in s and poses (p, 7) from the last row before `time` on."""
+        """Return the rows from the last one before a time on.
+
+        Parameters
+        ----------
+        time : float, in s
+
+        Returns
+        -------
+        times : ndarray, shape (p,), in s
+        poses : ndarray, shape (p, 7)
+            Rotation centre (m) and quaternion (scalar first), world frame.
+        """
         times = self._times[: self._count]
         first = max(int(np.searchsorted(times, time)) - 1, 0)
         return times[first:], self._poses[first : self._count]
 
     def at(self, time: float) -> FloatArray:
-        """Pose (7,) at `time` s: rotation centre in m, quaternion scalar first, straight between steps."""
+        """Return the pose at a time, interpolated linearly between physics steps.
+
+        Parameters
+        ----------
+        time : float, in s
+
+        Returns
+        -------
+        ndarray, shape (7,)
+            Rotation centre (m) and unit quaternion (scalar first), world frame.
+
+        Raises
+        ------
+        InputError
+            If the time was not played yet, or was forgotten.
+        """
         times = self._times[: self._count]
         if not self._count or not times[0] - ROUNDING <= time <= times[-1] + ROUNDING:
             span = f"{times[0]:.3f} to {times[-1]:.3f} s" if self._count else "nothing yet"
@@ -70,12 +119,32 @@ class History:
 
 
 class TankWitness:
-    """Knows the truth of one tank. Held by recorder and report, never by the loop's estimators."""
+    """Reports the true poses of one tank. Held by recorder and report, never by the loop's estimators.
+
+    Parameters
+    ----------
+    history : History
+    """
 
     def __init__(self, history: History) -> None:
         self._history = history
 
     def truth(self, time: float) -> Pose:
-        """True pose at `time` s, without covariance; raises `InputError` for times not played."""
+        """Return the true pose at a time, with a covariance of zero.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the tank's clock.
+
+        Returns
+        -------
+        Pose
+
+        Raises
+        ------
+        InputError
+            If the time was not played.
+        """
         pose = self._history.at(time)
         return Pose(time, pose[:3], pose[3:], np.zeros((6, 6)))

@@ -1,4 +1,4 @@
-"""Draws one tank from a seed: every way in which the world differs from what the controller believes."""
+"""Sample one tank from a seed: every way in which the true tank differs from the model that the controller uses."""
 
 from __future__ import annotations
 
@@ -17,52 +17,108 @@ MIN_FACTOR = 0.05  # least factor on a value: it must stay positive
 
 
 class DrawnValues:
-    """Base of what was drawn: dataclasses of numbers and arrays."""
+    """Base of the dataclasses that hold sampled numbers and arrays."""
 
     def as_dict(self) -> dict[str, Any]:
-        """All drawn values as plain lists and numbers, for a run's provenance."""
+        """Return all sampled values as plain lists and numbers, for a run's provenance.
+
+        Returns
+        -------
+        dict
+            One entry per field.
+        """
         values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
         return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
 
 
 class Spreads:
-    """Draws mismatches about nominal values, none beyond `CLIP` standard deviations; the scale only multiplies them."""
+    """Samples mismatches about nominal values.
+
+    The scale multiplies the samples and changes nothing else. No sample lies beyond `CLIP` standard deviations.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    scale : float
+        Factor on every standard deviation; 0 gives the nominal values.
+    """
 
     def __init__(self, rng: np.random.Generator, scale: float) -> None:
         self._rng = rng
         self._scale = scale
 
     def spread(self, deviation: float, *shape: int) -> FloatArray:
-        """Offsets with a standard deviation, of any unit."""
+        """Sample offsets from zero.
+
+        Parameters
+        ----------
+        deviation : float
+            Standard deviation, in any unit.
+        *shape : int
+            Shape of the result.
+
+        Returns
+        -------
+        ndarray, shape `shape`, in the unit of `deviation`
+        """
         return self._scale * deviation * np.clip(self._rng.standard_normal(shape), -CLIP, CLIP)
 
     def factor(self, deviation: float, *shape: int) -> FloatArray:
-        """Factors about 1, all of them above 0."""
+        """Sample factors about 1, none below 0.05.
+
+        Parameters
+        ----------
+        deviation : float
+            Standard deviation, as a fraction.
+        *shape : int
+            Shape of the result.
+
+        Returns
+        -------
+        ndarray, shape `shape`
+        """
         return np.maximum(1.0 + self.spread(deviation, *shape), MIN_FACTOR)
 
     def one(self, deviation: float) -> float:
-        """A single factor."""
+        """Sample a single factor about 1.
+
+        Parameters
+        ----------
+        deviation : float
+            Standard deviation, as a fraction.
+
+        Returns
+        -------
+        float
+        """
         return float(self.factor(deviation, 1)[0])
 
 
 @dataclass(frozen=True, eq=False)
 class Truth(DrawnValues):
-    """What was drawn. Places in m, tilts as rotation vectors in rad, everything else a factor on the nominal value.
+    """Sampled mismatches of one tank. Those without a unit are factors on the nominal value.
 
     Attributes
     ----------
-    coil_places, coil_tilts : ndarray, shape (n_coils, 3)
+    coil_places : ndarray, shape (n_coils, 3), in m
+        Displacements, world frame. Actuation coils first, in the rig's order, then the excitation coils.
+    coil_tilts : ndarray, shape (n_coils, 3), in rad
+        Rotation vectors, world frame.
     coil_gains, coil_time_constants : ndarray, shape (n_coils,)
-        Actuation coils first, in the rig's order, then the excitation coils.
-    sensor_places, sensor_tilts : ndarray, shape (n_sensors, 3)
+    sensor_places : ndarray, shape (n_sensors, 3), in m
+        Displacements, world frame.
+    sensor_tilts : ndarray, shape (n_sensors, 3), in rad
+        Rotation vectors, world frame.
     sensor_gains : ndarray, shape (n_sensors,)
     drag, rotation_drag : ndarray, shape (3,)
         Along and about the body axes.
     density, moment, l0, theta_max, damping, frequency, noise, mains_frequency, compensation_gain : float
-    compensation_tilt : ndarray, shape (3,)
+    compensation_tilt : ndarray, shape (3,), in rad
+        Rotation vector, world frame.
     start_offset : ndarray, shape (2,), in m
+        From the requested to the true start position, along world x and y. Sampled at every scale.
     start_heading : float, in rad
-        From world x to the robot's forward axis. Drawn, as the offset is, at every scale.
+        From world x to the robot's forward axis. Sampled at every scale.
     """
 
     coil_places: FloatArray
@@ -88,7 +144,18 @@ class Truth(DrawnValues):
     start_heading: float
 
     def device(self, believed: Device) -> Device:
-        """The device as it was drawn, of one as it is believed to be."""
+        """Apply the sampled factors to the assumed device.
+
+        Parameters
+        ----------
+        believed : Device
+            As the controller assumes it.
+
+        Returns
+        -------
+        Device
+            As it truly is.
+        """
         return replace(
             believed,
             moment=believed.moment * self.moment,
@@ -101,7 +168,21 @@ class Truth(DrawnValues):
 
 @dataclass(frozen=True)
 class Streams:
-    """Independent random generators of one tank, so that more of one thing does not change another."""
+    """Independent random generators of one tank: more samples of one thing do not change another.
+
+    Attributes
+    ----------
+    mismatch : numpy.random.Generator
+        Of the mismatches.
+    start : numpy.random.Generator
+        Of the start pose.
+    field_noise : numpy.random.Generator
+        Of the ambient field: directions and phases of its lines.
+    sensor_noise : numpy.random.Generator
+        Of the sensors' own noise.
+    constants : numpy.random.Generator
+        Of each channel's unknown constant.
+    """
 
     mismatch: np.random.Generator
     start: np.random.Generator
@@ -111,15 +192,40 @@ class Streams:
 
     @classmethod
     def from_seed(cls, seed: int) -> Streams:
-        """Spawn all streams from one seed."""
+        """Spawn all generators from one seed.
+
+        Parameters
+        ----------
+        seed : int
+
+        Returns
+        -------
+        Streams
+        """
         return cls(*(np.random.Generator(np.random.SFC64(s)) for s in np.random.SeedSequence(seed).spawn(5)))
 
 
 def draw(settings: TankSettings, n_coils: int, n_sensors: int, streams: Streams, *, ideal: bool = False) -> Truth:
-    """Draw a tank with `n_coils` coils (excitation coils included) and `n_sensors` sensors.
+    """Sample the mismatches of one tank.
 
-    The order of draws is fixed, and the scale only multiplies them: the same seed at twice the scale is
-    the same tank with every mismatch doubled. `ideal` is the scale 0.
+    The order of the samples is fixed, and the scale only multiplies them: the same seed at twice the scale is
+    the same tank with every mismatch doubled.
+
+    Parameters
+    ----------
+    settings : TankSettings
+        With the standard deviations.
+    n_coils : int
+        Number of coils, excitation coils included.
+    n_sensors : int
+    streams : Streams
+        Advanced by the call.
+    ideal : bool
+        Use the scale 0.
+
+    Returns
+    -------
+    Truth
     """
     section = settings.mismatch
     spreads = Spreads(streams.mismatch, 0.0 if ideal else section.scale)

@@ -1,4 +1,4 @@
-"""A positioning stage over the tank's sensors: what a lab uses to calibrate its array, simulated."""
+"""A simulated positioning stage over the tank's sensors, as a lab uses it to calibrate its array."""
 
 from __future__ import annotations
 
@@ -17,10 +17,18 @@ DRIVES = (0.6, 0.9)  # amplitude after a drive, as a share of theta_max: unknown
 
 
 class TankStage:
-    """The sensors that `sim.tank.tank` draws from the same seed, with a device that is held in known poses.
+    """The tank's sensors, with a device that a positioning stage holds in known poses.
 
-    The device sits a little off in its holder, the stage is not perfect, and each drive leaves another
-    amplitude. All that scales with the rig file's mismatches.
+    The sensors are those that `sim.tank.tank` samples from the same seed. The device is slightly misplaced in its
+    holder, the stage has a position error, and each drive leaves another amplitude. All errors scale with the rig
+    file's mismatches.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    device : Device
+        As assumed.
+    seed : int
     """
 
     def __init__(self, rig: RigConfig, device: Device, seed: int) -> None:
@@ -32,7 +40,21 @@ class TankStage:
         self.holder *= self._rng.standard_normal(6)
 
     def record(self, position: FloatArray, orientation: FloatArray, half_periods: int) -> Recording:
-        """What the sensors hear after a drive, with the holder at `position` (3,) m and `orientation` (4,)."""
+        """Return a recording made after a drive, with the holder at a commanded pose.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            Of the holder, world frame.
+        orientation : ndarray, shape (4,)
+            Unit quaternion of the holder, scalar first.
+        half_periods : int
+            Length, in half-periods of the assumed frequency.
+
+        Returns
+        -------
+        Recording
+        """
         place = as_floats(position, (3,), "record position")
         turn = as_floats(orientation, (4,), "record orientation")
         missed = self._scale * STAGE_ERROR * self._rng.standard_normal(3)

@@ -1,4 +1,4 @@
-"""The simulated rig: keeps the promise of `smolbot.core.rig.Rig` with a tank behind it."""
+"""The simulated rig: implements `smolbot.core.rig.Rig` with a tank behind it."""
 
 from __future__ import annotations
 
@@ -24,15 +24,28 @@ MIN_REST = 1e-3
 
 
 class TankRig(Closing):
-    """A rig whose world is simulated. What it says about itself is nominal; the truth leaves only by the witness.
+    """A rig whose world is simulated. What it reports of itself is nominal; only the witness knows the truth.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    settings : TankSettings
+    start : ndarray, shape (2,), in m
+        Requested start position (x, y), world frame.
+    seed : int
+    gui : bool
+        Show Bullet's window.
+    ideal : bool
+        Sample no mismatch.
 
     Attributes
     ----------
     sensors : SensorArray
-        As they are believed to stand.
+        At their nominal positions.
     limits : Limits
     witness : Witness or None
-        Knows the truth; may be set to None, which changes nothing else.
+        Reports true poses; may be set to None, which changes nothing else.
 
     Examples
     --------
@@ -41,8 +54,8 @@ class TankRig(Closing):
     >>> from smolbot.core.shots import RingDown, Shot
     >>> from sim.tank.world import TankWorld
     >>> with TankWorld.open(load_rig("tank"), load_robot("gradient"), (0.0, 0.0), seed=1) as rig:
-    ...     heard = rig.play(Shot((Excite((2.0, 2.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5))))
-    >>> print(heard.field.shape, bool(heard.saturated.any()))
+    ...     recording = rig.play(Shot((Excite((2.0, 2.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5))))
+    >>> print(recording.field.shape, bool(recording.saturated.any()))
     (10, 483) False
     """
 
@@ -71,13 +84,27 @@ class TankRig(Closing):
         self._open, self._stopped = True, False
 
     def now(self) -> float:
-        """Time on the tank's virtual clock, in s."""
+        """Return the time on the tank's virtual clock.
+
+        Returns
+        -------
+        float, in s
+        """
         return self._tank.time
 
     def play(self, shot: Shot) -> Recording | None:
-        """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
+        """Play the windows of one shot in order and return the recording.
 
         The turnaround follows: the tank runs on with every command at zero while the loop computes.
+
+        Parameters
+        ----------
+        shot : Shot
+
+        Returns
+        -------
+        Recording or None
+            None if the shot has no `Listen`.
 
         Raises
         ------
@@ -104,7 +131,17 @@ class TankRig(Closing):
         return heard
 
     def probe(self, coil: str, current: float) -> Probe:
-        """What the sensors hear while one coil (``+x``, ``excitation x``) is held at a small current, in A.
+        """Hold one coil at a small current and record the sensors meanwhile.
+
+        Parameters
+        ----------
+        coil : str
+            Name of the coil: ``+x``, ``excitation x``.
+        current : float, in A
+
+        Returns
+        -------
+        Probe
 
         Raises
         ------
@@ -129,7 +166,18 @@ class TankRig(Closing):
         return Probe(heard, BEFORE, BEFORE + HELD)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
-        """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
+        """Return the nominal field of the excitation coils at a point.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            World frame.
+
+        Returns
+        -------
+        ndarray, shape (n_exc, 3), in T per A
+            World frame.
+        """
         return self._excitation.at(as_floats(position, (3,), "excitation_field position"))
 
     def stop(self) -> None:
@@ -138,13 +186,19 @@ class TankRig(Closing):
         self._tank.silence()
 
     def close(self) -> None:
-        """Stop, then let go of what carries the robot; harmless when repeated."""
+        """Stop, then release what carries the robot; harmless when repeated."""
         self.stop()
         self._open = False
         self._tank.carrier.close()
 
     def provenance(self) -> dict[str, Any]:
-        """What this tank was drawn as: seed, whether ideal, and every drawn mismatch."""
+        """Return how this tank was sampled: seed, whether ideal, and every mismatch.
+
+        Returns
+        -------
+        dict
+            Plain lists and numbers.
+        """
         return {"seed": self._seed, "ideal": self._ideal, **self._tank.drawn()}
 
     def _recording(self, shot: Shot, begin: float) -> Recording | None:

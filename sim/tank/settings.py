@@ -1,4 +1,4 @@
-"""The ``[tank]`` section of a rig file: how the simulated tank differs from what the controller believes."""
+"""The ``[tank]`` section of a rig file: how the simulated tank differs from the model that the controller uses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MIN_DISTANCE_MM = 1.0
 
 
 class MismatchSection(FileModel):
-    """Standard deviations from which one tank is drawn; draws beyond three of them are drawn in."""
+    """Standard deviations of one tank's mismatches; samples are clipped to three of them."""
 
     scale: NotNegative = 1.0
     coil_place_mm: NotNegative = 0.3
@@ -51,7 +51,7 @@ class MismatchSection(FileModel):
 
 
 class EarthSection(FileModel):
-    """The earth's field and the external coil that roughly cancels it in the working volume."""
+    """The earth's field, and the external coil that roughly cancels it in the working volume."""
 
     field_ut: Vector = (20.0, 0.0, -44.0)
     compensated: bool = True
@@ -66,13 +66,13 @@ class EarthSection(FileModel):
 
 
 class SurfaceSection(FileModel):
-    """The liquid's skin, which holds the floating robot level and at its height."""
+    """The liquid's surface, which holds the floating robot level and at its height."""
 
     meniscus_n_per_m2: NotNegative = 28.0
 
 
 class RouteSection(FileModel):
-    """A way in for the tip of a flexible endoscope; it comes back the same way."""
+    """A route into the container for the tip of a flexible endoscope; it returns along the same route."""
 
     points_mm: Annotated[list[Vector], Field(min_length=3)]
     dwell_s: NotNegative = 2.0
@@ -93,7 +93,7 @@ MIN_PIECES = 2
 
 
 class ShaftSection(FileModel):
-    """Magnetism of the endoscope behind the tip."""
+    """Magnetisation of the endoscope's shaft behind the tip."""
 
     tip_ut: NotNegative = 45.0
     surface_ut: NotNegative = 120.0
@@ -105,15 +105,28 @@ class ShaftSection(FileModel):
 
     @property
     def pieces(self) -> int:
+        """Number of magnetised pieces."""
         return max(round(self.length_mm / self.piece_mm), MIN_PIECES)
 
     def fields(self, size: float) -> tuple[float, float]:
-        """At the magnet and at the shaft's surface, in T, of one that is `size` times as strong."""
+        """Return the shaft's flux density at two places.
+
+        Parameters
+        ----------
+        size : float
+            Factor on the strength given in the rig file.
+
+        Returns
+        -------
+        at_magnet : float, in T
+        at_surface : float, in T
+            At the shaft's surface.
+        """
         return size * self.tip_ut * 1e-6, size * self.surface_ut * 1e-6
 
 
 class HandSection(FileModel):
-    """A hand that leads the device along routes, one after the other, all from one place."""
+    """An operator who guides the device along routes, one after the other, all from one start point."""
 
     routes: Annotated[list[RouteSection], Field(min_length=1)]
     rest_s: NotNegative = 12.0
@@ -146,7 +159,7 @@ class HandSection(FileModel):
 
 
 class PlaceSection(FileModel):
-    """A fixed place for a device, such as a marker in tissue; what a surgeon's hand makes of it is drawn."""
+    """A fixed position for a device, such as a marker in tissue; its placement error is sampled."""
 
     position_mm: Vector
     scatter_mm: NotNegative = 2.0
@@ -156,16 +169,29 @@ class PlaceSection(FileModel):
 
     @property
     def heading(self) -> float | None:
+        """Nominal heading in rad, or None if it is sampled."""
         return None if self.heading_deg is None else math.radians(self.heading_deg)
 
     def drawn(self, off: FloatArray) -> tuple[FloatArray, float, float]:
-        """Place (3,) in m, pitch and roll in rad, `off` (4,) standard deviations in x, y, pitch and roll."""
+        """Compute a sampled placement from standard-normal samples.
+
+        Parameters
+        ----------
+        off : ndarray, shape (4,)
+            Deviations in x, y, pitch and roll, in standard deviations.
+
+        Returns
+        -------
+        position : ndarray, shape (3,), in m
+            World frame.
+        pitch, roll : float, in rad
+        """
         place = 1e-3 * (np.array(self.position_mm) + self.scatter_mm * np.array([*off[:2], 0.0]))
         return place, math.radians(self.pitch_scatter_deg * off[2]), math.radians(self.roll_scatter_deg * off[3])
 
 
 class TankSettings(FileModel):
-    """Everything the ``[tank]`` section says; every key has a default."""
+    """All keys of the ``[tank]`` section; each has a default."""
 
     physics_step_ms: Annotated[float, Field(gt=0, le=5)] = 1.0
     start_scatter_mm: NotNegative = 0.5
@@ -182,5 +208,5 @@ class TankSettings(FileModel):
 
     @property
     def lateness(self) -> float:
-        """Of a hand at the magnet: share of a move's duration, one standard deviation."""
+        """Standard deviation of the delay of a manual magnet move, as a fraction of its expected duration."""
         return 0.01 * self.mismatch.scale * self.gel.mismatch.lateness_percent

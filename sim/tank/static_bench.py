@@ -1,7 +1,7 @@
-"""A bench without liquid, coils or Bullet: the tank's sensors, noise and magnet, with a device held where it is put.
+"""A simulated bench without liquid, coils or Bullet: sensors, noise and magnet, with a device at given poses.
 
-For studies of localization alone. What is heard is computed by `sim.tank.magnetics.sensors`, as in the tank; only
-the oscillation is given in closed form, and places come from a stage instead of hydrodynamics.
+For studies of localization alone. Readings are computed by `sim.tank.magnetics.sensors`, as in the tank; only
+the oscillation is given in closed form, and poses come from a stage instead of hydrodynamics.
 """
 
 from __future__ import annotations
@@ -37,48 +37,62 @@ Disturbance = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Swing:
-    """Amplitude at the end of the drive (rad) and phase (rad) of the last oscillation: for a study's books only."""
+    """The true oscillation of one recording, for a study's evaluation only.
+
+    Attributes
+    ----------
+    amplitude : float, in rad
+        At the end of the drive.
+    phase : float, in rad
+    """
 
     amplitude: float
     phase: float
 
 
 class StaticBench:
-    """Makes recordings of a device that is held still, or led along a track.
+    """Makes recordings of a device that is held still or moves along a known track.
 
     Parameters
     ----------
     rig : RigConfig
         Sensors, noise and mismatches; see `with_sensors` for another layout.
     device : Device
-        As believed.
+        As assumed.
     seed : int
-        Of everything that is drawn: mismatches, lines, noise, constants, phases, times between recordings.
+        Of all samples: mismatches, lines, noise, constants, phases, times between recordings.
     mismatch_scale : float
         Of the rig file's mismatches; 0 is the ideal bench.
 
     Attributes
     ----------
     sensors, device : SensorArray, Device
-        As believed: what a localizer may be told.
+        As assumed: what a localizer may use.
     rate : float, in Hz
     clock : float, in s
         Bench time; runs on from recording to recording.
     truth : Truth
     true_device : Device
-        As drawn. For a study's books only, like `true_sensors` and `last`.
+        As sampled. For a study's evaluation only, like `true_sensors` and `last`.
     true_sensors : TrueSensors
     last : Swing or None
         Of the last recording.
+
+    Raises
+    ------
+    InputError
+        If `mismatch_scale` is negative.
 
     Examples
     --------
     >>> from smolbot.config.rig import load_rig
     >>> device = Device(0.89e-3, np.array([1.0, 0, 0]), 1.5e-3, np.radians(17.8), 103.5, 1.1, "linear")
     >>> bench = StaticBench(load_rig("tank"), device, seed=1, mismatch_scale=0.0)
-    >>> heard = bench.record(np.array([0, 0, 0.08]), np.array([1.0, 0, 0, 0]), half_periods=2)
-    >>> print(heard.field.shape, heard.time_since_drive, round(float(np.degrees(bench.last.amplitude)), 1))
-    (10, 483) 0.02 17.8
+    >>> recording = bench.record(np.array([0, 0, 0.08]), np.array([1.0, 0, 0, 0]), half_periods=2)
+    >>> print(recording.field.shape, recording.time_since_drive)
+    (10, 483) 0.02
+    >>> print(round(float(np.degrees(bench.last.amplitude)), 1))
+    17.8
     """
 
     def __init__(self, rig: RigConfig, device: Device, seed: int, mismatch_scale: float = 1.0) -> None:
@@ -105,7 +119,17 @@ class StaticBench:
         self._lead = math.ceil(self.true_sensors.lead * self.rate) + 1
 
     def samples(self, half_periods: int) -> int:
-        """Number of samples in a window of so many half-periods of the believed frequency."""
+        """Return the number of samples in a window.
+
+        Parameters
+        ----------
+        half_periods : int
+            Length of the window, in half-periods of the assumed frequency.
+
+        Returns
+        -------
+        int
+        """
         return round(half_periods * self.rate / (2.0 * self.device.frequency))
 
     def record(
@@ -118,20 +142,28 @@ class StaticBench:
         phase: float | None = None,
         disturbance: Disturbance | None = None,
     ) -> Recording:
-        """What the sensors hear of a device that is held still.
+        """Make a recording of a device that is held still.
 
         Parameters
         ----------
         position : ndarray, shape (3,), in m
-            Rotation centre of the cantilever.
+            Rotation centre of the cantilever, world frame.
         orientation : ndarray, shape (4,)
+            Unit quaternion, scalar first.
         half_periods : int
-            Length, in half-periods of the believed frequency.
+            Length, in half-periods of the assumed frequency.
         time_since_drive : float, in s
-        amplitude, phase : float, in rad
-            Of the oscillation at the end of the drive; the true stop and a drawn phase if not given.
+            From the end of the drive to the first sample.
+        amplitude : float, in rad, optional
+            Of the oscillation at the end of the drive; at the true stop if not given.
+        phase : float, in rad, optional
+            Of the oscillation at the end of the drive; sampled if not given.
         disturbance : callable, optional
-            Another field that the sensors hear.
+            Another field that the sensors measure.
+
+        Returns
+        -------
+        Recording
         """
         place = as_floats(position, (3,), "record position")
         turn = as_floats(orientation, (4,), "record orientation")
@@ -149,9 +181,26 @@ class StaticBench:
         phase: float | None = None,
         disturbance: Disturbance | None = None,
     ) -> Recording:
-        """What the sensors hear of a device that is led along a track; see `record`.
+        """Make a recording of a device that moves along a known track.
 
-        The track is asked from some milliseconds before the first sample on, for the sensors' low pass remembers.
+        Parameters
+        ----------
+        track : callable
+            Called with times from some milliseconds before the first sample on, because of the sensors' low pass.
+        half_periods : int
+            Length, in half-periods of the assumed frequency.
+        time_since_drive : float, in s
+            From the end of the drive to the first sample.
+        amplitude : float, in rad, optional
+            Of the oscillation at the end of the drive; at the true stop if not given.
+        phase : float, in rad, optional
+            Of the oscillation at the end of the drive; sampled if not given.
+        disturbance : callable, optional
+            Another field that the sensors measure.
+
+        Returns
+        -------
+        Recording
         """
         n, swing = self.samples(half_periods), self._drawn(amplitude, phase)
         begin, end = -self._lead / self.rate, n / self.rate
@@ -165,7 +214,19 @@ class StaticBench:
         return self._measured(field, time_since_drive, disturbance)
 
     def quiet(self, seconds: float, disturbance: Disturbance | None = None) -> list[Recording]:
-        """Recordings without an oscillation, `seconds` long together, none longer than two seconds."""
+        """Make background noise recordings, without an oscillation.
+
+        Parameters
+        ----------
+        seconds : float, in s
+            Total length. No recording is longer than two seconds.
+        disturbance : callable, optional
+            Another field that the sensors measure.
+
+        Returns
+        -------
+        list of Recording
+        """
         count = max(math.ceil(seconds / LONGEST_QUIET - ROUNDING), 1)
         n = math.ceil(seconds * self.rate / count - ROUNDING)
         return [self._measured(np.zeros((len(self.sensors), n)), np.inf, disturbance) for _ in range(count)]
@@ -179,7 +240,27 @@ class StaticBench:
         amplitude: float | None = None,
         phase: float = 0.0,
     ) -> FloatArray:
-        """Noiseless readings (n_sensors, n) in T of a device that is held still; draws nothing."""
+        """Compute noiseless readings of a device that is held still, without advancing random generators or clock.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            Rotation centre of the cantilever, world frame.
+        orientation : ndarray, shape (4,)
+            Unit quaternion, scalar first.
+        n : int
+            Number of samples.
+        time_since_drive : float, in s
+            From the end of the drive to the first sample.
+        amplitude : float, in rad, optional
+            Of the oscillation at the end of the drive; at the true stop if not given.
+        phase : float, in rad
+            Of the oscillation at the end of the drive.
+
+        Returns
+        -------
+        ndarray, shape (n_sensors, n), in T
+        """
         size = self.true_device.theta_max if amplitude is None else amplitude
         poses = np.tile(np.concatenate([position, orientation]), (2, 1))
         return self._clean(n, time_since_drive, Swing(size, phase), np.array([-1.0, n / self.rate]), poses)
@@ -191,7 +272,7 @@ class StaticBench:
         return self.last
 
     def _clean(self, n: int, since: float, swing: Swing, pose_times: FloatArray, poses: FloatArray) -> FloatArray:
-        """Field of an oscillation in closed form (Eqs. S2 to S4), after the sensors' low pass."""
+        """Compute the readings of an oscillation in closed form (Eqs. S2 to S4), after the sensors' low pass."""
         device = self.true_device
         times = np.arange(-self._lead, n + 1) / self.rate
         after = np.maximum(since + times, 0.0)
@@ -204,7 +285,7 @@ class StaticBench:
         return self.true_sensors.clean(0.0, n, self._magnet, coupling, times, theta[:, None], pose_times, poses)
 
     def _measured(self, field: FloatArray, since: float, disturbance: Disturbance | None) -> Recording:
-        """Add what disturbs, then noise, constants and the converter; the bench's clock runs on."""
+        """Add disturbance, noise, constants and conversion errors, and advance the bench's clock."""
         n = field.shape[1]
         if disturbance is not None:
             field += self._heard(disturbance, n)
@@ -217,7 +298,7 @@ class StaticBench:
         return Recording(field / self._gains, self.rate, since, saturated, drive, clock)
 
     def _heard(self, disturbance: Disturbance, n: int) -> FloatArray:
-        """A disturbing field along the true axes, after the sensors' low pass."""
+        """Compute a disturbing field along the true sensor axes, after the sensors' low pass."""
         from scipy.signal import lfilter
 
         times = np.arange(-self._lead, n) / self.rate
@@ -234,13 +315,24 @@ class StaticBench:
 
 
 def with_sensors(rig: RigConfig, positions: FloatArray, axes: FloatArray) -> RigConfig:
-    """The same rig with its sensors elsewhere.
+    """Return a copy of a rig with another sensor layout.
 
     Parameters
     ----------
+    rig : RigConfig
     positions : ndarray, shape (n, 3), in m
+        World frame.
     axes : ndarray, shape (n, 3)
-        Sensitive directions.
+        Sensitive directions, world frame.
+
+    Returns
+    -------
+    RigConfig
+
+    Raises
+    ------
+    InputError
+        If the numbers of positions and axes differ.
     """
     places = as_floats(positions, (None, 3), "with_sensors positions")
     directions = as_floats(axes, (None, 3), "with_sensors axes")

@@ -33,7 +33,15 @@ NO_SAMPLES = np.zeros((0, 1))
 
 @dataclass(frozen=True)
 class Step(Rest):
-    """One coil held at a constant current; actuation coils are counted first, then excitation coils."""
+    """Hold one coil at a constant current.
+
+    Attributes
+    ----------
+    duration : float, in s
+    coil : int
+        Index of the coil; actuation coils come first, then excitation coils.
+    current : float, in A
+    """
 
     coil: int = 0
     current: float = 0.0
@@ -45,12 +53,15 @@ class Tank:
     Parameters
     ----------
     rig, robot : RigConfig, RobotConfig
-        What is believed; the truth is drawn around it.
-    start : array_like, shape (2,), in m
-        Where the robot is put down by hand (x, y).
+        Nominal values; the true values are sampled around them.
+    settings : TankSettings
+    start : ndarray, shape (2,), in m
+        Requested start position (x, y), world frame.
     seed : int
-    gui, ideal : bool
-        Show Bullet's window; draw no mismatch.
+    gui : bool
+        Show Bullet's window.
+    ideal : bool
+        Sample no mismatch.
     """
 
     def __init__(
@@ -77,9 +88,22 @@ class Tank:
         self._note_pose(*self.history.reserve(1))
 
     def advance(self, windows: tuple[Window, ...]) -> bool:
-        """Play windows one after the other; return False if `running` was set to False meanwhile.
+        """Play windows one after the other, then set every command to zero.
 
-        Afterwards every command is zero."""
+        Parameters
+        ----------
+        windows : tuple of Window
+
+        Returns
+        -------
+        bool
+            False if `running` was set to False before the end.
+
+        Raises
+        ------
+        RigError
+            If the robot left the container.
+        """
         lengths = [(w, *self._strides(w)) for w in windows]
         steps = sum(n for _, n, _ in lengths)
         self.history.drop_last()  # the first row of this shot repeats the last row of the one before
@@ -104,7 +128,21 @@ class Tank:
         return done == steps
 
     def listen(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
-        """Samples (n_sensors, n) in T from `clock` s on, of the shot just played, and which sensors were saturated."""
+        """Sample the sensors during the windows just played.
+
+        Parameters
+        ----------
+        clock : float, in s
+            Time of the first sample.
+        n : int
+            Number of samples.
+
+        Returns
+        -------
+        field : ndarray, shape (n_sensors, n), in T
+            Along the sensors' axes.
+        saturated : ndarray of bool, shape (n_sensors,)
+        """
         pose_times, poses = self.history.since(clock - self.sensors.lead)
         end, sensors = self._used, self.sensors
         field = sensors.clean(
@@ -117,17 +155,22 @@ class Tank:
         return field, sensors.measure(field, clock)
 
     def drawn(self) -> dict[str, Any]:
-        """What this tank was drawn as: every mismatch, as plain lists and numbers."""
+        """Return every sampled mismatch of this tank, as plain lists and numbers.
+
+        Returns
+        -------
+        dict
+        """
         own = {"carrier": self.carrier.as_dict()} if isinstance(self.carrier, Drawn) else {}
         return {"truth": self.truth.as_dict(), **own}
 
     def silence(self) -> None:
-        """Command zero to every driven coil; its current decays."""
+        """Set the command of every driven coil to zero; its current decays."""
         driven = self.coils.n_actuation + self.coils.n_excitation
         self.coils.circuits[:driven, COMMAND : SINE + 1] = 0.0
 
     def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray, commands: FloatArray = NO_SAMPLES) -> int:
-        """Advance by `n` steps, as commanded for the window, or by a row of `commands` (in A) for each substep."""
+        """Advance by `n` steps, with the window's command or with one row of `commands` (in A) per substep."""
         substeps = _substeps(step)
         device, earth, state = self.device, self.coils.earth, self._state
         rows, table, circuits = self.coils.fields.rows, self.coils.fields.coefficients, self.coils.circuits
@@ -158,7 +201,7 @@ class Tank:
         return played
 
     def _turn(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
-        """A mechanical window: the magnet's own field stills the swing, and nobody listens."""
+        """Play a mechanical window: the magnet's field stops the oscillation, and no samples are recorded."""
         carrier, start, played = self.carrier, self.time, 0
         assert isinstance(carrier, Turned)  # the limits of other rigs refuse such windows
         while self.running and played < n:
@@ -193,7 +236,7 @@ class Tank:
             self._state[DRIVE] = 2 * math.pi * window.frequency
 
     def _begin_trace(self, rows: int) -> None:
-        """Keep what the sensors' low pass still remembers of the past, and make room for `rows` more."""
+        """Keep the past that the sensors' low pass still needs, and reserve `rows` more rows."""
         end = self._used
         first = max(int(np.searchsorted(self._trace_times[:end], self.time - self.sensors.lead)) - 1, 0)
         kept = end - first
@@ -221,7 +264,7 @@ def _is_mechanical(window: Window) -> bool:
 
 
 def _divide(duration: float, longest: float) -> tuple[int, float]:
-    """Number and length of equal steps, none longer than `longest`, that exactly fill `duration`."""
+    """Return number and length of equal steps that exactly fill `duration`, none longer than `longest`."""
     n = max(math.ceil(duration / longest - ROUNDING), 1)
     return n, duration / n
 

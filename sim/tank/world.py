@@ -15,11 +15,21 @@ if TYPE_CHECKING:
 
 
 class TankWorld:
-    """How a simulated tank is checked and opened."""
+    """Checks and opens a simulated tank."""
 
     @staticmethod
     def check(document: Document) -> list[Fault]:
-        """Faults of the ``[tank]`` section, if there is one."""
+        """Check the ``[tank]`` section, if there is one.
+
+        Parameters
+        ----------
+        document : Document
+            The rig file.
+
+        Returns
+        -------
+        list of Fault
+        """
         from sim.tank.carriers.route_checks import holding_faults
         from sim.tank.settings import TankSettings
 
@@ -28,7 +38,18 @@ class TankWorld:
 
     @staticmethod
     def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:
-        """Why this tank cannot hold a bare device: its rig file says of no hand and no place."""
+        """Explain why this tank cannot hold a robot: its rig file has neither ``[tank.hand]`` nor ``[tank.place]``.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        robot : RobotConfig
+
+        Returns
+        -------
+        str or None
+            None if it can.
+        """
         if "hand" in rig.sections.tank or "place" in rig.sections.tank:
             return None
         return (
@@ -47,14 +68,25 @@ class TankWorld:
         ideal: bool = False,
         **options: Any,
     ) -> TankRig:
-        """Open a tank drawn from `seed`, with the robot put down near `start` (x, y in m).
+        """Open a tank that is sampled from `seed`, with the robot near `start`.
 
         Parameters
         ----------
+        rig : RigConfig
+        robot : RobotConfig
+        start : array_like, shape (2,), in m
+            Requested start position (x, y), world frame.
+        seed : int
         gui : bool
             Show Bullet's own window; needs a display.
         ideal : bool
-            Draw no mismatch: results must be labelled ``ideal`` wherever they are shown.
+            Sample no mismatch: results must be labelled ``ideal`` wherever they are shown.
+        **options : Any
+            Options of other worlds, which this one does not use.
+
+        Returns
+        -------
+        TankRig
         """
         import numpy as np
 
@@ -67,7 +99,19 @@ class TankWorld:
 
     @staticmethod
     def stage(rig: RigConfig, device: Device, seed: int) -> TankStage:
-        """The sensors of the tank drawn from `seed`, with the device on a positioning stage instead of in liquid."""
+        """Return the sensors of a sampled tank with the device on a positioning stage instead of in liquid.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        device : Device
+            As assumed.
+        seed : int
+
+        Returns
+        -------
+        TankStage
+        """
         from sim.tank.positioning_stage import TankStage
 
         return TankStage(rig, device, seed)

@@ -1,4 +1,4 @@
-"""What a flight costs: how far from the path, how long, and whether it got there."""
+"""Cost of a flight: tracking error, duration, and whether the path's end was reached."""
 
 from __future__ import annotations
 
@@ -19,10 +19,19 @@ FAILED = 1.0
 
 
 def cost(summary: Mapping[str, Any]) -> float:
-    """Cost of one flight in mm, from its summary: the lower, the better.
+    """Compute the cost of one flight in mm, from its summary: the lower, the better.
 
     Tracking error (rms, in mm) plus `PACE` times the seconds that a millimetre of path took. A flight that does
     not reach the end costs more than any that does.
+
+    Parameters
+    ----------
+    summary : mapping
+        As ``summary.json`` has it.
+
+    Returns
+    -------
+    float, in mm
 
     Examples
     --------

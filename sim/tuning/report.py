@@ -1,4 +1,4 @@
-"""What a search leaves: a file of gains, every trial, a figure."""
+"""Output of a search: a file of gains, every trial, a figure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,17 @@ if TYPE_CHECKING:
 
 
 def importances(study: Study) -> dict[str, float]:
-    """Share of each gain in how the cost varies among the good trials; empty where trials are too few to tell."""
+    """Compute the share of each gain in the variation of the cost among the good trials.
+
+    Parameters
+    ----------
+    study : optuna.Study
+
+    Returns
+    -------
+    dict of str to float
+        Empty where there are too few trials.
+    """
     import optuna
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState
@@ -32,7 +42,21 @@ def importances(study: Study) -> dict[str, float]:
 
 
 def gains_file(problem: Problem, law: str, tuned: Flown, before: Flown, seed: int) -> str:
-    """The gains as a mission file writes them, with what they were found by."""
+    """Format the gains as a section of a mission file, with a comment on how they were found.
+
+    Parameters
+    ----------
+    problem : Problem
+    law : str
+    tuned, before : Flown
+        Flights with the tuned and with the former gains.
+    seed : int
+
+    Returns
+    -------
+    str
+        TOML.
+    """
     after, now = tuned.figures(), before.figures()
     lines = [
         f"Gains of {law}, tuned for {problem.mission} with seed {seed} on {len(problem.worlds)} random simulations",
@@ -43,13 +67,31 @@ def gains_file(problem: Problem, law: str, tuned: Flown, before: Flown, seed: in
 
 
 def gains_text(comments: Sequence[str], gains: Mapping[str, float]) -> str:
-    """Gains as a mission file writes them, under lines of comment."""
+    """Format gains as a section of a mission file.
+
+    Parameters
+    ----------
+    comments : sequence of str
+        Lines above it.
+    gains : mapping of str to float
+
+    Returns
+    -------
+    str
+        TOML.
+    """
     lines = [*(f"# {line}" for line in comments), "[controller.gains]"]
     return "\n".join([*lines, *(f"{name} = {value:.6g}" for name, value in gains.items())]) + "\n"
 
 
 def write_trials(study: Study, path: Path) -> None:
-    """One line for each trial: number, how it ended, cost, gains."""
+    """Write one line for each trial: number, how it ended, cost, gains.
+
+    Parameters
+    ----------
+    study : optuna.Study
+    path : Path
+    """
     trials = study.get_trials(deepcopy=False)
     names = sorted({name for t in trials for name in t.params})
     rows = ([t.number, t.state.name.lower(), t.value, *[t.params.get(name) for name in names]] for t in trials)

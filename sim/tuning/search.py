@@ -1,8 +1,4 @@
-"""The search: batches of gains, flown over the same drawn worlds, the poor ones given up early.
-
-Batches and rungs have fixed sizes, and results are told in the order in which they were asked for, so that a search
-finds the same whatever the number of processes.
-"""
+"""The search: batches of gains, flown over the same simulated worlds; poor ones are stopped early."""
 
 from __future__ import annotations
 
@@ -61,7 +57,16 @@ class Problem:
     plant: Plant
 
     def settings_with(self, gains: Mapping[str, float]) -> dict[str, str]:
-        """Settings of a flight under `gains`."""
+        """Return the settings of a flight with given gains.
+
+        Parameters
+        ----------
+        gains : mapping of str to float
+
+        Returns
+        -------
+        dict of str to str
+        """
         return {**self.settings, **{f"controller.gains.{name}": repr(value) for name, value in gains.items()}}
 
 
@@ -105,7 +110,16 @@ def open_study(path: Path | None, seed: int, name: str, *, resume: bool) -> Stud
 
 
 def finished(study: Study) -> list[Any]:
-    """Trials that came to an end, given up ones too."""
+    """Return the trials that ended, pruned ones included.
+
+    Parameters
+    ----------
+    study : optuna.Study
+
+    Returns
+    -------
+    list of optuna.trial.FrozenTrial
+    """
     from optuna.trial import TrialState
 
     return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
@@ -114,7 +128,17 @@ def finished(study: Study) -> list[Any]:
 def search(
     study: Study, problem: Problem, trials: int, executor: Executor, ended: Callable[[Study], None] = lambda study: None
 ) -> None:
-    """Ask, fly and tell until `trials` have come to an end; the present gains are the first."""
+    """Run trials until `trials` have ended; the first has the mission's present gains.
+
+    Parameters
+    ----------
+    study : optuna.Study
+    problem : Problem
+    trials : int
+    executor : Executor
+    ended : callable
+        Called with the study after each batch.
+    """
     if not study.get_trials(deepcopy=False):
         study.enqueue_trial(dict(problem.start))
     while (left := trials - len(finished(study))) > 0:
@@ -133,7 +157,22 @@ def search(
 def fly_batch(
     study: Study, problem: Problem, batch: Sequence[Trial], gains: Sequence[Mapping[str, float]], executor: Executor
 ) -> list[list[float]]:
-    """Costs of each trial, world by world; fewer than there are worlds for those that were given up."""
+    """Fly a batch of trials over the same worlds.
+
+    Parameters
+    ----------
+    study : optuna.Study
+    problem : Problem
+    batch : sequence of optuna.Trial
+    gains : sequence of mapping of str to float
+        One per trial.
+    executor : Executor
+
+    Returns
+    -------
+    list of list of float
+        Costs of each trial, world by world, in mm; fewer for those that were pruned.
+    """
     costs: list[list[float]] = [[] for _ in batch]
     alive = list(range(len(batch)))
     for rung in _rungs(problem.worlds):

@@ -1,4 +1,4 @@
-"""Whether tuned gains are better: both flown in the full tank, on worlds that the search did not see."""
+"""Whether tuned gains are better: both are flown in the full tank, on worlds that the search did not use."""
 
 from __future__ import annotations
 
@@ -35,7 +35,12 @@ class Flown:
         return [cost(s) for s in self.summaries]
 
     def figures(self) -> dict[str, Any]:
-        """For tables and JSON."""
+        """Return pass rate, cost and errors for tables and JSON.
+
+        Returns
+        -------
+        dict
+        """
         return self.told().figures()
 
     def told(self) -> HeldOut:
@@ -49,7 +54,20 @@ class Flown:
 
 
 def held_out(problem: Problem, gains: Sequence[Mapping[str, float]], count: int, executor: Executor) -> list[Flown]:
-    """Each set of gains over the same `count` held-out worlds, in the full tank."""
+    """Fly each set of gains over the same held-out worlds, in the full tank.
+
+    Parameters
+    ----------
+    problem : Problem
+    gains : sequence of mapping of str to float
+    count : int
+        Number of worlds.
+    executor : Executor
+
+    Returns
+    -------
+    list of Flown
+    """
     seeds = range(FIRST_HELD_OUT, FIRST_HELD_OUT + count)
     flights = [
         [executor.submit(fly_one, problem.mission, problem.rig, problem.settings_with(one), seed, Plant.FULL)
@@ -60,7 +78,16 @@ def held_out(problem: Problem, gains: Sequence[Mapping[str, float]], count: int,
 
 
 def better(tuned: Flown, before: Flown) -> bool:
-    """Tuned gains pass at least as often, and cost less on average over the same worlds."""
+    """Return whether the tuned gains pass at least as often and cost less on average over the same worlds.
+
+    Parameters
+    ----------
+    tuned, before : Flown
+
+    Returns
+    -------
+    bool
+    """
     return tuned.passed >= before.passed and float(np.mean(tuned.costs)) < float(np.mean(before.costs))
 
 

@@ -1,4 +1,4 @@
-"""What a client asks of tasks and devices by the number of an attribute."""
+"""gRPC calls that query attributes of tasks and devices by the attribute's number."""
 
 from __future__ import annotations
 
@@ -32,7 +32,13 @@ Answer = Callable[[TwinTask], Any]
 
 
 class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
-    """The calls that read attributes; an attribute that no bench needs is an error of the card."""
+    """The calls that query attributes; an attribute that no bench needs is an error of the card.
+
+    Attributes
+    ----------
+    card : CardModel
+    tasks : Tasks
+    """
 
     card: CardModel
     tasks: Tasks
@@ -57,32 +63,102 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         return self._call(context, run)
 
     def must_be_ours(self, name: str) -> None:
-        """Raise `CardError` for the name of another device."""
+        """Check that a device name is this card's.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        CardError
+            For another name.
+        """
         if name != self.tasks.device:
             raise CardError(
                 UNKNOWN_DEVICE, f"Device identifier is invalid: '{name}'; this machine has '{self.tasks.device}'."
             )
 
     def GetTaskAttributeString(self, request: Any, context: Any) -> Any:
+        """Return a string attribute of a task.
+
+        Parameters
+        ----------
+        request, context : GetTaskAttributeStringRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        GetTaskAttributeStringResponse
+        """
         answers: dict[int, Answer] = {TASK_NAME: lambda task: task.name, TASK_CHANNELS: self._names}
         return self._of_task(request, context, messages.GetTaskAttributeStringResponse, answers)
 
     def GetReadAttributeString(self, request: Any, context: Any) -> Any:
+        """Return a string attribute of a task for reading.
+
+        Parameters
+        ----------
+        request, context : GetReadAttributeStringRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        GetReadAttributeStringResponse
+        """
         return self._of_task(request, context, messages.GetReadAttributeStringResponse, {READ_CHANNELS: self._names})
 
     def GetReadAttributeUInt32(self, request: Any, context: Any) -> Any:
+        """Return a 32-bit attribute of a task for reading.
+
+        Parameters
+        ----------
+        request, context : GetReadAttributeUInt32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetReadAttributeUInt32Response
+        """
         answers: dict[int, Answer] = {READ_N_CHANNELS: _channels, READ_LINES: _lines_each, AVAILABLE: self._available}
         return self._of_task(request, context, messages.GetReadAttributeUInt32Response, answers)
 
     def GetReadAttributeUInt64(self, request: Any, context: Any) -> Any:
+        """Return a 64-bit attribute of a task for reading.
+
+        Parameters
+        ----------
+        request, context : GetReadAttributeUInt64Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetReadAttributeUInt64Response
+        """
         answers: dict[int, Answer] = {ACQUIRED: lambda task: self.card.acquired() if task.kind == "ai" else 0}
         return self._of_task(request, context, messages.GetReadAttributeUInt64Response, answers)
 
     def GetWriteAttributeUInt32(self, request: Any, context: Any) -> Any:
+        """Return a 32-bit attribute of a task for writing.
+
+        Parameters
+        ----------
+        request, context : GetWriteAttributeUInt32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetWriteAttributeUInt32Response
+        """
         answers: dict[int, Answer] = {WRITE_N_CHANNELS: _channels, WRITE_LINES: _lines_each}
         return self._of_task(request, context, messages.GetWriteAttributeUInt32Response, answers)
 
     def GetChanAttributeInt32(self, request: Any, context: Any) -> Any:
+        """Return an integer attribute of a channel.
+
+        Parameters
+        ----------
+        request, context : GetChanAttributeInt32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetChanAttributeInt32Response
+        """
         answers: dict[int, Answer] = {
             CHANNEL_TYPE: lambda task: _CHANNEL_TYPE[task.kind],
             MEASUREMENT_TYPE: lambda task: _VOLTAGE,
@@ -90,42 +166,132 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         return self._of_task(request, context, messages.GetChanAttributeInt32Response, answers, "value_raw")
 
     def GetTimingAttributeDouble(self, request: Any, context: Any) -> Any:
+        """Return a floating-point attribute of a task's timing.
+
+        Parameters
+        ----------
+        request, context : GetTimingAttributeDoubleRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        GetTimingAttributeDoubleResponse
+        """
         return self._of_task(
             request, context, messages.GetTimingAttributeDoubleResponse, {CLOCK_RATE: lambda task: task.rate}
         )
 
     def GetTimingAttributeInt32(self, request: Any, context: Any) -> Any:
+        """Return a 32-bit attribute of a task's timing.
+
+        Parameters
+        ----------
+        request, context : GetTimingAttributeInt32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetTimingAttributeInt32Response
+        """
         return self._of_task(
             request, context, messages.GetTimingAttributeInt32Response, {SAMPLE_MODE: lambda task: _FINITE}, "value_raw"
         )
 
     def GetTimingAttributeUInt64(self, request: Any, context: Any) -> Any:
+        """Return a 64-bit attribute of a task's timing.
+
+        Parameters
+        ----------
+        request, context : GetTimingAttributeUInt64Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetTimingAttributeUInt64Response
+        """
         return self._of_task(
             request, context, messages.GetTimingAttributeUInt64Response, {SAMPLES_PER_CHANNEL: lambda task: task.count}
         )
 
     def GetDeviceAttributeString(self, request: Any, context: Any) -> Any:
+        """Return a string attribute of the card.
+
+        Parameters
+        ----------
+        request, context : GetDeviceAttributeStringRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        GetDeviceAttributeStringResponse
+        """
         answers = {PRODUCT_TYPE: self.card.section.product}
         return self._of_device(request, context, messages.GetDeviceAttributeStringResponse, answers)
 
     def GetDeviceAttributeUInt32(self, request: Any, context: Any) -> Any:
+        """Return an integer attribute of the card.
+
+        Parameters
+        ----------
+        request, context : GetDeviceAttributeUInt32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetDeviceAttributeUInt32Response
+        """
         return self._of_device(request, context, messages.GetDeviceAttributeUInt32Response, {SERIAL: SERIAL_NUMBER})
 
     def GetDeviceAttributeBool(self, request: Any, context: Any) -> Any:
+        """Return a Boolean attribute of the card.
+
+        Parameters
+        ----------
+        request, context : GetDeviceAttributeBoolRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        GetDeviceAttributeBoolResponse
+        """
         return self._of_device(request, context, messages.GetDeviceAttributeBoolResponse, {SIMULATED: True})
 
     def GetSystemInfoAttributeUInt32(self, request: Any, context: Any) -> Any:
+        """Return an integer attribute of the system.
+
+        Parameters
+        ----------
+        request, context : GetSystemInfoAttributeUInt32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        GetSystemInfoAttributeUInt32Response
+        """
         return self._call(
             context, lambda: messages.GetSystemInfoAttributeUInt32Response(value=_chosen(request, DRIVER_VERSION))
         )
 
     def GetSystemInfoAttributeString(self, request: Any, context: Any) -> Any:
+        """Return a string attribute of the system.
+
+        Parameters
+        ----------
+        request, context : GetSystemInfoAttributeStringRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        GetSystemInfoAttributeStringResponse
+        """
         answers = {DEVICE_NAMES: self.tasks.device}
         return self._call(
             context, lambda: messages.GetSystemInfoAttributeStringResponse(value=_chosen(request, answers))
         )
 
     def GetWatchdogAttributeBool(self, request: Any, context: Any) -> Any:
+        """Return a Boolean attribute of the watchdog.
+
+        Parameters
+        ----------
+        request, context : GetWatchdogAttributeBoolRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        GetWatchdogAttributeBoolResponse
+        """
         return self._of_task(
             request, context, messages.GetWatchdogAttributeBoolResponse, {EXPIRED: lambda task: self.card.expired}
         )
@@ -138,7 +304,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
 
 
 def _channels(task: TwinTask) -> int:
-    """Channels of a task: lines that were grouped are one."""
+    """Return the number of channels of a task; grouped lines are one channel."""
     return 1 if task.grouped else len(task.channels)
 
 

@@ -1,4 +1,4 @@
-"""The converter card of the twin, in real time: outputs, clocked lines, inputs and a watchdog, with a plant behind."""
+"""The twin's simulated data acquisition card, in real time: outputs, clocked lines, inputs and a watchdog."""
 
 from __future__ import annotations
 
@@ -55,7 +55,16 @@ WRONG_COUNT, NOT_STARTED, WRONG_SOURCE = -200524, -200547, -200040
 
 
 class CardError(Exception):
-    """An error of the card, by its number in the driver."""
+    """An error of the card, with its number in the driver.
+
+    Parameters
+    ----------
+    code : int
+        Number of the error.
+    message : str
+    read, written : int, optional
+        Samples per channel that were read or written before the error.
+    """
 
     def __init__(self, code: int, message: str, read: int | None = None, written: int | None = None) -> None:
         super().__init__(message)
@@ -63,22 +72,58 @@ class CardError(Exception):
 
 
 class Behind(Protocol):
-    """What stands behind the card: the plant."""
+    """The simulated world that the card is wired to.
+
+    Attributes
+    ----------
+    rate : float, in Hz
+    loads : tuple of str
+        Names of the driven coils.
+    played : int
+        Samples since the beginning.
+    """
 
     rate: float
     loads: tuple[str, ...]
     played: int
 
-    def advance(self, currents: FloatArray) -> None: ...
+    def advance(self, currents: FloatArray) -> None:
+        """Advance by as many samples as `currents` has columns.
 
-    def begin_acquisition(self) -> None: ...
+        Parameters
+        ----------
+        currents : ndarray, shape (n_loads, n), in A
+        """
 
-    def volts(self, first: int, n: int) -> FloatArray: ...
+    def begin_acquisition(self) -> None:
+        """Begin a new recording."""
+
+    def volts(self, first: int, n: int) -> FloatArray:
+        """Return samples of the inputs that were played.
+
+        Parameters
+        ----------
+        first : int
+            Index of the first sample.
+        n : int
+
+        Returns
+        -------
+        ndarray, shape (n_inputs, n), in V
+        """
 
 
 @dataclass
 class Generation:
-    """A buffer that plays once from sample `start` on; None: armed, waiting for the trigger."""
+    """A buffer that is played once.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (n_channels, n)
+        In V for outputs, one word per sample for lines.
+    start : int or None
+        Index of the sample at which it starts; None while it waits for the trigger.
+    """
 
     samples: NDArray[Any]
     start: int | None = None
@@ -86,7 +131,18 @@ class Generation:
 
 @dataclass
 class Acquisition:
-    """Samples `start` to ``start + count`` of the inputs; `taken` were read."""
+    """An acquisition of samples `start` to ``start + count`` of the inputs.
+
+    Attributes
+    ----------
+    start, count : int
+    taken : int
+        Samples that were read.
+    shot : int
+        Number of the electrical shot; 0 for one that drives nothing.
+    phases : list of tuple of int and str
+        Samples at which phases of the shot begin, for faults.
+    """
 
     start: int
     count: int
@@ -96,16 +152,27 @@ class Acquisition:
 
 
 class CardModel:
-    """One card. Its thread keeps it and the plant in step with the wall clock; every method is safe from any thread.
+    """One card. Its thread keeps card and plant in step with the wall clock; every method is safe from any thread.
 
-    The watchdog lives in the same thread and needs no server.
+    The watchdog runs in the same thread and needs no server.
 
     Parameters
     ----------
     section : BenchSection
     plant : Behind
-    between : callable
-        Called in the card's thread before every step, for what else moves: the magnet stage.
+    between : callable, optional
+        Called in the card's thread before every step, with the step's end in s: moves the magnet stage.
+
+    Attributes
+    ----------
+    journal : Journal
+    faults : FaultBox
+    watch : Watch
+    outputs, clocked : Generation or None
+        Playing or armed on the outputs and on the clocked lines.
+    inputs : Acquisition or None
+    broken : str or None
+        The error that ended the plant.
     """
 
     def __init__(self, section: BenchSection, plant: Behind, between: Callable[[float], None] | None = None) -> None:
@@ -136,7 +203,7 @@ class CardModel:
     # the card's own thread
 
     def start(self) -> None:
-        """Let time pass."""
+        """Start the card's clock and thread."""
         self._epoch = time.monotonic() - self.plant.played / self.plant.rate
         self._thread.start()
 
@@ -149,7 +216,17 @@ class CardModel:
             self._thread.join(JOIN_TIMEOUT)
 
     def time_of(self, sample: int) -> float:
-        """When a sample is played, on the monotonic clock in s."""
+        """Return the time at which a sample is played.
+
+        Parameters
+        ----------
+        sample : int
+
+        Returns
+        -------
+        float, in s
+            On the monotonic clock.
+        """
         return self._epoch + sample / self.plant.rate
 
     def _run(self) -> None:
@@ -174,12 +251,12 @@ class CardModel:
                 time.sleep(pause)
 
     def _catch_up(self) -> None:
-        """Play until now."""
+        """Play all samples until now."""
         while self._step_on():
             pass
 
     def _step_on(self) -> bool:
-        """Play on towards now, for a step at most; whether there is more to play."""
+        """Play at most one step towards now; return whether there is more to play."""
         rate = self.plant.rate
         target = int((time.monotonic() - self._epoch) * rate)
         late = target - self.plant.played - int(BACKLOG * rate)
@@ -233,7 +310,7 @@ class CardModel:
 
     @staticmethod
     def _overlay(out: NDArray[Any], playing: Generation, first: int, n: int) -> None:
-        """Put what is playing over what was held; after its end it holds its last sample."""
+        """Overwrite held values with what is played; after its end it holds its last sample."""
         assert playing.start is not None
         length = playing.samples.shape[1]
         begin = max(playing.start, first)
@@ -260,7 +337,14 @@ class CardModel:
     # calls of a client
 
     def arm(self, outputs: FloatArray | None = None, lines: NDArray[np.uint32] | None = None) -> None:
-        """Let outputs, or lines on the outputs' clock, wait for the trigger."""
+        """Let outputs, or lines on the outputs' clock, wait for the trigger.
+
+        Parameters
+        ----------
+        outputs : ndarray, shape (n_outputs, n), in V, optional
+        lines : ndarray of uint32, shape (n,), optional
+            One bit per line.
+        """
         with self._changed:
             if outputs is not None:
                 self.outputs = Generation(outputs)
@@ -268,7 +352,13 @@ class CardModel:
                 self.clocked = Generation(lines[None, :])
 
     def acquire(self, count: int) -> None:
-        """Start the inputs, and with them whatever is armed."""
+        """Start the inputs, and with them whatever is armed.
+
+        Parameters
+        ----------
+        count : int
+            Samples of each input.
+        """
         with self._changed:
             start = int((time.monotonic() - self._epoch) * self.plant.rate) + 1
             start = max(start, self.plant.played)
@@ -290,12 +380,21 @@ class CardModel:
             self.journal.note("shot" if driven else "quiet shot", self.time_of(start), shot=going.shot, samples=count)
 
     def read(self, count: int, timeout: float) -> FloatArray:
-        """The next `count` samples (n_inputs, count) in V, as soon as they are there.
+        """Return the next samples of the inputs, as soon as they are acquired.
+
+        Parameters
+        ----------
+        count : int
+        timeout : float, in s
+
+        Returns
+        -------
+        ndarray, shape (n_inputs, count), in V
 
         Raises
         ------
         CardError
-            If they do not come in time, or were lost.
+            If they are not acquired in time, or were lost.
         """
         with self._changed:
             going = self.inputs
@@ -333,18 +432,39 @@ class CardModel:
             return volts
 
     def acquired(self) -> int:
-        """Samples of each input since the acquisition began."""
+        """Return the number of samples of each input since the acquisition began.
+
+        Returns
+        -------
+        int
+        """
         with self._changed:
             going = self.inputs
             return 0 if going is None else min(max(self.plant.played - going.start, 0), going.count)
 
     def available(self) -> int:
-        """Samples of each input that wait to be read."""
+        """Return the number of samples of each input that were acquired and not yet read.
+
+        Returns
+        -------
+        int
+        """
         with self._changed:
             return 0 if self.inputs is None else self.acquired() - self.inputs.taken
 
     def wait(self, kind: str, timeout: float) -> bool:
-        """Whether what plays or is acquired ("ai", "ao", "do") has ended within `timeout` s."""
+        """Wait until a generation or acquisition has ended.
+
+        Parameters
+        ----------
+        kind : {"ai", "ao", "do"}
+        timeout : float, in s
+
+        Returns
+        -------
+        bool
+            Whether it has ended in time.
+        """
         with self._changed:
             return self._changed.wait_for(lambda: self._ended(kind) or self._end, timeout) and not self._end
 
@@ -357,19 +477,19 @@ class CardModel:
         return playing.start is not None and self.plant.played >= playing.start + playing.samples.shape[1]
 
     def stop_inputs(self) -> None:
-        """End the acquisition; the moment before the next shot has come."""
+        """End the acquisition. After an electrical shot, the phase *before* of the next one begins."""
         with self._changed:
             going, self.inputs = self.inputs, None
         if going is not None and going.shot:
             self.faults.moment("before", going.shot + 1)
 
     def stop_outputs(self) -> None:
-        """End what plays: outputs hold the value that they have."""
+        """End the generation on the outputs, which hold their values."""
         with self._changed:
             self._finish("outputs")
 
     def stop_lines(self) -> None:
-        """End what plays on the clocked lines, which hold their level."""
+        """End the generation on the clocked lines, which hold their levels."""
         with self._changed:
             self._finish("clocked")
 
@@ -378,19 +498,41 @@ class CardModel:
         setattr(self, which, None)
 
     def set_outputs(self, volts: FloatArray) -> None:
-        """Volts (n_outputs,) at once."""
+        """Set the outputs at once.
+
+        Parameters
+        ----------
+        volts : ndarray, shape (n_outputs,), in V
+        """
         with self._changed:
             self._catch_up()
             self._held = np.array(volts, dtype=float)
 
     def set_lines(self, levels: int) -> None:
-        """Levels of the clocked port at once, a bit a line."""
+        """Set the levels of the clocked port at once.
+
+        Parameters
+        ----------
+        levels : int
+            One bit per line.
+        """
         with self._changed:
             self._catch_up()
             self._lines = levels
 
     def line(self, name: str) -> bool:
-        """Level of an input line. Waits for nobody at the card, and `FRESH` s at most for it to be up to date."""
+        """Return the level of an input line.
+
+        It does not wait for the card's lock, and waits at most `FRESH` s until the level is up to date.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        bool
+        """
         if name == self.section.relays.all_open:
             asked = time.monotonic()
             while self.time_of(self.plant.played) < asked and time.monotonic() < asked + FRESH:
@@ -401,7 +543,15 @@ class CardModel:
         return False
 
     def set_watchdog(self, timeout: float | None, safe_lines: int = 0) -> None:
-        """Start the watchdog with the lines that it takes low, or stop it."""
+        """Start or stop the watchdog.
+
+        Parameters
+        ----------
+        timeout : float or None, in s
+            None stops it.
+        safe_lines : int
+            Lines that it sets low when it expires, one bit per line.
+        """
         with self._changed:
             if timeout is not None and self._watchdog is None and not self._shots:
                 self.faults.moment("before", 1)
@@ -411,7 +561,7 @@ class CardModel:
                 self._expired = False
 
     def feed(self) -> None:
-        """Reset the watchdog's timer. Waits for nothing: a watchdog has a timer of its own, whatever the card is at.
+        """Reset the watchdog's timer, without waiting for the card's lock.
 
         Raises
         ------
@@ -428,7 +578,7 @@ class CardModel:
         return self._expired
 
     def reset(self) -> None:
-        """As after power-up: nothing plays, outputs at zero, lines low, no watchdog."""
+        """Return to the state after power-up: nothing plays, outputs at zero, lines low, no watchdog."""
         with self._changed:
             self._catch_up()
             self.outputs = self.clocked = self.inputs = None
@@ -440,13 +590,29 @@ class CardModel:
             self.journal.note("reset")
 
     def rests(self, within: float = 0.0) -> bool:
-        """Whether, within so many s, nothing is driven, amplifiers are off, and every relay is open that can be."""
+        """Wait until nothing is driven, the amplifiers are off, and every relay that is not stuck is open.
+
+        Parameters
+        ----------
+        within : float, in s
+
+        Returns
+        -------
+        bool
+            Whether that is so in time.
+        """
         lines = self.watch.driven, self.watch.closed, self.watch.enabled
         with self._changed:
             return self._changed.wait_for(lambda: not any(line.on for line in lines), within)
 
     def state(self) -> Mapping[str, Any]:
-        """What it does now, for whoever watches."""
+        """Return the card's present state, for monitoring.
+
+        Returns
+        -------
+        mapping
+            Plain lists, numbers and strings; times in s on the monotonic clock.
+        """
         with self._changed:
             return {
                 "played_s": self.plant.played / self.plant.rate,

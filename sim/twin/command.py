@@ -37,7 +37,7 @@ def twin(
     ] = "127.0.0.1:31765",
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object when all servers listen.")] = False,
 ) -> None:
-    """Be a bench: NI card behind a device server, magnet stage behind a serial port, a simulated tank behind both."""
+    """Simulate a bench: NI card behind a device server, magnet stage behind a serial port, and the tank."""
     from sim.twin.faults import FAULTS, parse_fault
 
     if list_faults:

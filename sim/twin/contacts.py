@@ -11,23 +11,23 @@ from smolbot.core.arrays import BoolArray, FloatArray
 
 
 class Contacts:
-    """Turns volts and line levels into the currents that the amplifiers drive through each load.
+    """Computes the load currents from output voltages and line levels.
 
-    A relay follows its line after its closing or opening time. Loads whose relays are closed on one output share its
-    current. Amplifiers that are not enabled drive nothing.
-
-    Attributes
-    ----------
-    closed : ndarray of bool, shape (n_loads,)
-        Contacts as they are now.
-    stuck : int or None
-        A load whose contacts do not open any more.
+    A relay follows its line after its closing or opening time. Loads whose relays are closed on one output share
+    its current. Amplifiers that are not enabled drive nothing.
 
     Parameters
     ----------
     section : BenchSection
     loads : tuple of str
-        Order of the currents that come out, by the loads' names.
+        Names of the loads, in the order of the currents.
+
+    Attributes
+    ----------
+    closed : ndarray of bool, shape (n_loads,)
+        Present state of the contacts.
+    stuck : int or None
+        Index of a load whose contacts do not open any more.
     """
 
     def __init__(self, section: BenchSection, loads: tuple[str, ...]) -> None:
@@ -47,7 +47,7 @@ class Contacts:
         self.stuck: int | None = None
 
     def mend(self) -> None:
-        """Contacts that stuck follow their relay again."""
+        """Let stuck contacts follow their relay again."""
         if self.stuck is not None:
             self.closed[self.stuck] = self._told[self.stuck]
             self.stuck = None
@@ -55,13 +55,22 @@ class Contacts:
     def pass_through(
         self, first: int, volts: FloatArray, lines: NDArray[np.uint32]
     ) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Currents (n_loads, n) in A, contacts (n_loads, n) and enable (n,), of samples `first` on.
+        """Compute currents, contacts and enable line for consecutive samples.
 
         Parameters
         ----------
         first : int
-        volts : ndarray, shape (n_outputs, n)
+            Index of the first sample.
+        volts : ndarray, shape (n_outputs, n), in V
         lines : ndarray of uint32, shape (n,)
+            One bit per line.
+
+        Returns
+        -------
+        currents : ndarray, shape (n_loads, n), in A
+        contacts : ndarray of bool, shape (n_loads, n)
+            Whether closed.
+        enabled : ndarray of bool, shape (n,)
         """
         n = len(lines)
         told = (lines[None, :] >> self._bits[:, None]) & 1 > 0
@@ -81,7 +90,7 @@ class Contacts:
         return currents, contacts, enabled
 
     def _follow(self, load: int, first: int, told: BoolArray) -> BoolArray:
-        """Contacts of one relay over the samples, told what to do at each."""
+        """Compute the contacts of one relay over the samples, given its commanded levels."""
         n = len(told)
         if bool(told[0]) != bool(self._told[load]) or told.any() != told.all():
             before = np.concatenate([[self._told[load]], told[:-1]])

@@ -1,4 +1,4 @@
-"""A side door to the twin: lines of JSON over a loopback socket, to inject faults and to look at what the card did."""
+"""A control interface of the twin: lines of JSON over a loopback socket, to inject faults and to inspect the card."""
 
 from __future__ import annotations
 
@@ -17,6 +17,18 @@ Handler = Callable[[Mapping[str, Any]], Any]
 
 class ControlServer:
     """Answers each line ``{"do": NAME, …}`` with ``{"ok": …}`` or ``{"error": …}``.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+        0 takes a free one.
+    handlers : mapping of str to callable
+        Called with the request, by its ``do``; their result is the answer.
+
+    Attributes
+    ----------
+    port : int
 
     Raises
     ------
@@ -61,14 +73,26 @@ class ControlServer:
             return {"error": str(error)}
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
 
 class TwinControl(Closing):
-    """A client of a twin's control.
+    """A client of a twin's control interface.
+
+    Parameters
+    ----------
+    address : str
+        As ``host:port``.
+    timeout : float, in s
+        For each answer.
+
+    Raises
+    ------
+    RigError
+        If no twin answers there.
 
     Examples
     --------
@@ -87,12 +111,24 @@ class TwinControl(Closing):
         self._stream = self._socket.makefile("rw", encoding="utf-8")
 
     def ask(self, do: str, **detail: Any) -> Any:
-        """Send one request; its answer.
+        """Send one request and return the answer.
+
+        Parameters
+        ----------
+        do : str
+            Name of the request.
+        **detail : Any
+            Its arguments.
+
+        Returns
+        -------
+        Any
+            Decoded from JSON.
 
         Raises
         ------
         RigError
-            If the twin says no, or is gone.
+            If the twin refuses, or the connection is lost.
         """
         try:
             self._stream.write(json.dumps({"do": do, **detail}) + "\n")
@@ -108,22 +144,44 @@ class TwinControl(Closing):
         return answer["ok"]
 
     def inject(self, fault: str) -> None:
-        """Let a fault come: ``NAME@MOMENT[:once|good]``."""
+        """Inject a fault.
+
+        Parameters
+        ----------
+        fault : str
+            As ``NAME@MOMENT[:once|good]``.
+        """
         self.ask("inject", fault=fault)
 
     def clear(self) -> None:
-        """Let nothing be wrong any more, and nothing come."""
+        """Remove all faults, present and pending."""
         self.ask("clear")
 
     def log(self, since: int = 0) -> list[dict[str, Any]]:
-        """What the card wrote down after entry `since`, with times on the monotonic clock in s."""
+        """Return the card's log entries.
+
+        Parameters
+        ----------
+        since : int
+            Number of the last entry that is not needed.
+
+        Returns
+        -------
+        list of dict
+            With times in s on the monotonic clock.
+        """
         return list(self.ask("log", since=since))
 
     def state(self) -> dict[str, Any]:
-        """What it does now."""
+        """Return the twin's present state.
+
+        Returns
+        -------
+        dict
+        """
         return dict(self.ask("state"))
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self._stream.close()
         self._socket.close()

@@ -1,4 +1,4 @@
-"""The twin's device server as a process would be one: it listens, it dies, it comes back."""
+"""The twin's device server, which can be killed and restarted like a process."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ THREADS = 32
 
 
 class DeviceServer:
-    """Serves a card from the moment it is made.
-
-    Attributes
-    ----------
-    address : str
-        Where it listens.
+    """Serves a card from construction on.
 
     Parameters
     ----------
     card : CardModel
     address : str
-        host:port; port 0 takes a free one.
+        As ``host:port``; port 0 takes a free one.
+
+    Attributes
+    ----------
+    address : str
+        Where it listens.
 
     Raises
     ------
@@ -65,18 +65,18 @@ class DeviceServer:
         return server, port
 
     def kill(self) -> None:
-        """Die in the middle of whatever it does; every connection breaks. The card lives on."""
+        """Stop at once; every connection breaks. The card is not affected."""
         with self._lock:
             self._server.stop(None).wait()
 
     def revive(self) -> None:
-        """Come back, knowing nothing of the tasks that were."""
+        """Start again, without the former tasks."""
         with self._lock:
             if not self._closed:
                 self._server, _ = self._listen(self.address)
 
     def close(self) -> None:
-        """Serve no more; harmless when repeated."""
+        """Stop for good; harmless when repeated."""
         with self._lock:
             self._closed = True
             self._server.stop(None).wait()

@@ -1,4 +1,4 @@
-"""What can go wrong with a bench, by name: when it happens, and for how long."""
+"""Faults of a bench, by name: when they occur, and for how long."""
 
 from __future__ import annotations
 
@@ -38,18 +38,20 @@ _MOMENT = re.compile(r"^(?:(?P<phase>before|actuation|listening)#(?P<shot>\d+)|(
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault that is to come.
+    """One pending fault.
 
     Attributes
     ----------
     name : str
         One of `FAULTS`.
-    phase, shot : str and int
-        In which phase of which electrical shot, counted from 1; or
-    seconds : float or None
-        how long after the first shot; None with an empty phase: at once.
+    phase : str
+        Phase of the shot in which it occurs; empty if a time is given, or if it occurs at once.
+    shot : int
+        Number of the electrical shot, from 1.
+    seconds : float or None, in s
+        Time after the first shot; None with an empty phase means at once.
     good : bool
-        For good, instead of once.
+        Whether it is permanent.
     """
 
     name: str
@@ -60,12 +62,26 @@ class Fault:
 
 
 def parse_fault(text: str) -> Fault:
-    """A fault as the command line spells it: ``NAME@MOMENT[:once|good]``.
+    """Parse a fault in the command line's spelling, ``NAME@MOMENT[:once|good]``.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    Fault
+
+    Raises
+    ------
+    InputError
+        If name, moment or duration are unknown.
 
     Examples
     --------
-    >>> parse_fault("overrun@actuation#30:good")
-    Fault(name='overrun', phase='actuation', shot=30, seconds=None, good=True)
+    >>> fault = parse_fault("overrun@actuation#30:good")
+    >>> fault.name, fault.phase, fault.shot
+    ('overrun', 'actuation', 30)
     >>> parse_fault("button@12.5s").seconds
     12.5
     """
@@ -93,9 +109,14 @@ def parse_fault(text: str) -> Fault:
 
 
 class FaultBox:
-    """Faults that wait for their moment, and those that are there. Safe from any thread.
+    """Holds pending and present faults. Safe from any thread.
 
-    `happened` is called with the name of each fault as it comes; it must not wait. Listeners may: see `add_listener`.
+    Parameters
+    ----------
+    happened : callable
+        Called with the name of each fault as it occurs; it must not block, unlike listeners (see `add_listener`).
+    clock : callable
+        Returns the time in s.
     """
 
     def __init__(self, happened: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
@@ -107,11 +128,21 @@ class FaultBox:
         self._first_shot: float | None = None
 
     def add_listener(self, listener: Callable[[str], None]) -> None:
-        """Call `listener` with the name of each fault as it comes, in a thread of its own."""
+        """Call a listener with the name of each fault as it occurs, in a thread of its own.
+
+        Parameters
+        ----------
+        listener : callable
+        """
         self._listeners.append(listener)
 
     def add(self, fault: Fault) -> None:
-        """Let a fault wait for its moment, or come now."""
+        """Add a pending fault, or let it occur now.
+
+        Parameters
+        ----------
+        fault : Fault
+        """
         with self._lock:
             if fault.phase or fault.seconds is not None:
                 self._waiting.append(fault)
@@ -119,17 +150,24 @@ class FaultBox:
         self._come(fault)
 
     def clear(self) -> None:
-        """Nothing is wrong any more, and nothing is to come."""
+        """Remove all faults, present and pending."""
         with self._lock:
             self._waiting.clear()
             self._there.clear()
 
     def count_anew(self) -> None:
-        """A client has opened the card: its first shot is still to come."""
+        """Forget the first shot: a new client has opened the card."""
         self._first_shot = None
 
     def moment(self, phase: str, shot: int) -> None:
-        """The card has reached a phase of a shot."""
+        """Notify that the card has reached a phase of a shot.
+
+        Parameters
+        ----------
+        phase : {"before", "actuation", "listening"}
+        shot : int
+            Number of the electrical shot, from 1.
+        """
         if phase == "actuation" and self._first_shot is None:
             self._first_shot = self._clock()
         with self._lock:
@@ -139,7 +177,7 @@ class FaultBox:
             self._come(fault)
 
     def tick(self) -> None:
-        """Time has passed."""
+        """Activate the faults whose time has come."""
         if self._first_shot is None or not self._waiting:
             return
         since = self._clock() - self._first_shot
@@ -157,7 +195,16 @@ class FaultBox:
             threading.Thread(target=listener, args=(fault.name,), name=f"fault {fault.name}", daemon=True).start()
 
     def takes(self, name: str) -> bool:
-        """Whether an event such as a time-out is due; one that comes once is over with that."""
+        """Return whether an event such as a time-out is due; one that occurs once is then removed.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        bool
+        """
         if name not in self._there:
             return False
         with self._lock:
@@ -169,11 +216,29 @@ class FaultBox:
             return True
 
     def lasts(self, name: str) -> bool:
-        """Whether a fault that is there has come for good."""
+        """Return whether a present fault is permanent.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        bool
+        """
         return self._there.get(name, (False, 0.0))[0]
 
     def holds(self, name: str) -> bool:
-        """Whether a state such as a dead sensor lasts."""
+        """Return whether a state such as a dead sensor is present.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        bool
+        """
         found = self._there.get(name)
         if found is None:
             return False

@@ -1,4 +1,4 @@
-"""The magnet stage's firmware and the simulated board it runs on, compiled once and kept."""
+"""Build the magnet stage's firmware and the simulated board that runs it; both are cached."""
 
 from __future__ import annotations
 
@@ -24,19 +24,38 @@ HEADERS = ("/usr/include/simavr/sim_avr.h", "/usr/local/include/simavr/sim_avr.h
 
 @dataclass(frozen=True)
 class Built:
-    """Paths of the firmware (ELF) and of the program that runs it."""
+    """Paths of the compiled programs.
+
+    Attributes
+    ----------
+    firmware : Path
+        In ELF format.
+    board : Path
+        The program that simulates the board.
+    """
 
     firmware: Path
     board: Path
 
 
 def sketch() -> Path:
-    """The firmware's source, as it is opened in the Arduino IDE."""
+    """Return the firmware's source, as it is opened in the Arduino IDE.
+
+    Returns
+    -------
+    Path
+    """
     return Path(str(files("smolbot.bench.hardware"))) / "firmware" / "magnet_stage" / "magnet_stage.ino"
 
 
 def missing_tools() -> str | None:
-    """What is not installed that running the firmware needs, or None."""
+    """Find which tools for simulating the firmware are not installed.
+
+    Returns
+    -------
+    str or None
+        A message that names them; None if all are there.
+    """
     lacking = [name for name in ("avr-gcc", "avr-size", "cc") if shutil.which(name) is None]
     if not any(Path(header).exists() for header in HEADERS):
         lacking.append("simavr's headers")
@@ -46,12 +65,21 @@ def missing_tools() -> str | None:
 
 
 def build(source: Path | None = None) -> Built:
-    """Compile firmware (`source`, or the one that is shipped) and board, unless they are in the cache already.
+    """Compile firmware and board, unless they are in the cache already.
+
+    Parameters
+    ----------
+    source : Path, optional
+        Of the firmware; the shipped one if not given.
+
+    Returns
+    -------
+    Built
 
     Raises
     ------
     RigError
-        If a tool is missing, or a compiler objects.
+        If a tool is missing, or a compiler fails.
     """
     if (lack := missing_tools()) is not None:
         raise RigError(f"simulated magnet stage: {lack}.", device="magnet stage")
@@ -70,7 +98,17 @@ def build(source: Path | None = None) -> Built:
 
 
 def size(firmware: Path) -> tuple[int, int]:
-    """Bytes of flash and of RAM (without stack) that a firmware takes."""
+    """Return the memory that a firmware uses.
+
+    Parameters
+    ----------
+    firmware : Path
+
+    Returns
+    -------
+    flash, ram : int, in bytes
+        RAM without the stack.
+    """
     listed = subprocess.run(["avr-size", "-A", str(firmware)], capture_output=True, text=True, check=True).stdout
     section = {name: int(count) for name, count in re.findall(r"^\.(\w+)\s+(\d+)", listed, re.M)}
     data = section.get("data", 0)
@@ -78,7 +116,7 @@ def size(firmware: Path) -> tuple[int, int]:
 
 
 def _compile(command: list[str], result: Path, libraries: tuple[str, ...] = ()) -> None:
-    """Compile beside the place, then move there: two that build at once do not see half of each other's."""
+    """Compile in a temporary folder, then move the result: parallel builds do not read partial files."""
     with tempfile.TemporaryDirectory(dir=result.parent) as aside:
         made = Path(aside) / result.name
         done = subprocess.run([*command, "-o", str(made), *libraries], capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""A simulated hand that brings the magnet near and takes it away, when the stage's lamp asks for it."""
+"""A simulated operator who moves the magnet near and away when the stage's lamp requests it."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ MAX_SIGMAS = 3.0
 
 
 class Hand:
-    """Where the magnet is, moved at the lamp's request.
-
-    Attributes
-    ----------
-    place : {"near", "away"} or None
-        None while it is on its way.
+    """Position of the magnet, moved at the lamp's request.
 
     Parameters
     ----------
     duration : float, in s
-        A move, at the least: a hand is late, never early.
+        Shortest duration of a move: an operator may be late, never early.
     lateness : float
-        Standard deviation of how much longer it takes, as a share of that.
+        Standard deviation of the delay, as a fraction of `duration`.
     rng : numpy.random.Generator
+
+    Attributes
+    ----------
+    place : {"near", "away"} or None
+        None during a move.
     """
 
     def __init__(self, duration: float, lateness: float, rng: np.random.Generator) -> None:
@@ -31,11 +31,18 @@ class Hand:
         self._going: tuple[str, float] | None = None
 
     def put_away(self) -> None:
-        """Take the magnet away at once, whatever was asked for."""
+        """Move the magnet away at once, whatever was requested."""
         self.place, self._going = "away", None
 
     def look(self, lamp: str | None, time: float) -> None:
-        """What the lamp asks for at `time` s."""
+        """Update the magnet's position from the lamp.
+
+        Parameters
+        ----------
+        lamp : {"near", "away"} or None
+            The requested position.
+        time : float, in s
+        """
         if self._going is not None:
             to, arrives = self._going
             if time >= arrives:

@@ -1,4 +1,4 @@
-"""What the twin's card writes down, on the monotonic clock: when outputs drove, relays were closed, faults came."""
+"""The log of the twin's card, on the monotonic clock: when outputs were driven, relays closed, and faults occurred."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ PAUSE = 1e-3
 
 
 class Journal:
-    """Entries are mappings with ``number``, ``time`` (s, monotonic clock), ``what``, and more. Safe from any thread."""
+    """A log. Safe from any thread.
+
+    An entry is a mapping with ``number``, ``time`` (s, monotonic clock), ``what``, and details.
+    """
 
     def __init__(self) -> None:
         self._entries: deque[dict[str, Any]] = deque(maxlen=KEPT)
@@ -31,25 +34,37 @@ class Journal:
         self._lock = threading.Lock()
 
     def note(self, what: str, at: float | None = None, **detail: Any) -> None:
-        """Write an entry, by default of now."""
+        """Add an entry.
+
+        Parameters
+        ----------
+        what : str
+        at : float, in s, optional
+            Time of the entry; now if not given.
+        **detail : Any
+            Further values.
+        """
         stamp = time.monotonic() if at is None else at
         with self._lock:
             self._entries.append({"number": next(self._numbers), "time": stamp, "what": what, **detail})
 
     def since(self, number: int = 0) -> list[dict[str, Any]]:
-        """Entries after the one of this number, in the order of writing."""
+        """Return the entries after a number, in the order of writing.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        list of dict
+        """
         with self._lock:
             return [entry for entry in self._entries if entry["number"] > number]
 
 
 class Line:
-    """Whether something is on, over the samples; writes down each change.
-
-    Attributes
-    ----------
-    on : bool
-    latest : float
-        When it was last on, in s on the monotonic clock; 0 if never.
+    """Monitors whether something is on, sample by sample, and logs each change.
 
     Parameters
     ----------
@@ -57,7 +72,13 @@ class Line:
     what : str
         Name of the entries.
     pause : int
-        Samples that it must be off to count as off; it is off from the first of them.
+        Number of samples that it must be off to count as off; it is off from the first of them.
+
+    Attributes
+    ----------
+    on : bool
+    latest : float, in s
+        When it was last on, on the monotonic clock; 0 if never.
     """
 
     def __init__(self, journal: Journal, what: str, pause: int = 0) -> None:
@@ -66,7 +87,17 @@ class Line:
         self._latest_sample = -1
 
     def follow(self, first: int, levels: BoolArray, epoch: float, rate: float) -> None:
-        """Levels (n,) of samples `first` on, of which sample 0 was at `epoch`."""
+        """Update from the levels of consecutive samples.
+
+        Parameters
+        ----------
+        first : int
+            Index of the first sample.
+        levels : ndarray of bool, shape (n,)
+        epoch : float, in s
+            Time of sample 0.
+        rate : float, in Hz
+        """
         n = len(levels)
         if not levels.any():
             self._go_off(first + n, epoch, rate)
@@ -95,7 +126,18 @@ class Line:
 
 
 class Watch:
-    """Three lines: ``driven`` (any load's commanded current), ``closed`` (any relay) and ``enabled`` (amplifiers)."""
+    """Monitors the commanded currents (``driven``), the relays (``closed``) and the amplifiers (``enabled``).
+
+    Parameters
+    ----------
+    journal : Journal
+    rate : float, in Hz
+        Of the samples.
+
+    Attributes
+    ----------
+    driven, closed, enabled : Line
+    """
 
     def __init__(self, journal: Journal, rate: float) -> None:
         self._rate = rate
@@ -103,7 +145,20 @@ class Watch:
         self.closed, self.enabled = Line(journal, "closed"), Line(journal, "enabled")
 
     def follow(self, first: int, epoch: float, currents: FloatArray, contacts: BoolArray, enabled: BoolArray) -> None:
-        """Commanded currents (n_loads, n) in A, contacts (n_loads, n) and enable (n,) of samples `first` on."""
+        """Update from consecutive samples.
+
+        Parameters
+        ----------
+        first : int
+            Index of the first sample.
+        epoch : float, in s
+            Time of sample 0.
+        currents : ndarray, shape (n_loads, n), in A
+            As commanded.
+        contacts : ndarray of bool, shape (n_relays, n)
+            Whether closed.
+        enabled : ndarray of bool, shape (n,)
+        """
         self.driven.follow(first, np.abs(currents).max(axis=0) > DRIVES, epoch, self._rate)
         self.closed.follow(first, np.logical_or.reduce(contacts, axis=0), epoch, self._rate)
         self.enabled.follow(first, enabled, epoch, self._rate)

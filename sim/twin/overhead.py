@@ -1,4 +1,4 @@
-"""What the magnet overhead puts into the sensors while it is near: thousands of times what they can read."""
+"""The field of the near magnet at the sensors: a thousand times their range."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from smolbot.core.arrays import FloatArray
 
 
 class Overhead:
-    """Remembers for a while what the sensors heard of the magnet, straight between the moments that were noted.
+    """Stores the magnet's recent field at the sensors, interpolated linearly in time.
 
     Parameters
     ----------
     axes : ndarray, shape (n, 3)
-        Of the sensors, gains included.
+        Of the sensors, with the gain as length, world frame.
     memory : float, in s
+        How long it is stored.
     """
 
     def __init__(self, axes: FloatArray, memory: float) -> None:
@@ -24,7 +25,14 @@ class Overhead:
         self._rows: deque[tuple[float, FloatArray]] = deque()
 
     def note(self, time: float, field: FloatArray) -> None:
-        """From the last moment to `time` s, the field at the sensors went straight to `field` (n, 3) in T."""
+        """Append the field at a time.
+
+        Parameters
+        ----------
+        time : float, in s
+        field : ndarray, shape (n, 3), in T
+            At the sensors, world frame.
+        """
         heard = np.einsum("ij,ij->i", self._axes, field)
         rows = self._rows
         if len(rows) > 1 and not heard.any() and not rows[-1][1].any() and not rows[-2][1].any():
@@ -34,7 +42,15 @@ class Overhead:
             rows.popleft()
 
     def add(self, signal: FloatArray, clock: float, rate: float) -> None:
-        """Add it to `signal` (n, k) in T, samples from `clock` s on."""
+        """Add the magnet's field to readings, in place.
+
+        Parameters
+        ----------
+        signal : ndarray, shape (n, k), in T
+        clock : float, in s
+            Time of the first sample.
+        rate : float, in Hz
+        """
         near: list[tuple[float, FloatArray]] = []
         for row in reversed(self._rows):
             near.append(row)

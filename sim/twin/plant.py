@@ -1,4 +1,4 @@
-"""The tank behind the twin: commanded sample by sample, and heard piece by piece."""
+"""The tank behind the twin: commanded sample by sample, and read in blocks."""
 
 from __future__ import annotations
 
@@ -26,6 +26,11 @@ class Plant(Tank):
 
     Not to be shared between threads. One substep of the tank is one sample.
 
+    Parameters
+    ----------
+    rig, robot, settings, start, seed, ideal
+        As `sim.tank.tank.Tank` takes them.
+
     Attributes
     ----------
     rate : float, in Hz
@@ -33,11 +38,6 @@ class Plant(Tank):
         Driven coils: actuation coils in the rig file's order, then excitation coils as ``excitation x``.
     played : int
         Samples since the beginning.
-
-    Parameters
-    ----------
-    rig, robot, settings, start, seed, ideal
-        As `sim.tank.tank.Tank` takes them.
 
     Raises
     ------
@@ -70,12 +70,16 @@ class Plant(Tank):
         self.running = True
 
     def advance(self, currents: FloatArray) -> None:  # type: ignore[override]
-        """Move on by as many samples as `currents`, shape (n_loads, n) in A, has columns.
+        """Advance by as many samples as `currents` has columns.
+
+        Parameters
+        ----------
+        currents : ndarray, shape (n_loads, n), in A
 
         Raises
         ------
         InputError
-            For another shape, for what is not finite, or for more than is remembered.
+            For another shape, for values that are not finite, or for more samples than are stored.
         RigError
             If the robot has left the container.
         """
@@ -105,7 +109,7 @@ class Plant(Tank):
         self._stays(place)
 
     def _steps(self, n: int, length: int, commands: FloatArray) -> FloatArray:
-        """Play `n` steps of `length` samples; return where the robot is then."""
+        """Play `n` steps of `length` samples; return the robot's final position."""
         self.history.drop_last()  # the first row repeats the last row of the steps before
         times, poses = self.history.reserve(n + 1)
         self._run(n, length / self.rate, times, poses, commands)
@@ -115,25 +119,42 @@ class Plant(Tank):
         return poses[n, :3]
 
     def magnet(self, turn: float, steering: float, near: bool | None) -> None:
-        """Where the stage stands now: angles in rad about the motor's axis and of that axis; None on its way.
+        """Set the magnet stage's present angles; the next `advance` moves the magnet there.
 
-        The next `advance` takes it there.
+        Parameters
+        ----------
+        turn : float, in rad
+            About the motor's axis.
+        steering : float, in rad
+            Heading of that axis.
+        near : bool or None
+            None while it is being moved.
         """
         self._target = (turn, steering, bool(near))
 
     def begin_acquisition(self) -> None:
-        """A new recording begins: what hand-nulling left in each channel is another one."""
+        """Begin a new recording, with new residual offsets of the channels."""
         self._constants = self.sensors.draw_constants()
 
     def volts(self, first: int, n: int) -> FloatArray:
-        """Converter readings (n_sensors, n) in V of plant samples `first` to ``first + n - 1``, which were played.
+        """Return converter readings of samples that were played.
 
-        Pieces of one acquisition are asked for in order.
+        Parts of one acquisition must be read in order.
+
+        Parameters
+        ----------
+        first : int
+            Index of the first sample.
+        n : int
+
+        Returns
+        -------
+        ndarray, shape (n_sensors, n), in V
 
         Raises
         ------
         InputError
-            For samples that were not played yet, or are forgotten.
+            For samples that were not played yet, or are no longer stored.
         """
         clock, sensors = first / self.rate, self.sensors
         oldest = max(self.played - round((REMEMBERED - 2 * sensors.lead) * self.rate), 0)
@@ -153,7 +174,7 @@ class Plant(Tank):
         return np.asarray(field * self._volts_per_tesla)
 
     def _mirror(self, count: int) -> None:
-        """Lay the last `count` rows down once more in the first half, so that no large copy is ever due."""
+        """Copy the last `count` rows into the first half as well, so that no large copy is needed later."""
         first = max(self._used - count, self._keep)
         if first < self._used:
             to = slice(first - self._keep, self._used - self._keep)
@@ -161,7 +182,7 @@ class Plant(Tank):
             self._trace[to] = self._trace[first : self._used]
 
     def _make_room(self, count: int) -> None:
-        """At the end of the room go on in its first half, which holds the same rows."""
+        """At the end of the arrays continue in their first half, which holds the same rows."""
         if count > self._keep:
             raise InputError(f"The plant advances by at most {self._keep} samples at once; got {count}.")
         if self._used + count > len(self._trace_times):

@@ -1,4 +1,4 @@
-"""The NI device server of the twin: what the unmodified client library calls, over gRPC."""
+"""The NI device server of the twin, called by the unmodified client library over gRPC."""
 
 from __future__ import annotations
 
@@ -25,13 +25,18 @@ RESET_TIMER = 0
 
 
 class TwinServicer(Attributes):
-    """Answers for one card; calls that no bench needs stay unimplemented, as on an old server."""
+    """Serves one card; calls that no bench needs stay unimplemented, as on an old server.
+
+    Parameters
+    ----------
+    card : CardModel
+    """
 
     def __init__(self, card: CardModel) -> None:
         self.card, self.tasks = card, Tasks(card)
 
     def _call(self, context: Any, action: Callable[[], Any]) -> Any:
-        """Carry out one call, unless the card is gone or the server stalls; errors as the server sends them."""
+        """Run one call, unless the card is gone or the server stalls; errors are sent as by the real server."""
         faults = self.card.faults
         while faults.holds("stalled") and context.is_active():
             time.sleep(PATIENCE)
@@ -53,7 +58,7 @@ class TwinServicer(Attributes):
             context.abort(grpc.StatusCode.UNKNOWN, str(error))
 
     def _on(self, request: Any, context: Any, response: Any, action: Callable[[TwinTask], Any]) -> Any:
-        """The same for a call on a task, with an answer that says no more than that it went well."""
+        """Run one call on a task, with an empty answer."""
 
         def run() -> Any:
             action(self.tasks.get(request.task.name))
@@ -64,9 +69,30 @@ class TwinServicer(Attributes):
     # tasks
 
     def CreateTask(self, request: Any, context: Any) -> Any:
+        """Create a task.
+
+        Parameters
+        ----------
+        request, context : CreateTaskRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CreateTaskResponse
+        """
         return self._call(context, lambda: self._created(messages.CreateTaskResponse, request.session_name))
 
     def CreateWatchdogTimerTaskEx(self, request: Any, context: Any) -> Any:
+        """Create a watchdog task.
+
+        Parameters
+        ----------
+        request, context : CreateWatchdogTimerTaskExRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CreateWatchdogTimerTaskExResponse
+        """
+
         def run() -> Any:
             if request.device_name != self.tasks.device:
                 raise CardError(UNKNOWN_DEVICE, f"Device identifier is invalid: '{request.device_name}'.")
@@ -81,15 +107,56 @@ class TwinServicer(Attributes):
         return response(task=Session(name=task.name), new_session_initialized=True)
 
     def ClearTask(self, request: Any, context: Any) -> Any:
+        """Stop and remove a task.
+
+        Parameters
+        ----------
+        request, context : ClearTaskRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        ClearTaskResponse
+        """
         return self._on(request, context, messages.ClearTaskResponse, lambda task: self.tasks.clear(task.name))
 
     def StartTask(self, request: Any, context: Any) -> Any:
+        """Start a task.
+
+        Parameters
+        ----------
+        request, context : StartTaskRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        StartTaskResponse
+        """
         return self._on(request, context, messages.StartTaskResponse, self.tasks.start)
 
     def StopTask(self, request: Any, context: Any) -> Any:
+        """Stop a task.
+
+        Parameters
+        ----------
+        request, context : StopTaskRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        StopTaskResponse
+        """
         return self._on(request, context, messages.StopTaskResponse, self.tasks.stop)
 
     def TaskControl(self, request: Any, context: Any) -> Any:
+        """Abort a task.
+
+        Parameters
+        ----------
+        request, context : TaskControlRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        TaskControlResponse
+        """
+
         def run(task: TwinTask) -> None:
             action = request.action_raw or request.action
             if action != ABORT:
@@ -100,12 +167,33 @@ class TwinServicer(Attributes):
         return self._on(request, context, messages.TaskControlResponse, run)
 
     def IsTaskDone(self, request: Any, context: Any) -> Any:
+        """Report whether a task is done.
+
+        Parameters
+        ----------
+        request, context : IsTaskDoneRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        IsTaskDoneResponse
+        """
         return self._call(
             context,
             lambda: messages.IsTaskDoneResponse(is_task_done=self.tasks.wait(self.tasks.get(request.task.name), 0.0)),
         )
 
     def WaitUntilTaskDone(self, request: Any, context: Any) -> Any:
+        """Wait until a task is done.
+
+        Parameters
+        ----------
+        request, context : WaitUntilTaskDoneRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        WaitUntilTaskDoneResponse
+        """
+
         def run(task: TwinTask) -> None:
             if not self.tasks.wait(task, max(request.time_to_wait, 0.0)):
                 raise CardError(-200560, "Wait Until Done did not indicate that the task was done within the timeout.")
@@ -115,6 +203,16 @@ class TwinServicer(Attributes):
     # channels and timing
 
     def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:
+        """Add analog inputs to a task.
+
+        Parameters
+        ----------
+        request, context : CreateAIVoltageChanRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CreateAIVoltageChanResponse
+        """
         span = (request.min_val, request.max_val)
         return self._on(
             request, context, messages.CreateAIVoltageChanResponse,
@@ -122,6 +220,16 @@ class TwinServicer(Attributes):
         )  # fmt: skip
 
     def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:
+        """Add analog outputs to a task.
+
+        Parameters
+        ----------
+        request, context : CreateAOVoltageChanRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CreateAOVoltageChanResponse
+        """
         span = (request.min_val, request.max_val)
         return self._on(
             request, context, messages.CreateAOVoltageChanResponse,
@@ -129,9 +237,29 @@ class TwinServicer(Attributes):
         )  # fmt: skip
 
     def CreateDOChan(self, request: Any, context: Any) -> Any:
+        """Add digital outputs to a task.
+
+        Parameters
+        ----------
+        request, context : CreateDOChanRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CreateDOChanResponse
+        """
         return self._on(request, context, messages.CreateDOChanResponse, lambda task: self._lines(task, "do", request))
 
     def CreateDIChan(self, request: Any, context: Any) -> Any:
+        """Add digital inputs to a task.
+
+        Parameters
+        ----------
+        request, context : CreateDIChanRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CreateDIChanResponse
+        """
         return self._on(request, context, messages.CreateDIChanResponse, lambda task: self._lines(task, "di", request))
 
     def _lines(self, task: TwinTask, kind: str, request: Any) -> None:
@@ -139,12 +267,33 @@ class TwinServicer(Attributes):
         task.grouped = (request.line_grouping_raw or request.line_grouping) == FOR_ALL_LINES
 
     def CfgSampClkTiming(self, request: Any, context: Any) -> Any:
+        """Set the sample clock of a task.
+
+        Parameters
+        ----------
+        request, context : CfgSampClkTimingRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CfgSampClkTimingResponse
+        """
         return self._on(
             request, context, messages.CfgSampClkTimingResponse,
             lambda task: self.tasks.clock(task, request.rate, request.source, request.samps_per_chan),
         )  # fmt: skip
 
     def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> Any:
+        """Set the start trigger of a task.
+
+        Parameters
+        ----------
+        request, context : CfgDigEdgeStartTrigRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CfgDigEdgeStartTrigResponse
+        """
+
         def run(task: TwinTask) -> None:
             task.trigger = request.trigger_source
 
@@ -153,6 +302,17 @@ class TwinServicer(Attributes):
     # reading and writing
 
     def ReadAnalogF64(self, request: Any, context: Any) -> Any:
+        """Read samples of a task's analog inputs.
+
+        Parameters
+        ----------
+        request, context : ReadAnalogF64Request, grpc.ServicerContext
+
+        Returns
+        -------
+        ReadAnalogF64Response
+        """
+
         def run() -> Any:
             task = self.tasks.get(request.task.name)
             if task.kind != "ai":
@@ -165,6 +325,17 @@ class TwinServicer(Attributes):
         return self._call(context, run)
 
     def WriteAnalogF64(self, request: Any, context: Any) -> Any:
+        """Write samples for a task's analog outputs.
+
+        Parameters
+        ----------
+        request, context : WriteAnalogF64Request, grpc.ServicerContext
+
+        Returns
+        -------
+        WriteAnalogF64Response
+        """
+
         def run() -> Any:
             task, n = self.tasks.get(request.task.name), request.num_samps_per_chan
             values = np.array(request.write_array, dtype=np.float64).reshape(len(task.channels), n)
@@ -174,6 +345,17 @@ class TwinServicer(Attributes):
         return self._call(context, run)
 
     def WriteDigitalU32(self, request: Any, context: Any) -> Any:
+        """Write samples for a task's digital lines.
+
+        Parameters
+        ----------
+        request, context : WriteDigitalU32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        WriteDigitalU32Response
+        """
+
         def run() -> Any:
             levels = np.array(request.write_array, dtype=np.uint32)
             self.tasks.write_lines(self.tasks.get(request.task.name), levels, request.auto_start)
@@ -182,6 +364,16 @@ class TwinServicer(Attributes):
         return self._call(context, run)
 
     def WriteDigitalScalarU32(self, request: Any, context: Any) -> Any:
+        """Write one level to each of a task's digital lines.
+
+        Parameters
+        ----------
+        request, context : WriteDigitalScalarU32Request, grpc.ServicerContext
+
+        Returns
+        -------
+        WriteDigitalScalarU32Response
+        """
         levels = np.array([request.value], dtype=np.uint32)
         return self._on(
             request, context, messages.WriteDigitalScalarU32Response,
@@ -189,6 +381,16 @@ class TwinServicer(Attributes):
         )  # fmt: skip
 
     def WriteAnalogScalarF64(self, request: Any, context: Any) -> Any:
+        """Write one value to a task's analog output.
+
+        Parameters
+        ----------
+        request, context : WriteAnalogScalarF64Request, grpc.ServicerContext
+
+        Returns
+        -------
+        WriteAnalogScalarF64Response
+        """
         values = np.array([[request.value]])
         return self._on(
             request, context, messages.WriteAnalogScalarF64Response,
@@ -196,6 +398,17 @@ class TwinServicer(Attributes):
         )  # fmt: skip
 
     def ReadDigitalLines(self, request: Any, context: Any) -> Any:
+        """Read the levels of a task's digital lines.
+
+        Parameters
+        ----------
+        request, context : ReadDigitalLinesRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        ReadDigitalLinesResponse
+        """
+
         def run() -> Any:
             task = self.tasks.get(request.task.name)
             levels = bytes(self.card.line(line) for line in task.channels)
@@ -206,6 +419,17 @@ class TwinServicer(Attributes):
     # device and watchdog
 
     def ResetDevice(self, request: Any, context: Any) -> Any:
+        """Reset the card and stop all tasks.
+
+        Parameters
+        ----------
+        request, context : ResetDeviceRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        ResetDeviceResponse
+        """
+
         def run() -> Any:
             self.must_be_ours(request.device_name)
             self.tasks.clear_all()
@@ -214,6 +438,17 @@ class TwinServicer(Attributes):
         return self._call(context, run)
 
     def SelfTestDevice(self, request: Any, context: Any) -> Any:
+        """Report a passed self-test.
+
+        Parameters
+        ----------
+        request, context : SelfTestDeviceRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        SelfTestDeviceResponse
+        """
+
         def run() -> Any:
             self.must_be_ours(request.device_name)
             return messages.SelfTestDeviceResponse()
@@ -221,6 +456,17 @@ class TwinServicer(Attributes):
         return self._call(context, run)
 
     def CfgWatchdogDOExpirStates(self, request: Any, context: Any) -> Any:
+        """Set the lines that the watchdog switches off.
+
+        Parameters
+        ----------
+        request, context : CfgWatchdogDOExpirStatesRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        CfgWatchdogDOExpirStatesResponse
+        """
+
         def run(task: TwinTask) -> None:
             task.channels = []
             self.tasks.add(task, "do", request.channel_names)
@@ -229,6 +475,17 @@ class TwinServicer(Attributes):
         return self._on(request, context, messages.CfgWatchdogDOExpirStatesResponse, run)
 
     def ControlWatchdogTask(self, request: Any, context: Any) -> Any:
+        """Reset the watchdog's timer, or restart it.
+
+        Parameters
+        ----------
+        request, context : ControlWatchdogTaskRequest, grpc.ServicerContext
+
+        Returns
+        -------
+        ControlWatchdogTaskResponse
+        """
+
         def run(task: TwinTask) -> None:
             action = request.action_raw or request.action
             if action == RESET_TIMER:
@@ -241,7 +498,7 @@ class TwinServicer(Attributes):
 
 
 def _terminal(request: Any) -> str:
-    """How inputs are wired; by default as the card prefers it."""
+    """Return the terminal configuration of inputs; by default the one that the card prefers."""
     number = request.terminal_config_raw or request.terminal_config
     if number not in TERMINALS:
         raise CardError(UNSUPPORTED, f"Requested value is not supported: terminal configuration {number}.")

@@ -1,4 +1,4 @@
-"""The twin's power supply: a socket that speaks the SCPI of an R&S NGP800, with its limits, protections and faults."""
+"""The twin's power supply: a socket with the SCPI commands of an R&S NGP800, its limits, protections and faults."""
 
 from __future__ import annotations
 
@@ -41,7 +41,21 @@ OVERFLOW = '-350,"Queue overflow"'
 
 @dataclass
 class Output:
-    """One channel. V, A; as after ``*RST``."""
+    """One channel, initially as after ``*RST``.
+
+    Attributes
+    ----------
+    voltage, current : float, in V and A
+        Settings.
+    ovp : float, in V
+        Over-voltage protection level.
+    ovp_on, fuse_on : bool
+        Whether over-voltage protection and fuse are on.
+    selected : bool
+        Whether the master switch acts on it.
+    tripped : str
+        The protection that switched it off: ``ovp``, ``fuse`` or empty.
+    """
 
     voltage: float = 0.0
     current: float = 0.1
@@ -52,14 +66,20 @@ class Output:
     tripped: str = ""
 
     def given(self) -> tuple[float, float]:
-        """Voltage and current of an output that is on: the smaller of both limits rules, as the load has it."""
+        """Compute voltage and current of an output that is on; the lower of the two limits applies.
+
+        Returns
+        -------
+        voltage : float, in V
+        current : float, in A
+        """
         current = min(self.voltage / LOAD, self.current)
         return current * LOAD, current
 
 
 @dataclass
 class SupplyModel:
-    """What a supply holds and how it answers; knows no socket.
+    """State and answers of a supply, without a socket.
 
     Attributes
     ----------
@@ -67,6 +87,11 @@ class SupplyModel:
         Its last digit is the number of outputs.
     max_voltage, max_current : float, in V and A
         Of each output.
+    outputs : list of Output
+    master : bool
+        The master switch.
+    chosen : int
+        Number of the output that commands apply to, from 1.
     """
 
     model: str = "NGP804"
@@ -82,11 +107,21 @@ class SupplyModel:
 
     @property
     def on(self) -> tuple[bool, ...]:
-        """Which outputs give anything now."""
+        """Which outputs supply current now."""
         return tuple(self.master and output.selected and not output.tripped for output in self.outputs)
 
     def answer(self, line: str) -> str | None:
-        """Take a line of one command or query; the answer of a query, else None."""
+        """Execute a line of one command or query.
+
+        Parameters
+        ----------
+        line : str
+
+        Returns
+        -------
+        str or None
+            The answer of a query, else None.
+        """
         line = line.strip()
         if not line:
             return None
@@ -104,15 +139,20 @@ class SupplyModel:
         return None
 
     def next_error(self) -> str:
-        """The oldest error, which is forgotten."""
+        """Remove and return the oldest error.
+
+        Returns
+        -------
+        str
+        """
         return self._errors.popleft() if self._errors else NO_ERROR
 
     def clear(self) -> None:
-        """Forget all errors."""
+        """Remove all errors."""
         self._errors.clear()
 
     def reset(self) -> None:
-        """Everything off and as delivered; errors stay."""
+        """Switch everything off and restore the default settings; errors stay."""
         self._reset()
 
     def _reset(self) -> None:
@@ -126,7 +166,7 @@ class SupplyModel:
             self._errors[-1] = OVERFLOW
 
     def _protect(self) -> None:
-        """Outputs above their over-voltage level, or at their current limit with a fuse, cut themselves off."""
+        """Switch off outputs above their over-voltage level, or at their current limit with a fuse."""
         for output, on in zip(self.outputs, self.on, strict=True):
             if not on:
                 continue
@@ -142,7 +182,7 @@ class _ScpiError(Exception):
 
 
 def _pattern(header: str) -> re.Pattern[str]:
-    """Spellings that SCPI allows of a header as manuals write it: ``OUTPut[:STATe]?``, long or short, in any case."""
+    """Compile the spellings that SCPI allows of a header such as ``OUTPut[:STATe]?``: long or short, in any case."""
     spelled = ""
     for token in re.findall(r"\[|\]|:|\?|\*?[A-Za-z]+", header):
         if token == "[":
@@ -280,13 +320,24 @@ _COMMANDS: list[tuple[re.Pattern[str], Act]] = [
 
 
 class SupplyServer(Closing):
-    """A supply behind a socket of this machine, from construction to `close`.
+    r"""A supply behind a socket of this machine, from construction to `close`.
+
+    Parameters
+    ----------
+    port : int
+        0 takes a free one.
+    model : SupplyModel, optional
+
+    Attributes
+    ----------
+    model : SupplyModel
+    fault : SupplyFault or None
 
     Examples
     --------
     >>> with SupplyServer() as supply:
     ...     with socket.create_connection(("127.0.0.1", supply.port), timeout=5) as client:
-    ...         client.sendall(b"*IDN?\\n")
+    ...         client.sendall(b"*IDN?\n")
     ...         print(client.makefile().readline().split(",")[1])
     NGP804
     """
@@ -315,15 +366,27 @@ class SupplyServer(Closing):
 
     @property
     def port(self) -> int:
+        """Port on which it listens."""
         return int(self._server.server_address[1])
 
     @property
     def address(self) -> str:
-        """As a rig file names it."""
+        """Address in the spelling of a rig file."""
         return f"TCPIP::127.0.0.1::{self.port}::SOCKET"
 
     def inject(self, fault: SupplyFault | None) -> None:
-        """From now on fail like this; None: work again, with its settings unless it was off."""
+        """Set or clear the fault; after a fault other than ``off`` the settings are kept.
+
+        Parameters
+        ----------
+        fault : SupplyFault or None
+            None clears it.
+
+        Raises
+        ------
+        ValueError
+            If the fault is unknown.
+        """
         if fault is not None and fault not in get_args(SupplyFault):
             raise ValueError(f"A supply's faults are {', '.join(get_args(SupplyFault))}; got {fault!r}.")
         with self._lock:
@@ -335,7 +398,7 @@ class SupplyServer(Closing):
                     _hang_up(client)
 
     def close(self) -> None:
-        """Let go of the port; harmless when repeated."""
+        """Close the port and all connections; harmless when repeated."""
         self._server.shutdown()
         self._server.server_close()
         with self._lock:

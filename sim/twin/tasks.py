@@ -1,4 +1,4 @@
-"""Tasks of the twin's card: what a client has made, and what the card says to it."""
+"""Tasks of the twin's card, as clients created them."""
 
 from __future__ import annotations
 
@@ -37,14 +37,18 @@ class TwinTask:
     Attributes
     ----------
     name : str
-    kind : str
-        "", "ai", "ao", "do", "di" or "watchdog".
+    kind : {"", "ai", "ao", "do", "di", "watchdog"}
     channels : list of str
         Without the device's name.
-    rate, count : float and int
-        Of its sample clock; 0 where it has none.
+    rate : float, in Hz
+        Of its sample clock; 0 if it has none.
+    count : int
+        Samples per channel; 0 without a sample clock.
+    source, trigger : str
+        Terminals of sample clock and start trigger.
     buffer : ndarray or None
-        What was written for the next start.
+        Samples for the next start.
+    running : bool
     timeout : float, in s
         Of a watchdog.
     grouped : bool
@@ -65,7 +69,19 @@ class TwinTask:
 
 
 class Tasks:
-    """All tasks of one card. Raises `CardError` as the driver would."""
+    """All tasks of one card. Raises `CardError` as the driver would.
+
+    Parameters
+    ----------
+    card : CardModel
+
+    Attributes
+    ----------
+    card : CardModel
+    device : str
+        Name of the device.
+    product : Product
+    """
 
     def __init__(self, card: CardModel) -> None:
         self.card, self.device = card, card.section.device
@@ -75,7 +91,24 @@ class Tasks:
         self._lock = threading.Lock()
 
     def create(self, wanted: str, kind: str = "") -> TwinTask:
-        """A new task."""
+        """Create a task.
+
+        Parameters
+        ----------
+        wanted : str
+            Requested name; empty for any.
+        kind : str
+            See `TwinTask`.
+
+        Returns
+        -------
+        TwinTask
+
+        Raises
+        ------
+        CardError
+            If the name exists.
+        """
         with self._lock:
             name = wanted or f"_unnamedTask<{next(self._numbers)}>"
             if name in self._tasks:
@@ -84,21 +117,40 @@ class Tasks:
             return self._tasks[name]
 
     def get(self, name: str) -> TwinTask:
-        """A task by its session name."""
+        """Return a task by its session name.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        TwinTask
+
+        Raises
+        ------
+        CardError
+            If there is none.
+        """
         found = self._tasks.get(name)
         if found is None:
             raise CardError(UNKNOWN_TASK, f"Task specified is invalid or does not exist: '{name}'.")
         return found
 
     def clear(self, name: str) -> None:
-        """Stop and forget a task."""
+        """Stop and remove a task.
+
+        Parameters
+        ----------
+        name : str
+        """
         task = self.get(name)
         self.stop(task)
         with self._lock:
             self._tasks.pop(name, None)
 
     def clear_all(self) -> None:
-        """The card was reset: every task is stopped."""
+        """Stop every task and reset the card."""
         for task in tuple(self._tasks.values()):
             task.running, task.buffer = False, None
         self.card.reset()
@@ -106,7 +158,24 @@ class Tasks:
     def add(
         self, task: TwinTask, kind: str, names: str, span: tuple[float, float] | None = None, terminal: str = ""
     ) -> None:
-        """Give a task channels, such as ``Dev1/ai0, Dev1/ai1:3``; inputs with how they are wired."""
+        """Add channels to a task.
+
+        Parameters
+        ----------
+        task : TwinTask
+        kind : {"ai", "ao", "do", "di"}
+        names : str
+            Such as ``Dev1/ai0, Dev1/ai1:3``.
+        span : tuple of 2, in V, optional
+            Lowest and highest value.
+        terminal : str
+            Terminal configuration of inputs.
+
+        Raises
+        ------
+        CardError
+            If a channel does not exist, is there twice, or cannot have the range.
+        """
         exist = {
             "ai": self.product.inputs_of(terminal),
             "ao": self.product.outputs,
@@ -130,7 +199,22 @@ class Tasks:
         task.kind = kind
 
     def clock(self, task: TwinTask, rate: float, source: str, count: int) -> None:
-        """Give a task a sample clock and a length."""
+        """Set sample clock and length of a task.
+
+        Parameters
+        ----------
+        task : TwinTask
+        rate : float, in Hz
+        source : str
+            Terminal of the clock.
+        count : int
+            Samples per channel.
+
+        Raises
+        ------
+        CardError
+            If the task cannot have them.
+        """
         if task.kind in ("", "di"):
             raise CardError(UNSUPPORTED, "This task cannot have a sample clock.")
         if task.running:
@@ -152,9 +236,24 @@ class Tasks:
         task.rate, task.count, task.source, task.buffer = rate, int(count), source, None
 
     def read(self, task: TwinTask, count: int, timeout: float) -> FloatArray:
-        """The next volts (n_channels, count) of a task's inputs; one that nothing is wired to reads zero.
+        """Return the next samples of a task's inputs; inputs that are not wired read zero.
 
-        A task that was not started starts, as the driver has it.
+        A task that was not started is started, as by the driver.
+
+        Parameters
+        ----------
+        task : TwinTask
+        count : int
+        timeout : float, in s
+
+        Returns
+        -------
+        ndarray, shape (n_channels, count), in V
+
+        Raises
+        ------
+        CardError
+            If they are not acquired in time, or were lost.
         """
         if not task.running:
             self.start(task)
@@ -168,7 +267,20 @@ class Tasks:
         return out
 
     def write(self, task: TwinTask, values: FloatArray, auto_start: bool) -> None:
-        """Volts (n_channels, n) for a task's outputs."""
+        """Write samples for a task's outputs.
+
+        Parameters
+        ----------
+        task : TwinTask
+        values : ndarray, shape (n_channels, n), in V
+        auto_start : bool
+            Required for a task without a sample clock, which outputs the last sample at once.
+
+        Raises
+        ------
+        CardError
+            If a value is out of range, or the number of samples is wrong.
+        """
         if self.card.faults.takes("value_out_of_range") or np.any(np.abs(values) > self.card.section.outputs.range_v):
             raise CardError(
                 UNSUPPORTED,
@@ -188,7 +300,21 @@ class Tasks:
             self.card.set_outputs(self._spread(task, values[:, -1]))
 
     def write_lines(self, task: TwinTask, levels: Any, auto_start: bool) -> None:
-        """Levels (n,) of a task's port, a bit a line."""
+        """Write samples for a task's digital lines.
+
+        Parameters
+        ----------
+        task : TwinTask
+        levels : ndarray of uint32, shape (n,)
+            One bit per line.
+        auto_start : bool
+            Required for a task without a sample clock, which outputs the last sample at once.
+
+        Raises
+        ------
+        CardError
+            If the number of samples is wrong.
+        """
         mask = np.uint32(sum(1 << line_bit(line) for line in task.channels))
         if task.count:
             if len(levels) != task.count:
@@ -201,7 +327,17 @@ class Tasks:
             self.card.set_lines(int(levels[-1] & mask))
 
     def start(self, task: TwinTask) -> None:
-        """Start, or arm what waits for a trigger."""
+        """Start a task, or arm one that waits for a trigger.
+
+        Parameters
+        ----------
+        task : TwinTask
+
+        Raises
+        ------
+        CardError
+            If samples or trigger are missing, or another task uses the hardware.
+        """
         if task.kind == "watchdog":
             mask = sum(1 << line_bit(line) for line in task.channels)
             self.card.set_watchdog(task.timeout, mask)
@@ -228,7 +364,12 @@ class Tasks:
         task.running = True
 
     def stop(self, task: TwinTask) -> None:
-        """Stop: what plays holds its value."""
+        """Stop a task; its outputs hold their values.
+
+        Parameters
+        ----------
+        task : TwinTask
+        """
         if not task.running:
             return
         task.running = False
@@ -242,7 +383,18 @@ class Tasks:
             self.card.stop_lines()
 
     def wait(self, task: TwinTask, timeout: float) -> bool:
-        """Whether a task is done within `timeout` s."""
+        """Wait until a task is done.
+
+        Parameters
+        ----------
+        task : TwinTask
+        timeout : float, in s
+
+        Returns
+        -------
+        bool
+            Whether it is done in time.
+        """
         if task.kind not in ("ai", "ao", "do") or not task.count or not task.running:
             return True
         return self.card.wait(task.kind, timeout)
@@ -269,7 +421,15 @@ class Tasks:
 
 
 def expanded(names: str) -> list[str]:
-    """Channel names of a list in the driver's spelling.
+    """Expand a list of channels in the driver's spelling.
+
+    Parameters
+    ----------
+    names : str
+
+    Returns
+    -------
+    list of str
 
     Examples
     --------

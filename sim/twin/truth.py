@@ -1,4 +1,4 @@
-"""Tells the truth of a twin to whoever asks on this machine: a line of JSON, then a row for every physics step."""
+"""A server that publishes the true poses of a twin on this machine."""
 
 from __future__ import annotations
 
@@ -20,14 +20,22 @@ BACKLOG = 4096
 
 
 class TruthServer:
-    """Sends rows (time on the monotonic clock in s, position (3) in m, orientation (4)) to every listener.
+    """Sends the true poses to every listener: a line of JSON, then one row for every physics step.
+
+    A row is the time on the monotonic clock (s), the position (3, m) and the orientation (4, scalar first), world
+    frame.
 
     Parameters
     ----------
-    host, port
-        Where to listen; port 0 takes a free one, see `port`.
+    host : str
+    port : int
+        0 takes a free one.
     drawn : mapping
-        What the twin was drawn as; sent first.
+        The twin's sampled mismatches; sent first.
+
+    Attributes
+    ----------
+    port : int
 
     Raises
     ------
@@ -49,7 +57,12 @@ class TruthServer:
         threading.Thread(target=self._accept, name="truth", daemon=True).start()
 
     def publish(self, rows: FloatArray) -> None:
-        """Send rows, shape (n, 8); never waits for a listener."""
+        """Send rows to all listeners without blocking; a listener that is too slow is disconnected.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (n, 8)
+        """
         data = np.ascontiguousarray(rows, dtype="<f8").tobytes()
         with self._lock:
             for listener in tuple(self._listeners):
@@ -60,7 +73,7 @@ class TruthServer:
                     listener.hang_up()
 
     def close(self) -> None:
-        """Let every listener go."""
+        """Disconnect every listener and close the port."""
         with self._lock:
             for listener in self._listeners:
                 listener.hang_up()
@@ -101,7 +114,7 @@ class _Listener:
         self._connection = connection
 
     def hang_up(self) -> None:
-        """End the connection at once, whatever still waits; its thread, if it sleeps, wakes."""
+        """Close the connection at once, without sending what is queued, and wake its thread."""
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
         with contextlib.suppress(queue.Full):  # then it is not waiting

@@ -1,4 +1,4 @@
-"""One twin: plant, card, device server, truth, control, and the magnet stage where the rig has one."""
+"""One complete twin: plant, card, device server, truth, control, and the magnet stage if the rig has one."""
 
 from __future__ import annotations
 
@@ -55,19 +55,19 @@ SERIAL_FAULTS = ("serial_unplugged", "serial_garbled", "serial_truncated", "firm
 
 
 class Twin:
-    """Runs until it is closed.
+    """A simulated bench that runs until it is closed.
 
     Parameters
     ----------
     rig : RigConfig
         With ``world = "bench"`` and addresses of this machine.
     robot : RobotConfig
-    start : array_like, in m
-        Where the robot is put down.
+    start : array_like, shape (2,), in m
+        Requested start position (x, y), world frame.
     seed : int
         Of the tank's mismatches and noise.
     control : str
-        Address of the side door; port 0 takes a free one.
+        Address of the control interface; port 0 takes a free one.
 
     Raises
     ------
@@ -123,7 +123,7 @@ class Twin:
         self.card.start()
 
     def _warm_up(self) -> None:
-        """Compile what the card's thread must not wait for."""
+        """Compile the kernels, so that the card's thread need not wait for them."""
         self.plant.advance(np.zeros((len(self.plant.loads), WARM_UP[0])))
         self.plant.begin_acquisition()
         self.plant.volts(0, WARM_UP[1])
@@ -137,7 +137,10 @@ class Twin:
         self._closing.append(self.stage)
 
     def _between(self, until: float) -> None:
-        """In the card's thread, before the tank moves on to `until` s: the stage moves it, the truth is told."""
+        """Move the magnet with the stage and publish the truth, before the tank plays to `until` s.
+
+        Runs in the card's thread.
+        """
         if self.stage is not None and self._hand is not None:
             hand = self._hand
             hand.look(self.stage.lamp, until)
@@ -155,7 +158,7 @@ class Twin:
             self.truth.publish(np.column_stack([at, poses[new]]))
 
     def _write_down(self, what: str, **detail: Any) -> None:
-        """Into the card's journal, if it has changed."""
+        """Add an entry to the card's journal, if it has changed."""
         if self._latest.get(what) != detail:
             self._latest[what] = detail
             self.card.journal.note(what, **detail)
@@ -178,7 +181,12 @@ class Twin:
             actions[name]()
 
     def inject(self, fault: Fault) -> None:
-        """Let a fault come."""
+        """Inject a fault.
+
+        Parameters
+        ----------
+        fault : Fault
+        """
         self.card.faults.add(fault)
 
     def _inject(self, asked: Mapping[str, Any]) -> str:
@@ -211,7 +219,7 @@ class Twin:
         return found
 
     def close(self) -> None:
-        """End everything; harmless when repeated."""
+        """Stop everything and release all resources; harmless when repeated."""
         self.card.faults.clear()
         self.card.close()
         while self._closing:

@@ -30,7 +30,7 @@ NEAR_LAMP, AWAY_LAMP = 1, 2
 class SimulatedUno:
     """An Arduino Uno at 16 MHz of real time, with two stepper drivers, two switches and two lamps.
 
-    It has a supply of its own: with the cable pulled it runs on. Motors step only while their drivers are on.
+    It has its own power supply: with the cable unplugged it runs on. Motors step only while their drivers are on.
 
     Raises
     ------
@@ -48,7 +48,15 @@ class SimulatedUno:
         self.state = SharedState(Path(self._folder.name) / "state")
 
     def start(self, link: Path, firmware: Path | None = None) -> None:
-        """Power up with the shipped firmware, or another ELF; `link` leads to the serial port from then on."""
+        """Power up the board.
+
+        Parameters
+        ----------
+        link : Path
+            Symbolic link that leads to the serial port from then on.
+        firmware : Path, optional
+            Another ELF than the shipped firmware.
+        """
         built = build()
         link.parent.mkdir(parents=True, exist_ok=True)
         self._link = link
@@ -62,7 +70,7 @@ class SimulatedUno:
 
     @property
     def steps(self) -> tuple[int, int]:
-        """Where the motors stand, turning and steering, in steps since power-up."""
+        """Positions of the turning and the steering motor, in steps since power-up."""
         return self.state.steps
 
     @property
@@ -72,26 +80,38 @@ class SimulatedUno:
 
     @property
     def lamp(self) -> Literal["near", "away"] | None:
-        """What the lamps ask the operator for."""
+        """Position of the magnet that the lamps request from the operator."""
         lit = self.state.number("lamp")
         return "near" if lit == NEAR_LAMP else "away" if lit == AWAY_LAMP else None
 
     @property
     def resets(self) -> int:
-        """Resets since power-up, by whatever cause."""
+        """Number of resets since power-up, for any reason."""
         return self.state.number("resets")
 
     @property
     def spoiled(self) -> int:
-        """Lines that were garbled or cut short so far."""
+        """Number of lines that were garbled or truncated so far."""
         return self.state.number("taken")
 
     def take_edges(self) -> np.ndarray:
-        """Edges of the wires since the last call: cycle, time (CLOCK_MONOTONIC, s), pin (`unostate.PINS`), level."""
+        """Return the edges of the motor lines since the last call.
+
+        Returns
+        -------
+        ndarray of `unostate.EDGE`
+            Cycle, time (CLOCK_MONOTONIC, s), pin (`unostate.PINS`) and level.
+        """
         return self.state.take_edges()
 
     def set_switches(self, near: bool, away: bool) -> None:
-        """Close or open the two end switches."""
+        """Close or open the two end switches.
+
+        Parameters
+        ----------
+        near, away : bool
+            Whether closed.
+        """
         if (near, away) != self._switches:
             self._switches = (near, away)
             self._order(f"switches {int(near)} {int(away)}", wait=False)
@@ -101,31 +121,43 @@ class SimulatedUno:
         self._order("reset")
 
     def set_to_mark(self) -> None:
-        """Turn both motors to their marks by hand: where they stand is zero again, as for a board that has booted."""
+        """Turn both motors manually to their marks, which zeroes their positions."""
         self._order("mark")
 
     def hang(self) -> None:
-        """Catch the main loop in an endless one; interrupts go on."""
+        """Trap the main loop in an endless loop; interrupts go on."""
         self._order("hang")
 
     def unplug(self) -> None:
-        """Pull the serial cable. The board stays powered."""
+        """Unplug the serial cable. The board stays powered."""
         self._order("unplug")
 
     def plug(self) -> None:
-        """Put the serial cable back."""
+        """Plug the serial cable in again."""
         self._order("plug")
 
     def garble(self, n: int = 1) -> None:
-        """Flip a bit in each of the next `n` lines, in turn one to the board and one from it."""
+        """Flip a bit in each of the next lines, alternately to and from the board.
+
+        Parameters
+        ----------
+        n : int
+            Number of lines.
+        """
         self._order(f"garble {n:d}")
 
     def truncate(self, n: int = 1) -> None:
-        """Lose the end of each of the next `n` lines, in turn one to the board and one from it."""
+        """Cut the end of each of the next lines, alternately to and from the board.
+
+        Parameters
+        ----------
+        n : int
+            Number of lines.
+        """
         self._order(f"truncate {n:d}")
 
     def close(self) -> None:
-        """Power down, for good. May be called twice."""
+        """Power down, for good; harmless when repeated."""
         process, self._process = self._process, None
         if process is not None:
             assert process.stdin is not None

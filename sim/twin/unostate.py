@@ -1,4 +1,4 @@
-"""What the simulated board shares: `struct state` of ``avr/uno.c``, in a mapped file."""
+"""The simulated board's shared state: `struct state` of ``avr/uno.c``, in a mapped file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,13 @@ PINS = ("turn step", "turn direction", "steering step", "steering direction", "d
 
 
 class SharedState:
-    """The board's state, read while it runs. Every number is written whole by one thread."""
+    """The board's state, read while it runs. Each number is written by a single thread, atomically.
+
+    Parameters
+    ----------
+    path : Path
+        Of the mapped file.
+    """
 
     def __init__(self, path: Path) -> None:
         with path.open("w+b") as file:
@@ -42,17 +48,31 @@ class SharedState:
         self._taken = 0
 
     def number(self, name: str) -> int:
-        """One of the counts and flags, now."""
+        """Return the present value of a count or flag.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        int
+        """
         return int(self._view[name])
 
     @property
     def steps(self) -> tuple[int, int]:
-        """Steps that the motors have made, turning and steering."""
+        """Steps that the turning and the steering motor have made."""
         turn, steering = self._view["steps"]
         return int(turn), int(steering)
 
     def take_edges(self) -> np.ndarray:
-        """Edges since the last call, oldest first; of more than `RING` only the last ones are left."""
+        """Return the edges since the last call, oldest first; only the last `RING` are kept.
+
+        Returns
+        -------
+        ndarray of `EDGE`
+        """
         end = self.number("edges")
         first = max(self._taken, end - RING)
         self._taken = end

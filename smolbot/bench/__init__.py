@@ -1,4 +1,4 @@
-"""A lab's bench: its devices, the check of a rig, calibration of device and sensors."""
+"""The bench of a lab: its devices, the check of a rig, calibration of device and sensors."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""The device file: a SMOL device as it was calibrated, with uncertainties, and for which robot it holds."""
+"""The device file: a calibrated SMOL device, its uncertainties, and the robot that it belongs to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from smolbot.errors import InputError
 
 
 class CalibratedSection(DeviceSection):
-    """The device of a robot file, and one standard deviation of each value that was measured."""
+    """The device section of a robot file, with one standard deviation of each measured value."""
 
     theta_max_deg_std: NotNegative | None = None
     frequency_hz_std: NotNegative | None = None
@@ -25,7 +25,7 @@ class CalibratedSection(DeviceSection):
 
 
 class DeviceFile(FileModel):
-    """Everything a device file says."""
+    """All keys and sections of a device file."""
 
     robot: str
     rig: str
@@ -37,7 +37,14 @@ class DeviceFile(FileModel):
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations of calibrated values: ``theta_max`` (rad), ``frequency`` (Hz), ``damping`` (1/s)."""
+    """Standard deviations of the calibrated values of a device.
+
+    Attributes
+    ----------
+    theta_max : float, in rad
+    frequency : float, in Hz
+    damping : float, in 1/s
+    """
 
     theta_max: float
     frequency: float
@@ -46,18 +53,19 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class DeviceConfig:
-    """A calibrated device, and where it comes from.
+    """A calibrated device and its origin.
 
     Attributes
     ----------
     robot, rig : str
-        Names of the robot that it belongs to and the rig that it was calibrated on.
+        Names of the robot that the device belongs to and of the rig that it was calibrated on.
     date : datetime.date
+        Day of the calibration.
     device : Device
     std : Uncertainty or None
-        Absent where the file gives none, or not all.
+        None unless the file gives all three standard deviations.
     height : float or None, in m
-        Known z of the rotation centre during the calibration.
+        Known z of the rotation centre during the calibration, in the world frame.
     description : str
     """
 
@@ -75,14 +83,18 @@ def load_device(path: str | Path, robot: str | None = None) -> DeviceConfig:
 
     Parameters
     ----------
-    path : path
+    path : str or Path
     robot : str, optional
         Name of the robot that the device must belong to.
+
+    Returns
+    -------
+    DeviceConfig
 
     Raises
     ------
     ConfigError
-        With ``file:line: key`` for every fault, and if the file is another robot's.
+        With ``file:line: key`` for every fault, and if the file belongs to another robot.
     MissingFileError
         If there is no such file.
     """
@@ -104,7 +116,12 @@ def load_device(path: str | Path, robot: str | None = None) -> DeviceConfig:
 
 
 def write_device(path: str | Path, config: DeviceConfig) -> None:
-    """Write a device file that `load_device` reads back to the last digit that matters.
+    """Write a device file that `load_device` reads back to nine significant digits.
+
+    Parameters
+    ----------
+    path : str or Path
+    config : DeviceConfig
 
     Raises
     ------

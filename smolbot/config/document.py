@@ -1,4 +1,4 @@
-"""Reads TOML files strictly and reports every fault at once, each with file, line and key."""
+"""Read TOML files strictly and report every fault at once, each with file, line and key."""
 
 from __future__ import annotations
 
@@ -37,7 +37,15 @@ Model = TypeVar("Model", bound=FileModel)
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing wrong with a file: the key it concerns, and a sentence."""
+    """One fault of a file.
+
+    Attributes
+    ----------
+    key : tuple of str or int
+        Path of the key at fault, such as ``("coils", 2, "axis")``; empty for the file as such.
+    message : str
+        One sentence.
+    """
 
     key: KeyPath
     message: str
@@ -108,7 +116,17 @@ class Document:
         return path or self.path, line
 
     def line(self, key: KeyPath) -> int:
-        """Line of `key`, or of the nearest key that encloses it."""
+        """Find the line number of a key, or of the nearest key that encloses it.
+
+        Parameters
+        ----------
+        key : tuple of str or int
+
+        Returns
+        -------
+        int
+            Counted from 1.
+        """
         return self.place(key)[1]
 
     def folder(self, key: KeyPath) -> Path:
@@ -127,7 +145,17 @@ class Document:
         return (self.path if ".".join(map(str, key)) in self.settings else self.place(key)[0]).parent
 
     def spell(self, fault: Fault) -> str:
-        """``file:line: key: message``, or the setting that was laid over the file."""
+        """Format a fault as ``file:line: key: message``.
+
+        Parameters
+        ----------
+        fault : Fault
+
+        Returns
+        -------
+        str
+            Begins with the ``--set`` option instead where that set the value.
+        """
         name = ".".join(str(part) for part in fault.key)
         for key, value in self.settings.items():
             if name == key or name.startswith(f"{key}."):
@@ -183,7 +211,18 @@ class Document:
         data[last] = _setting(value)
 
     def validate(self, model: type[Model]) -> tuple[Model | None, list[Fault]]:
-        """The document as `model`, or None and every fault found."""
+        """Check the document against a model.
+
+        Parameters
+        ----------
+        model : type of FileModel
+
+        Returns
+        -------
+        FileModel or None
+            The sections; None if there are faults.
+        list of Fault
+        """
         return validate(model, self.data)
 
     def section(self, name: str, model: type[Model]) -> tuple[Model | None, list[Fault]]:
@@ -208,7 +247,21 @@ class Document:
         return validate(model, data, (name,))
 
     def validated(self, model: type[Model]) -> Model:
-        """The document as `model`. Raises ConfigError with every fault."""
+        """Return the document as `model`, or raise.
+
+        Parameters
+        ----------
+        model : type of FileModel
+
+        Returns
+        -------
+        FileModel
+
+        Raises
+        ------
+        ConfigError
+            With every fault.
+        """
         sections, faults = self.validate(model)
         if sections is None:
             raise self.error(faults)
@@ -216,7 +269,22 @@ class Document:
 
 
 def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tuple[Model | None, list[Fault]]:
-    """Check a section (standing at key path `at`) against its model."""
+    """Check a section against a model.
+
+    Parameters
+    ----------
+    model : type of FileModel
+    data : dict
+        The section.
+    at : tuple of str or int, optional
+        Key path of the section in its file.
+
+    Returns
+    -------
+    FileModel or None
+        The section; None if there are faults.
+    list of Fault
+    """
     try:
         return model.model_validate_json(json.dumps(data, default=str)), []
     except ValidationError as error:
@@ -224,7 +292,19 @@ def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tupl
 
 
 def write_lines(path: str | Path, lines: Iterable[str]) -> None:
-    """Write a text file. Raises InputError if that cannot be done."""
+    """Write a text file.
+
+    Parameters
+    ----------
+    path : str or Path
+    lines : iterable of str
+        Without line ends.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
     with writing(path):
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -323,7 +403,7 @@ def _split(name: str) -> tuple[str, ...]:
 
 
 def _key_lines(text: str) -> dict[KeyPath, int]:
-    """Line number of every table header and key; elements of arrays of arrays one level deep."""
+    """Find the line number of every table header and key, and of the elements of nested arrays one level deep."""
     lines: dict[KeyPath, int] = {}
     prefix: KeyPath = ()
     counts: dict[KeyPath, int] = {}

@@ -1,4 +1,4 @@
-"""Whether mission, rig and robot fit each other: checked before anything moves."""
+"""Check before anything moves that mission, rig and robot fit each other."""
 
 from __future__ import annotations
 
@@ -31,9 +31,22 @@ ROOMS = 3
 
 
 def fitness_faults(mission: MissionBase, path: Curve, start: Point, tolerance: float) -> list[Fault]:
-    """Every reason why the mission cannot be flown as its files say; empty if there is none.
+    """Find every reason why a mission cannot be flown.
 
-    `start` and `tolerance` in m.
+    Parameters
+    ----------
+    mission : MissionBase
+    path : Curve
+        In the world frame.
+    start : tuple of float, in m
+        Start position (x, y) of the robot, in the world frame.
+    tolerance : float, in m
+        Distance at which a goal counts as reached.
+
+    Returns
+    -------
+    list of Fault
+        Empty if there is none.
     """
     return [
         *_container_faults(mission, path, start),
@@ -44,7 +57,17 @@ def fitness_faults(mission: MissionBase, path: Curve, start: Point, tolerance: f
 
 
 def listening_faults(mission: MissionBase) -> list[Fault]:
-    """Why this rig cannot listen to this device as the mission's cycle says; empty if it can."""
+    """Find every reason why the rig cannot record this device with the mission's cycle.
+
+    Parameters
+    ----------
+    mission : MissionBase
+
+    Returns
+    -------
+    list of Fault
+        Empty if there is none.
+    """
     return [*_limit_faults(mission), *_sensor_faults(mission)]
 
 
@@ -121,7 +144,17 @@ def _tolerance_faults(mission: MissionBase, path: Curve, tolerance: float) -> li
 
 
 def noise_levels(rig: RigConfig) -> NoiseLevels:
-    """What the rig's room is expected to sound like."""
+    """Build the noise levels that the rig file expects.
+
+    Parameters
+    ----------
+    rig : RigConfig
+
+    Returns
+    -------
+    NoiseLevels
+        In SI units.
+    """
     section = rig.sections.noise
     return NoiseLevels(
         floor=section.floor,
@@ -134,14 +167,43 @@ def noise_levels(rig: RigConfig) -> NoiseLevels:
 
 
 def expected_errors(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
-    """Horizontal rms error of one pose, in m, at arc lengths `arc`, the robot heading along the path."""
+    """Compute the expected horizontal rms error of one pose at points of a path.
+
+    The robot heads along the path.
+
+    Parameters
+    ----------
+    mission : MissionBase
+    path : Curve
+    arc : ndarray, shape (n,), in m
+        Arc lengths.
+
+    Returns
+    -------
+    ndarray, shape (n,), in m
+    """
     covariances = covariances_along(mission, path, arc)
     errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
     return errors
 
 
 def covariances_along(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
-    """Covariances (n, 6, 6) of one pose, (m, rad), at arc lengths `arc` in m, the robot heading along the path."""
+    """Compute the expected covariance of one pose at points of a path.
+
+    The robot heads along the path.
+
+    Parameters
+    ----------
+    mission : MissionBase
+    path : Curve
+    arc : ndarray, shape (n,), in m
+        Arc lengths.
+
+    Returns
+    -------
+    ndarray, shape (n, 6, 6), in m and rad
+        Position, then rotation, in the world frame.
+    """
     up = np.array([0.0, 0.0, 1.0])
     headings = [quaternion_from_axes(heading, up, "zy") for heading in path.tangent(arc)]
     return expected_covariances(mission, path.at(arc), headings)
@@ -158,7 +220,7 @@ def expected_covariances(mission: MissionBase, points: FloatArray, orientations:
 
 
 def _whitened(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
-    """Covariances (n, 6, 6) of the whitened estimator."""
+    """Compute covariances (n, 6, 6) of the whitened estimator."""
     rig = mission.rig
     window = Window(mission.cycle.half_periods, rig.sample_rate, mission.cycle.ring_down)
     rotations = np.array([matrix_from_quaternion(q) for q in headings])
@@ -172,7 +234,7 @@ def _whitened(mission: MissionBase, points: FloatArray, headings: list[FloatArra
 
 
 def _paper(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
-    """Covariances (n, 6, 6) of the paper's estimator."""
+    """Compute covariances (n, 6, 6) of the paper's estimator."""
     rig, cycle = mission.rig, mission.cycle
     found = [
         expected_covariance(

@@ -1,11 +1,13 @@
-"""The known track of a positioning stage: a row per recording, with where the device was and which way it pointed.
+"""The known track of a positioning stage: a row per recording, with position and orientation of the device.
 
-A .csv file with named columns; others are left alone, and so are lines that begin with ``#``:
+A .csv file with named columns; other columns and lines that begin with ``#`` are ignored:
 
 - ``x_mm, y_mm, z_mm``: the cantilever's rotation centre, in the rig's world frame.
-- ``along_x, along_y, along_z`` and ``swing_x, swing_y, swing_z``: world directions of the cantilever (body z) and of
+- ``along_x, along_y, along_z`` and ``swing_x, swing_y, swing_z``: world directions of the cantilever (body z) and
+  of
   its swing (body x), of any length. Or ``qw, qx, qy, qz``, as ``smolbot localize`` writes orientations.
-- ``file``, optional: samples of this row, beside the track. Rows that name one file take its shots in order.
+- ``file``, optional: file of this row's samples, relative to the track. Rows with the same file take its shots in
+  order.
 """
 
 from __future__ import annotations
@@ -34,7 +36,16 @@ UNKNOWN = np.full((6, 6), math.nan)
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What a track file holds: a pose for each row, and the file of its samples where the row names one."""
+    """Content of a track file.
+
+    Attributes
+    ----------
+    path : Path
+    poses : tuple of Pose
+        One for each row; their covariance is nan.
+    files : tuple of Path or None
+        File of each row's samples; None where the row names none.
+    """
 
     path: Path
     poses: tuple[Pose, ...]
@@ -44,10 +55,18 @@ class Track:
 def read_track(path: str | Path) -> Track:
     """Read a track.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Track
+
     Raises
     ------
     InputError
-        With ``file:line: column`` for what is missing or is no number, and what is needed.
+        With ``file:line: column`` for a missing column or a value that is no number.
     MissingFileError
         If there is no such file.
     """
@@ -66,7 +85,15 @@ def read_track(path: str | Path) -> Track:
 
 
 def write_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -> None:
-    """Write a track that `read_track` reads back, a row per pose, with the file of its samples.
+    """Write a track that `read_track` reads back.
+
+    Parameters
+    ----------
+    path : str or Path
+    poses : sequence of Pose
+        One for each row.
+    files : sequence of str
+        File of each row's samples.
 
     Raises
     ------
@@ -81,15 +108,20 @@ def write_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -
 
 
 def planned_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:
-    """Places spread evenly over a box and headings all round, for a stage with a rotary axis and three holders.
+    """Plan poses that fill a box evenly, for a stage with a rotary axis and three holders.
 
-    In turn the cantilever lies and swings level, lies and swings up and down, and stands.
+    Headings are spread over the full circle. The three holders follow each other: cantilever level with level
+    swing, cantilever level with vertical swing, cantilever upright.
 
     Parameters
     ----------
     low, high : ndarray, shape (3,), in m
-        Corners of the box.
+        Corners of the box, in the world frame.
     count : int
+
+    Returns
+    -------
+    list of Pose
 
     Examples
     --------
@@ -114,7 +146,7 @@ def _needed() -> str:
 
 
 def _orientation_columns(path: Path, names: Sequence[str]) -> bool:
-    """Whether directions give the orientation, and not a quaternion."""
+    """Return whether the orientation is given by two directions instead of a quaternion; raise if by neither."""
     directions = all(name in names for name in (*ALONG, *SWING))
     missing = [name for name in PLACE if name not in names]
     if missing or not (directions or all(name in names for name in QUATERNION)):

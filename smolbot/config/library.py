@@ -1,4 +1,4 @@
-"""Finds shipped files by name and a user's own by path."""
+"""Find shipped files by name and a user's own by path."""
 
 from __future__ import annotations
 
@@ -12,13 +12,35 @@ KINDS = ("missions", "rigs", "robots")
 
 
 def shipped(kind: str) -> dict[str, Path]:
-    """Name and path of every shipped file of one kind (``missions``, ``rigs`` or ``robots``)."""
+    """List the shipped files of one kind.
+
+    Parameters
+    ----------
+    kind : {"missions", "rigs", "robots"}
+
+    Returns
+    -------
+    dict of str to Path
+        Path of each file by its name.
+    """
     folder = Path(str(resources.files("smolbot").joinpath(kind)))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
-    """Path of a shipped `name`, or of a user's file, also looked for in the folder `beside`.
+    """Find a shipped file by name, or a user's own by path.
+
+    Parameters
+    ----------
+    name : str
+        Name of a shipped file, or a path.
+    kind : {"missions", "rigs", "robots"}
+    beside : Path, optional
+        A folder in which a path is looked up first.
+
+    Returns
+    -------
+    Path
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Reads a mission of either kind: one that steers a robot along a path, or one that only looks."""
+"""Read a mission of either kind: one that steers a robot along a path, or one that only localizes a device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mission file: which robot follows which path, on which rig, by which law, and what counts as done."""
+"""The mission file: robot, path, rig, control law, and when the mission counts as passed."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from smolbot.paths.curve import Curve
 
 
 class StartSection(FileModel):
-    """Where the robot is put down, from the path's start."""
+    """The robot's start position, relative to the start of the path."""
 
     offset_mm: Point = (0.0, 0.0)
 
 
 class ControllerSection(FileModel):
-    """The law, when a goal counts as reached, and gains that differ from the law's defaults."""
+    """The control law, when a goal counts as reached, and gains that differ from the law's defaults."""
 
     law: str
     tolerance_mm: Positive = 0.8
@@ -37,7 +37,7 @@ class ControllerSection(FileModel):
 
 
 class VerdictSection(FileModel):
-    """What a completed mission must also keep to, where the truth is known."""
+    """Limits that a completed mission must keep to pass; checked where the ground truth is known."""
 
     mean_tracking_mm: Positive | None = None
     mean_localization_mm: Positive | None = None
@@ -85,33 +85,41 @@ class Mission(MissionBase):
 
     @property
     def tolerance(self) -> float:
-        """In m."""
+        """Distance at which a goal counts as reached, in m."""
         return self.sections.controller.tolerance_mm * 1e-3
 
     @property
     def law(self) -> str:
+        """Entry-point name of the control law."""
         return self.sections.controller.law
 
     @property
     def gains(self) -> Mapping[str, float]:
+        """Gains that differ from the law's defaults."""
         return self.sections.controller.gains
 
     @property
     def start(self) -> tuple[float, float]:
-        """Where the robot is put down (x, y), in m."""
+        """Start position (x, y) of the robot in the world frame, in m."""
         offset = self.sections.start.offset_mm
         return self.path.points[0, 0] + offset[0] * 1e-3, self.path.points[0, 1] + offset[1] * 1e-3
 
     @property
     def put_down(self) -> tuple[float, ...]:
-        """Start (x, y) in m; with the heading, in rad, in which a helix is pushed into its gel: along the path."""
+        """Start position (x, y) in m; for a helical robot also its heading in rad, along the path."""
         if self.robot.kind != "helical":
             return self.start
         ahead = self.path.tangent(np.zeros(1))[0]
         return (*self.start, float(np.arctan2(ahead[1], ahead[0])))
 
     def helix_setup(self) -> HelixSetup:
-        """What the controller of a helical robot may know."""
+        """Build what the controller of a helical robot may know.
+
+        Returns
+        -------
+        HelixSetup
+            Assumed parameters of robot, gel, magnet and cycle, in SI units.
+        """
         helix, device, medium, magnet = self.robot.helix, self.robot.device, self.rig.sections.medium, self.rig.magnet
         box, center = self.rig.container, magnet.center
         return HelixSetup(
@@ -144,7 +152,13 @@ class Mission(MissionBase):
         )
 
     def setup(self) -> Setup:
-        """What the controller of a robot that coils pull may know."""
+        """Build what the controller of a gradient-driven robot may know.
+
+        Returns
+        -------
+        Setup
+            Field table, limits, and assumed parameters of robot, device and cycle, in SI units.
+        """
         medium = self.rig.sections.medium
         device = self.robot.device
         return Setup(
@@ -166,15 +180,21 @@ class Mission(MissionBase):
 
 
 def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Mission:
-    """Read a mission that steers, shipped or a user's own by path, with the rig and robot that it names.
+    """Read a mission that steers, with the rig and robot that it names.
 
     Parameters
     ----------
+    name : str
+        Name of a shipped mission, or the path of a user's own.
     rig : str, optional
         A rig to fly on instead of the mission's own.
     settings : dict, optional
-        ``{"controller.tolerance_mm": "0.5"}``: settings laid over the mission file; keys that begin
-        with ``rig.`` are laid over the rig file.
+        ``{"controller.tolerance_mm": "0.5"}``: values that replace those of the mission file; keys that begin with
+        ``rig.`` replace those of the rig file.
+
+    Returns
+    -------
+    Mission
 
     Raises
     ------
@@ -202,7 +222,7 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
 
 
 def _check_kind(document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig) -> None:
-    """A law is made for a kind of robot, and a helix needs a magnet that turns and a gel to bite into."""
+    """Raise if the law does not drive this kind of robot, or if a helix lacks its rotating magnet or its gel."""
     kinds = robot_kinds(load("controllers", sections.controller.law))
     faults = []
     if robot.kind not in kinds:

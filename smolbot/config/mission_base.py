@@ -1,4 +1,4 @@
-"""What every mission file says, whether a robot is steered or only localized: rig, device, cycle, when to give up."""
+"""Sections that every mission file has, whether a robot is steered or only localized."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CycleSection(FileModel):
 
 
 class LocalizationSection(FileModel):
-    """How poses are found."""
+    """How poses are estimated."""
 
     estimator: str = "whitened"
     quiet_s: NotNegative = 10.0
@@ -55,7 +55,7 @@ class LocalizationSection(FileModel):
 
 
 class StopSection(FileModel):
-    """When to give up."""
+    """When a flight is given up."""
 
     max_duration_s: Positive = 600.0
     lost_shots: Annotated[int, Field(ge=1)] = 20
@@ -81,7 +81,17 @@ class MissionBaseFile(FileModel):
 
 
 class MissionBase:
-    """A mission file with the rig and the robot that it names."""
+    """A mission file with the rig and the robot that it names.
+
+    Parameters
+    ----------
+    document : Document
+        The mission file.
+    base : MissionBaseFile
+        Its sections.
+    rig : RigConfig
+    robot : RobotConfig
+    """
 
     def __init__(self, document: Document, base: MissionBaseFile, rig: RigConfig, robot: RobotConfig) -> None:
         self.document = document
@@ -92,13 +102,33 @@ class MissionBase:
 
     @property
     def cycle(self) -> Cycle:
+        """The localization part of a cycle, in SI units."""
         section = self.base.cycle
         current = section.excite_current_a or self.rig.limits.max_excitation_current
         return Cycle(section.excite_cycles, section.ring_down_ms * 1e-3, section.half_periods, current)
 
 
 def open_document(name: str, settings: dict[str, str]) -> Document:
-    """A shipped mission by name, or a user's by path, with settings laid over it; those of the rig are left out."""
+    """Read a mission file with settings applied.
+
+    Parameters
+    ----------
+    name : str
+        Name of a shipped mission, or the path of a user's own.
+    settings : dict of str to str
+        Those that begin with ``rig.`` are left out.
+
+    Returns
+    -------
+    Document
+
+    Raises
+    ------
+    MissingFileError
+        If there is no such file.
+    ConfigError
+        If it is not valid TOML, or a setting does not fit it.
+    """
     document = open_file(name, "missions")
     return document.override({k: v for k, v in settings.items() if not k.startswith("rig.")})
 
@@ -106,7 +136,26 @@ def open_document(name: str, settings: dict[str, str]) -> Document:
 def load_parts(
     document: Document, model: type[Model], rig: str | None, settings: dict[str, str], more: Sequence[Fault] = ()
 ) -> tuple[Model, RigConfig, RobotConfig]:
-    """A mission file with the rig and robot that it names; `rig` takes the place of its own.
+    """Validate a mission file and read the rig and robot that it names.
+
+    Parameters
+    ----------
+    document : Document
+        The mission file.
+    model : type of FileModel
+    rig : str or None
+        A rig to use instead of the mission's own.
+    settings : dict of str to str
+        Those that begin with ``rig.`` are applied to the rig file.
+    more : sequence of Fault, optional
+        Further faults of the mission file, reported with the others.
+
+    Returns
+    -------
+    FileModel
+        The mission file as `model`.
+    RigConfig
+    RobotConfig
 
     Raises
     ------
@@ -140,7 +189,7 @@ def load_parts(
 
 
 def _raise_all(messages: list[ConfigError]) -> None:
-    """Raise one error with every line of `messages` once; nothing where there is none."""
+    """Raise one error with every distinct line of `messages`; do nothing if there are none."""
     if messages:
         raise ConfigError("\n".join(dict.fromkeys("\n".join(str(m) for m in messages).splitlines())))
 
@@ -151,5 +200,5 @@ def _text(document: Document, key: str) -> str | None:
 
 
 def _as_config(document: Document, key: tuple[str, ...], error: SmolbotError) -> ConfigError:
-    """Faults of another file keep their own place; a file that is missing is a fault of the key that names it."""
+    """Keep a ConfigError as it is; turn any other error into a fault of the key that names the file."""
     return error if isinstance(error, ConfigError) else document.error([Fault(key, str(error))])

@@ -1,4 +1,4 @@
-"""The mission file of those that only look: a device that something else moves or holds, and how it is observed."""
+"""The mission file of an observation: a device that something else moves or holds is only localized."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OF_MOTION = ("speed_mm_s", "turn_deg_s", "change_s")
 
 
 class ObserveSection(FileModel):
-    """One of: for how long a moving device is tracked, or how many independent measurements a resting one gets."""
+    """Either how long a moving device is tracked, or how many independent measurements a resting one gets."""
 
     duration_s: Positive | None = None
     measurements: Annotated[int, Field(ge=2)] | None = None
@@ -44,7 +44,10 @@ class ObserveSection(FileModel):
 
 
 class ObservationVerdict(FileModel):
-    """What a finished observation must also keep to; the error where the truth is known."""
+    """Limits that a finished observation must keep to pass.
+
+    The error is checked only where the ground truth is known.
+    """
 
     mean_localization_mm: Positive | None = None
     min_rate_hz: Positive | None = None
@@ -52,7 +55,7 @@ class ObservationVerdict(FileModel):
 
 
 class ObservationFile(MissionBaseFile):
-    """Everything the file of a mission says that only looks."""
+    """All keys and sections of the mission file of an observation."""
 
     observe: ObserveSection
     verdict: ObservationVerdict = ObservationVerdict()
@@ -77,7 +80,7 @@ class Observation(MissionBase):
 
     @property
     def motion(self) -> Motion | None:
-        """How the device is believed to move; None of one that rests."""
+        """Assumed motion of the device; None if it rests."""
         section = self.sections.observe
         if section.speed_mm_s is None or section.turn_deg_s is None or section.change_s is None:
             return None
@@ -85,18 +88,46 @@ class Observation(MissionBase):
 
     @property
     def start(self) -> tuple[float, float]:
-        """Middle of the container (x, y), in m: nobody puts this device down."""
+        """Middle (x, y) of the container in m, in the world frame; the device has no start position of its own."""
         x, y = self.rig.container.center.tolist()
         return x, y
 
 
 def observes(document: Document) -> bool:
-    """Whether a mission file is one of those that only look."""
+    """Return whether a mission file is that of an observation.
+
+    Parameters
+    ----------
+    document : Document
+
+    Returns
+    -------
+    bool
+    """
     return "observe" in document.data
 
 
 def load_observation(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Observation:
-    """Read a mission that only looks, with its rig and device; arguments and errors as for `load_mission`."""
+    """Read an observation with the rig and device that it names.
+
+    Parameters
+    ----------
+    name : str
+        Name of a shipped mission, or the path of a user's own.
+    rig : str, optional
+        A rig to use instead of the mission's own.
+    settings : dict, optional
+        Values that replace those of the mission file; keys that begin with ``rig.`` replace those of the rig file.
+
+    Returns
+    -------
+    Observation
+
+    Raises
+    ------
+    ConfigError
+        With a line for every fault of the files, before anything moves.
+    """
     settings = settings or {}
     document = open_document(name, settings)
     both = [section for section in STEERING if section in document.data]
@@ -117,7 +148,7 @@ def load_observation(name: str, rig: str | None = None, settings: dict[str, str]
 
 
 def _unfit(rig: RigConfig, robot: RobotConfig) -> list[Fault]:
-    """Faults of device and world together."""
+    """Find faults of device and world together."""
     if robot.kind != "device":
         message = f"'{robot.name}' is of kind '{robot.kind}', which swims; [observe] needs a bare device."
         return [Fault(("robot",), message)]

@@ -1,4 +1,4 @@
-"""The ``[path]`` section of a mission file, and the curve that it asks for."""
+"""The ``[path]`` section of a mission file, and the curve that it describes."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
 
 
 class PathSection(FileModel):
-    """One of: a glyph of a size, points, or a file, SVG or CSV; in mm, in the horizontal plane.
+    """The path in the horizontal plane, in mm: a glyph with its size, a list of points, or an SVG or CSV file.
 
     Attributes
     ----------
     width_mm, height_mm : float
-        Of a glyph, which fills them; and of an SVG, which keeps its aspect where one is given, its size where none is.
+        Size of a glyph, or of an SVG. With one of the two an SVG keeps its aspect ratio, with neither its own size.
     element : str
-        Id of the shape of an SVG that is meant.
+        Id of the SVG shape to use.
     center_mm : tuple of float
-        Where the middle of a glyph or an SVG comes to lie, and the origin of points and of a CSV.
+        World position of the middle of a glyph or an SVG, or of the origin of points and of a CSV.
     corner_radius_mm : float
-        0: corners are kept.
+        Radius of rounded corners; 0 keeps corners sharp.
     speed_mm_s : float
-        Wanted along the path, listening included; without it the law goes as fast as it can.
+        Requested speed along the path, recording time included; without it the law goes as fast as it can.
     lateral_mm_s2, acceleration_mm_s2 : float
-        Limits that slow it in bends: of v² times curvature, and of the change of speed along the path.
+        Limits that reduce the speed in bends: of v² times curvature, and of the change of speed along the path.
     """
 
     glyph: str | None = None
@@ -110,7 +110,22 @@ def _suffix(file: str) -> str:
 
 
 def read_path(document: Document, section: PathSection, height: float) -> tuple[Curve, tuple[str, ...]]:
-    """The curve in the world frame, at `height` in m, and remarks on how it came about.
+    """Make the curve that a ``[path]`` section describes.
+
+    Parameters
+    ----------
+    document : Document
+        The mission file.
+    section : PathSection
+    height : float, in m
+        z of the curve in the world frame.
+
+    Returns
+    -------
+    Curve
+        In the world frame.
+    tuple of str
+        Remarks on how the curve was made.
 
     Raises
     ------
@@ -149,6 +164,6 @@ def _outline(document: Document, section: PathSection) -> Outline:
 
 
 def _in_world(outline: Outline, center_mm: Point, height: float) -> FloatArray:
-    """Points (n, 3) in m."""
+    """Return points (n, 3) in the world frame, in m."""
     flat = (outline.points + np.array(center_mm)) * 1e-3
     return np.column_stack([flat, np.full(len(flat), height)])

@@ -1,4 +1,4 @@
-"""Controllers, rigs and commands are entry points: a lab adds its own without touching ours."""
+"""Plug-ins are entry points: a lab adds controllers, rigs and commands without changing smolbot."""
 
 from __future__ import annotations
 
@@ -32,12 +32,23 @@ _POSITIONAL = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
 
 @cache
 def _installed(group: str) -> dict[str, EntryPoint]:
-    """Entry points of ``smolbot.<group>``, by name; looked for once, since that reads a file of every package."""
+    """Find the entry points of ``smolbot.<group>`` by name; cached, since that reads a file of every package."""
     return {point.name: point for point in reversed(tuple(entry_points(group=f"smolbot.{group}")))}
 
 
 def names(group: str) -> list[str]:
-    """Names of the installed entry points of ``smolbot.<group>``."""
+    """List the names of the installed entry points of ``smolbot.<group>``.
+
+    Parameters
+    ----------
+    group : str
+        ``controllers``, ``rigs`` or ``commands``.
+
+    Returns
+    -------
+    list of str
+        Sorted.
+    """
     return sorted(_installed(group))
 
 
@@ -163,7 +174,26 @@ def _spelled(parameter: Parameter) -> str:
 
 
 def load_world(name: str, document: Document) -> Any:
-    """The `smolbot.config.world.World` that a rig file names; an unknown one is a fault of that file."""
+    """Load the world that a rig file names.
+
+    Parameters
+    ----------
+    name : str
+        Entry-point name.
+    document : Document
+        The rig file.
+
+    Returns
+    -------
+    type of World
+
+    Raises
+    ------
+    ConfigError
+        If no world of that name is installed, as a fault of the rig file.
+    PluginError
+        If it cannot be loaded.
+    """
     if name not in names("rigs"):
         raise document.error([Fault(("world",), f"no world is named '{name}'; installed: {', '.join(names('rigs'))}.")])
     return load("rigs", name)

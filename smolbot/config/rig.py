@@ -26,7 +26,14 @@ if TYPE_CHECKING:
 
 
 class RigConfig:
-    """A rig file that holds together: its sections in SI, and the field tables it describes."""
+    """A checked rig file: its sections in SI units, and the field table that it describes.
+
+    Parameters
+    ----------
+    document : Document
+        The rig file.
+    sections : RigFile
+    """
 
     def __init__(self, document: Document, sections: RigFile) -> None:
         self.document = document
@@ -38,11 +45,12 @@ class RigConfig:
 
     @property
     def coil_names(self) -> tuple[str, ...]:
+        """Names of the actuation coils, in the order of the rig file."""
         return tuple(coil.name for coil in self.sections.coils)
 
     @cached_property
     def calibrated(self) -> CalibratedSensors:
-        """The array and its gains as they are believed: of the sensors file, if the rig file names one."""
+        """The assumed array and gains, from the sensors file if the rig file names one."""
         section, path = self.sections.sensors, self.sensors_file
         if path is None:
             return CalibratedSensors(section.array, frozen(section.gain_of_each), section.covariance)
@@ -50,7 +58,7 @@ class RigConfig:
 
     @property
     def sensors_file(self) -> Path | None:
-        """The sensors file that the rig file names, beside it or from where we are."""
+        """Path of the sensors file, relative to the rig file or else to the working directory; None without one."""
         name = self.sections.sensors.calibrated
         if name is None:
             return None
@@ -59,30 +67,32 @@ class RigConfig:
 
     @property
     def sensors(self) -> SensorArray:
-        """The array as it is believed to stand."""
+        """The assumed sensor array, in the world frame."""
         return self.calibrated.array
 
     @property
     def sensor_gains(self) -> FloatArray:
-        """Believed gains relative to the sensitivity, shape (n_sensors,); a recording in T is divided by them."""
+        """Assumed gains relative to the sensitivity, shape (n_sensors,); a recording in T is divided by them."""
         return self.calibrated.gains
 
     @property
     def sensor_covariance(self) -> FloatArray | None:
-        """How far the sensors may be off what is believed: covariance (6 n, 6 n), see `array_filter.ArrayBelief`.
+        """Covariance (6 n, 6 n) of the sensors' deviations from what is assumed, see `array_filter.ArrayBelief`.
 
-        Of the sensors file, if the rig file names one; else by the tolerances that stand in the rig file. None where
-        neither says anything, and for a file without correlations, as a stage calibration writes it.
+        It comes from the sensors file, if the rig file names one; else from the tolerances of the rig file. None
+        where neither states any, and for a sensors file without correlations, as a stage calibration writes it.
         """
         section = self.sections.sensors
         return self.calibrated.covariance if section.calibrated is not None else section.covariance
 
     @property
     def sample_rate(self) -> float:
+        """Samples per second of each sensor, in Hz."""
         return self.sections.sensors.sample_rate_hz
 
     @cached_property
     def limits(self) -> Limits:
+        """Limits of coils, timing and magnet, in SI units."""
         section, magnet = self.sections.limits, self.sections.magnet
         return Limits(
             coils=self.coil_names,
@@ -127,12 +137,23 @@ class RigConfig:
         return section if isinstance(section, dict) else {}
 
     def section_of(self, world: str, model: type[Model]) -> Model:
-        """The section that a world keeps to itself, ``[tank]`` or ``[bench]``, as `model`.
+        """Validate the section that only one world uses, such as ``[tank]`` or ``[bench]``.
+
+        Parameters
+        ----------
+        world : str
+            Name of the world and of its section.
+        model : type of FileModel
+
+        Returns
+        -------
+        FileModel
+            The section as `model`.
 
         Raises
         ------
         ConfigError
-            With every fault of it.
+            With every fault of the section.
         """
         section, faults = self.document.section(world, model)
         if section is None:
@@ -141,22 +162,22 @@ class RigConfig:
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Names of all coils as messages call them: actuation, then ``excitation x``."""
+        """Names of all driven coils as used in messages: actuation coils, then ``excitation x``."""
         return (*self.coil_names, *(f"excitation {coil.name}" for coil in self.sections.excitation))
 
     @property
     def time_constants(self) -> list[float]:
-        """Of all coils that are driven, in s."""
+        """Time constants of all driven coils, in s."""
         return [c.time_constant for c in self.sections.coils] + [c.time_constant for c in self.sections.excitation]
 
     @property
     def coil_resistances(self) -> FloatArray:
-        """Of the actuation coils, shape (n_coils,), in ohm."""
+        """Resistances of the actuation coils, shape (n_coils,), in ohm."""
         return np.array([coil.resistance_ohm for coil in self.sections.coils])
 
     @property
     def thermal(self) -> tuple[Coil | None, ...]:
-        """Thermal constants of actuation and excitation coils, in the rig's order; None where they are not known."""
+        """Thermal constants of actuation, then excitation coils; None for coils where they are not known."""
         safety = self.sections.safety
         own = tuple(coil.thermal(safety) for coil in self.sections.coils)
         return (*own, *(safety.excitation.thermal(f"excitation {c.name}") for c in self.sections.excitation))
@@ -167,7 +188,12 @@ class RigConfig:
         return self.container.surface_z
 
     def round_coils(self) -> tuple[RoundCoil, ...]:
-        """The actuation coils, nominal."""
+        """Build the actuation coils with their nominal geometry.
+
+        Returns
+        -------
+        tuple of RoundCoil
+        """
         from lookup_tables import RoundCoil
 
         return tuple(
@@ -184,7 +210,12 @@ class RigConfig:
         )
 
     def flat_coils(self) -> tuple[FlatCoil, ...]:
-        """The excitation coils, nominal; widths lie in the horizontal plane."""
+        """Build the excitation coils with their nominal geometry; widths lie in the horizontal plane.
+
+        Returns
+        -------
+        tuple of FlatCoil
+        """
         from lookup_tables import FlatCoil
 
         return tuple(
@@ -234,12 +265,35 @@ class RigConfig:
             raise self.document.error([Fault(("table",), str(error))]) from error
 
     def table(self) -> FieldTable:
-        """Field table of the actuation coils: read, or built once and cached."""
+        """Return the field table of the actuation coils: read from a file, or built once and cached.
+
+        Returns
+        -------
+        FieldTable
+            In the world frame.
+
+        Raises
+        ------
+        ConfigError
+            If the rig has no ``[table]``, or the table cannot be read or built.
+        """
         return self._table
 
 
 def mesh_axis(span_mm: Range, mesh_mm: float) -> FloatArray:
-    """Equally spaced points in m that cover `span_mm`, at most `mesh_mm` apart."""
+    """Make equally spaced points that cover a span.
+
+    Parameters
+    ----------
+    span_mm : tuple of float, in mm
+        Lowest and highest point.
+    mesh_mm : float, in mm
+        Largest distance of two points.
+
+    Returns
+    -------
+    ndarray, shape (n,), in m
+    """
     count = int(np.ceil((span_mm[1] - span_mm[0]) / mesh_mm - 1e-9)) + 1
     return np.linspace(span_mm[0], span_mm[1], count) * 1e-3
 
@@ -307,7 +361,7 @@ def _of_world(document: Document, fault: Fault) -> Fault:
 
 
 def _world_faults(document: Document) -> list[Fault]:
-    """Faults of the section that only its own world can check."""
+    """Find faults of the section that only its own world can check."""
     world = document.data.get("world")
     if not isinstance(world, str):
         return []

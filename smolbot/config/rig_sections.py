@@ -1,4 +1,4 @@
-"""The sections of a rig file, as people write them."""
+"""The sections of a rig file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Range = tuple[float, float]
 
 
 class CoilSection(FileModel):
-    """A round actuation coil with an air core; `axis` is its field's direction at its centre for positive current."""
+    """A round actuation coil with an air core; `axis` is the field direction at its centre for positive current."""
 
     name: str
     center_mm: Vector
@@ -44,7 +44,18 @@ class CoilSection(FileModel):
         return self
 
     def thermal(self, safety: SafetySection) -> Coil:
-        """Its thermal constants: as stated, else of its copper and of its surface in still air."""
+        """Compute the thermal constants of the coil.
+
+        Those that the file does not state follow from the copper of the winding and its surface in still air.
+
+        Parameters
+        ----------
+        safety : SafetySection
+
+        Returns
+        -------
+        Coil
+        """
         stated, inner, outer = safety.coils, self.inner_radius, self.outer_radius
         length, across = self.length, math.pi * (inner + outer)
         surface = 2.0 * across * (length + outer - inner)
@@ -104,9 +115,9 @@ class TableSection(FileModel):
 
 
 class ContainerSection(FileModel):
-    """The vessel: inner walls, floor, and the liquid's surface, in the world frame.
+    """The vessel: inner walls, floor, and surface of the liquid, in the world frame.
 
-    In m: `center` and `size` (x, y), `low` and `high` (3,): the corners of what is inside, from floor to surface.
+    In m: `center` and `size` (x, y), `low` and `high` (3,): the corners of the inner space, from floor to surface.
     """
 
     center_mm: Range
@@ -129,15 +140,17 @@ class ContainerSection(FileModel):
 
     @property
     def low(self) -> FloatArray:
+        """Lowest corner (3,) of the inner space in the world frame, in m."""
         return np.array([*(self.center - 0.5 * self.size), self.floor_z])
 
     @property
     def high(self) -> FloatArray:
+        """Highest corner (3,) of the inner space in the world frame, in m."""
         return np.array([*(self.center + 0.5 * self.size), self.surface_z])
 
 
 class MediumSection(FileModel):
-    """The liquid, as it is believed to be; a gel where it has a yield stress."""
+    """Assumed properties of the liquid; a gel where it has a yield stress."""
 
     name: str
     viscosity_pa_s: Positive
@@ -148,7 +161,8 @@ class MediumSection(FileModel):
 class MagnetSection(FileModel):
     """A cube magnet on a motor whose axis is steered about the vertical, near the sample or away from it.
 
-    At a turn of zero its pole looks straight down. `field_mt` is its mean size over a turn, `distance_mm` below.
+    At angle zero its pole faces straight down. `field_mt` is the mean flux density over a turn, `distance_mm` below
+    it.
     """
 
     side_mm: Positive
@@ -167,7 +181,7 @@ class MagnetSection(FileModel):
 
 
 class NoiseSection(FileModel):
-    """The magnetic noise that is expected; sizes at 50 Hz are peak."""
+    """The expected magnetic noise; mains amplitudes are peak values."""
 
     floor_pt_per_rthz: NotNegative
     at_1hz_pt_per_rthz: NotNegative
@@ -194,7 +208,7 @@ class NoiseSection(FileModel):
 
 
 class LimitsSection(FileModel):
-    """What may be asked of the hardware; each limit has its reason beside it in the file."""
+    """Limits of what may be commanded; each has its reason beside it in the file."""
 
     max_current_a: Positive
     unipolar: bool = True

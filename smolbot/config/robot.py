@@ -1,4 +1,4 @@
-"""The robot file: body and resonant device of one robot, as they are believed to be."""
+"""The robot file: assumed body and resonant device of one robot."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class BodySection(FileModel):
 
 
 class HelixSection(FileModel):
-    """The thread on a helical robot's housing, right-handed, and what was measured of its way through this gel.
+    """The right-handed thread on a helical robot's housing, and its measured motion through this gel.
 
-    `slip` is a share of the pitch, `steering` the turn of the axis in a bend over what theory says, `drift_mm` goes to
-    the left with each turn.
+    `slip` is a fraction of the pitch. `steering` is the measured turn of the axis in a bend divided by the
+    theoretical one. `drift_mm` is the displacement to the left with each turn.
     """
 
     pitch_mm: Positive
@@ -45,8 +45,8 @@ class HelixSection(FileModel):
 class DeviceSection(FileModel):
     """The SMOL device, as calibrated in the medium that the robot swims in.
 
-    The tolerances, one standard deviation, count where a flight learns the sensors: what it cannot tell from a device
-    that is not quite as stated, it does not blame on them.
+    The tolerances are one standard deviation. They are used where a flight learns the sensors: errors that they
+    explain are not attributed to the sensors.
     """
 
     moment_tolerance_percent: NotNegative = 0.0
@@ -68,7 +68,7 @@ class DeviceSection(FileModel):
 
     @property
     def in_si(self) -> Device:
-        """The device. Raises InputError for values that do not go together."""
+        """The device in SI units; raises InputError for inconsistent values."""
         return Device(
             moment=self.moment_ma_m2 * 1e-3,
             moment_in_body=np.array(self.moment_in_body),
@@ -115,12 +115,18 @@ class RobotFile(FileModel):
 
 
 class RobotConfig:
-    """A robot file that holds together, in SI.
+    """A checked robot file, in SI units.
+
+    Parameters
+    ----------
+    document : Document
+        The robot file.
+    sections : RobotFile
 
     Attributes
     ----------
     calibrated : Device or None
-        Believed in place of the file's own device, where it is given.
+        Used in place of the file's own device, where it is given.
     """
 
     def __init__(self, document: Document, sections: RobotFile) -> None:
@@ -132,13 +138,13 @@ class RobotConfig:
 
     @property
     def device_tolerances(self) -> tuple[float, float]:
-        """One standard deviation of the moment, relative, and of l0, in m."""
+        """Standard deviations of the moment (relative) and of l0 (in m)."""
         section = self.sections.device
         return 1e-2 * section.moment_tolerance_percent, 1e-5 * section.l0_tolerance_percent * section.l0_mm
 
     @property
     def device(self) -> Device:
-        """The device as it is believed to be."""
+        """The assumed device, in SI units."""
         if self.calibrated is not None:
             return self.calibrated
         return self.sections.device.in_si
@@ -150,7 +156,7 @@ class RobotConfig:
         Raises
         ------
         ConfigError
-            If it has none.
+            If the robot has no housing.
         """
         if self.sections.body is None:
             raise self.document.error([Fault(("body",), f"kind '{self.kind}' has no housing, and one is needed here.")])
@@ -158,7 +164,7 @@ class RobotConfig:
 
     @property
     def mass(self) -> float:
-        """In kg."""
+        """Mass in kg."""
         return self.body.mass_mg * 1e-6
 
     @property
@@ -169,7 +175,7 @@ class RobotConfig:
 
     @property
     def center(self) -> tuple[float, float, float]:
-        """Centre of the housing seen from the cantilever's rotation centre, body frame, in m; 0 without one."""
+        """Centre of the housing relative to the cantilever's rotation centre, in the body frame, in m."""
         x, y, z = (0.0, 0.0, 0.0) if self.sections.body is None else self.body.center_mm
         return x * 1e-3, y * 1e-3, z * 1e-3
 
@@ -187,7 +193,7 @@ class RobotConfig:
         Raises
         ------
         ConfigError
-            If it is none.
+            If the robot has no thread.
         """
         if self.sections.helix is None:
             raise self.document.error([Fault(("helix",), f"kind '{self.kind}' has no thread, and one is needed here.")])

@@ -1,4 +1,4 @@
-"""The section ``[safety]`` of a rig file: what ends a run, and what coils are made of."""
+"""The section ``[safety]`` of a rig file: conditions that end a run, and thermal constants of coils."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from smolbot.core.coil_heat import Coil
 
 
 class CoilSafety(FileModel):
-    """Thermal constants of each of a kind of coil."""
+    """Thermal constants, the same for all coils of one kind."""
 
     heat_capacity_j_per_k: Positive | None = None
     thermal_resistance_k_per_w: Positive | None = None
@@ -20,12 +20,23 @@ class CoilSafety(FileModel):
 
 
 class ExcitationSafety(CoilSafety):
-    """Of excitation coils, whose heat is reckoned only where all of it is said."""
+    """Thermal constants of excitation coils; their heat is computed only where all of them are given."""
 
     resistance_ohm: Positive | None = None
 
     def thermal(self, name: str) -> Coil | None:
-        """Thermal constants of the coil of that name; None where one is not said."""
+        """Build the thermal constants of one excitation coil.
+
+        Parameters
+        ----------
+        name : str
+            Name of the coil in messages.
+
+        Returns
+        -------
+        Coil or None
+            None if a constant is not given.
+        """
         ohm, capacity, resistance = self.resistance_ohm, self.heat_capacity_j_per_k, self.thermal_resistance_k_per_w
         if ohm is None or capacity is None or resistance is None:
             return None
@@ -33,10 +44,10 @@ class ExcitationSafety(CoilSafety):
 
 
 class SafetySection(FileModel):
-    """What ends a run. Every key has a default, so that a rig file may leave all of it out.
+    """Conditions that end a run. Every key has a default, so that a rig file may leave all of it out.
 
-    Without constants, an actuation coil's heat is reckoned from its geometry and resistance, see `heat.wound_capacity`,
-    and from its bare surface in still air.
+    Without given constants, an actuation coil's heat is computed from its geometry and resistance, see
+    `heat.wound_capacity`, and from its bare surface in still air.
     """
 
     ambient_c: float = 25.0

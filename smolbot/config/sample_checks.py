@@ -1,4 +1,4 @@
-"""Whether samples can be volts of a rig, and which of its channels are of no use in a shot."""
+"""Check that samples are plausible volts of a rig, and find the channels of a shot that cannot be used."""
 
 from __future__ import annotations
 
@@ -34,12 +34,22 @@ CREST = (2.5, 100.0)
 
 
 def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
-    """Refuse a file with too few channels within range, all of them dead, or none that moves by a converter's step.
+    """Raise if the samples cannot be volts of this rig.
+
+    Refused is a file with too few unsaturated channels, with only dead channels, or in which no channel changes by
+    a converter step.
+
+    Parameters
+    ----------
+    path : Path
+        Used in messages.
+    volts : ndarray, shape (n_shots, n_channels, n), in V
+    rig : RigConfig
 
     Raises
     ------
     InputError
-        With the channel, its value, and what units it looks like.
+        With the channel, its value, and the unit that it may have.
     """
     section = rig.sections.sensors
     full = _full(rig)
@@ -69,7 +79,20 @@ def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
 
 
 def unsound_channels(volts: FloatArray, rate: float, rig: RigConfig) -> dict[str, BoolArray]:
-    """Why channels of one shot (n_channels, n) at `rate` Hz are of no use, and which, each (n_channels,)."""
+    """Find the channels of one shot that cannot be used, by reason.
+
+    Parameters
+    ----------
+    volts : ndarray, shape (n_channels, n), in V
+    rate : float, in Hz
+        Sample rate.
+    rig : RigConfig
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (n_channels,)
+        For each reason, True where a channel is excluded by it.
+    """
     saturated: BoolArray = np.max(np.abs(volts), axis=1) >= _full(rig)
     dead: BoolArray = ~saturated & (np.ptp(volts, axis=1) == 0.0)
     stuck = np.array([_sticks(values, rate) for values in volts]) & ~saturated & ~dead
@@ -82,9 +105,9 @@ def _full(rig: RigConfig) -> float:
 
 
 def _sticks(values: FloatArray, rate: float) -> bool:
-    """Whether a channel that moves holds one value for too long, at the edge of what it reaches or between jumps.
+    """Return whether a changing channel holds one value too long, at the edge of its range or between jumps.
 
-    A swing that has died away stands still too, but in the middle, and comes there step by step.
+    A decayed oscillation is constant too, but in the middle of its range, which it reaches step by step.
     """
     change = np.abs(np.diff(values))
     moves = np.flatnonzero(change)

@@ -1,4 +1,4 @@
-"""A lab's own samples: reads volts from .npz, .mat, .h5 or .csv and makes recordings of them.
+"""A lab's own samples: read volts from .npz, .mat, .h5 or .csv and make recordings of them.
 
 A file holds `volts`, shape (n_channels, n) or (n_shots, n_channels, n), `sample_rate_hz`,
 `time_since_drive_ms` (from the end of the drive to the first sample; one number, or one for each shot) and,
@@ -34,7 +34,7 @@ SUFFIXES = (".npz", ".mat", ".h5", ".hdf5", ".csv")
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What a file holds.
+    """Content of a file of samples.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ class Samples:
     volts : ndarray, shape (n_shots, n_channels, n), in V
     sample_rate : float, in Hz
     time_since_drive : ndarray, shape (n_shots,), in s
-        Infinite in a file of quiet samples.
+        Infinite in a file of background noise.
     clock : ndarray, shape (n_shots,), in s
-        0 for each shot where the file does not say.
+        Time of the first sample; 0 for each shot where the file does not state it.
     """
 
     path: Path
@@ -56,7 +56,15 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Shots:
-    """Recordings of a file, and for each what must be said of it: channels left out, and why."""
+    """Recordings of a file of samples.
+
+    Attributes
+    ----------
+    recordings : tuple of Recording
+        One for each shot, in T.
+    notes : tuple of str
+        For each shot, the channels left out and why; empty if there are none.
+    """
 
     recordings: tuple[Recording, ...]
     notes: tuple[str, ...]
@@ -67,16 +75,20 @@ def read_samples(path: str | Path, *, quiet: bool = False) -> Samples:
 
     Parameters
     ----------
-    path : path
-        Its suffix says how it is written: .npz, .mat (also v7.3), .h5, .hdf5 or .csv.
+    path : str or Path
+        The suffix gives the format: .npz, .mat (also v7.3), .h5, .hdf5 or .csv.
     quiet : bool
-        No drive preceded these samples, so that `time_since_drive_ms` may be missing.
+        Background noise: no drive preceded these samples, so that `time_since_drive_ms` may be missing.
+
+    Returns
+    -------
+    Samples
 
     Raises
     ------
     InputError
-        For an unknown suffix, a file that cannot be read, unknown or missing keys, wrong shapes, numbers
-        that are none: says which, and what is needed.
+        For an unknown suffix, an unreadable file, unknown or missing keys, wrong shapes, or values that are not
+        numbers; the message names which, and what is needed.
     MissingFileError
         If there is no such file.
     """
@@ -114,13 +126,23 @@ def read_samples(path: str | Path, *, quiet: bool = False) -> Samples:
 
 
 def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
-    """Recordings in T, with saturated and dead channels named and marked to be left out.
+    """Make recordings in T, with saturated and dead channels named and marked to be left out.
+
+    Parameters
+    ----------
+    samples : Samples
+    rig : RigConfig
+        Gives sensitivity, range and sensor gains.
+
+    Returns
+    -------
+    Shots
 
     Raises
     ------
     InputError
-        For another number of channels than the rig has sensors, a sample that is not a number, or a file whose
-        values are too large or too small to be volts: says which.
+        If the number of channels differs from that of sensors, a sample is not a number, or the values are too
+        large or too small to be volts; the message names which.
     """
     section = rig.sections.sensors
     n_shots, n_channels, n = samples.volts.shape
@@ -189,7 +211,7 @@ def _numbers(path: Path, key: str, value: Any) -> FloatArray:
 
 
 def _per_shot(path: Path, key: str, values: Mapping[str, Any], n_shots: int) -> FloatArray:
-    """One number for each shot, shape (n_shots,), from one number or as many."""
+    """Read one number for each shot, shape (n_shots,), from one number or as many."""
     given = np.ravel(_numbers(path, key, values[key]))
     if given.size not in (1, n_shots) or not np.isfinite(given).all():
         many = f"one finite number, or one for each of {n_shots} shots" if n_shots > 1 else "one finite number"
@@ -208,7 +230,7 @@ def _read_npz(path: Path) -> dict[str, Any]:
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
-    """MATLAB's files; those of v7.3 are HDF5, with axes in reverse order."""
+    """Read a MATLAB file; those of v7.3 are HDF5, with axes in reverse order."""
     import h5py
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
@@ -238,7 +260,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
 
 
 def _read_csv(path: Path) -> dict[str, Any]:
-    """Header lines ``# key = value``, perhaps a line of column names, then a row per sample."""
+    """Read header lines ``# key = value``, an optional line of column names, then a row per sample."""
     table = read_table(path)
     values: dict[str, Any] = {}
     for comment in table.comments:

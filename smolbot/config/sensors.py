@@ -1,4 +1,4 @@
-"""Sensors of a rig: the ``[sensors]`` section, and the file of an array as it was calibrated."""
+"""Sensors of a rig: the ``[sensors]`` section, and the file of a calibrated array."""
 
 from __future__ import annotations
 
@@ -86,18 +86,21 @@ class SensorsSection(FileModel):
 
     @property
     def array(self) -> SensorArray:
-        """The array that stands here, in SI."""
+        """The sensor array of this section, in SI units."""
         axes = [np.eye(3)["xyz".index(a)] if isinstance(a, str) else np.array(a) for a in self.axes]
         return SensorArray(np.array(self.positions_mm) * 1e-3, np.array(axes), self.bandwidth_hz)
 
     @property
     def gain_of_each(self) -> FloatArray:
-        """Gains that stand here, shape (n_sensors,); ones if none are given."""
+        """Gains of this section, shape (n_sensors,); ones if none are given."""
         return np.ones(len(self.positions_mm)) if self.gains is None else np.array(self.gains)
 
     @property
     def covariance(self) -> FloatArray | None:
-        """Of all sensors' deviations by the tolerances, shape (6 n, 6 n): ln gain, two tilts, place; None without."""
+        """Covariance (6 n, 6 n) of all sensors' deviations from the tolerances; None without tolerances.
+
+        For each sensor: ln gain, two tilts (rad), position (m).
+        """
         tilt = np.radians(self.axis_tolerance_deg)
         one = np.array([1e-2 * self.gain_tolerance_percent, tilt, tilt, *[1e-3 * self.place_tolerance_mm] * 3])
         return np.diag(np.tile(one, len(self.positions_mm)) ** 2) if one.any() else None
@@ -115,11 +118,11 @@ class SingleAxis:
 
 
 class UncertaintySection(FileModel):
-    """One standard deviation of every value, and what is known of it.
+    """One standard deviation of every value, and how it was determined.
 
-    A calibration says what held-out poses said (rms per axis, before and after); a flight from how many recordings it
-    learned, and the `correlations` between all values: a lower triangle, in the order gain, two tilts, place of
-    each sensor.
+    A calibration states the errors on held-out poses (rms per axis, before and after). A flight states how many
+    recordings were used, and the `correlations` between all values: a lower triangle, in the order gain, two tilts,
+    position of each sensor.
     """
 
     positions_mm: list[tuple[NotNegative, NotNegative, NotNegative]]
@@ -143,10 +146,11 @@ class UncertaintySection(FileModel):
 
     @property
     def covariance(self) -> FloatArray | None:
-        """Of all values, shape (6 n, 6 n): ln gain, two tilts (rad), place (m) of each sensor.
+        """Covariance (6 n, 6 n) of all values; None without correlations.
 
-        None without correlations: the values of a calibration hang together far more closely than each by itself is
-        known, and a flight that did not know that would take them apart again.
+        For each sensor: ln gain, two tilts (rad), position (m).
+        The errors of a calibration are strongly correlated. Without the correlations a covariance would be much too
+        wide, and a flight would move the sensors relative to each other.
         """
         if self.correlations is None:
             return None
@@ -163,7 +167,19 @@ class UncertaintySection(FileModel):
 
     @classmethod
     def of(cls, covariance: FloatArray, recordings: int) -> UncertaintySection:
-        """As a flight learned it."""
+        """Build the section from a covariance that a flight estimated.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (6 n, 6 n)
+            For each sensor: ln gain, two tilts (rad), position (m).
+        recordings : int
+            Number of recordings that were used.
+
+        Returns
+        -------
+        UncertaintySection
+        """
         deviations = np.sqrt(np.diag(covariance))
         full = covariance / np.maximum(np.outer(deviations, deviations), 1e-300)
         by_sensor = deviations.reshape(-1, 6)
@@ -177,7 +193,7 @@ class UncertaintySection(FileModel):
 
 
 class SensorsFile(FileModel):
-    """Everything a sensors file says."""
+    """All keys and sections of a sensors file."""
 
     rig: str
     date: datetime.date
@@ -188,10 +204,16 @@ class SensorsFile(FileModel):
 
 @dataclass(frozen=True, eq=False)
 class CalibratedSensors:
-    """An array as it was calibrated: places and axes, and the gain of each sensor, shape (n_sensors,).
+    """A calibrated sensor array.
 
-    `covariance` (6 n, 6 n) is of what is left: ln gain, two tilts (rad) and place (m) of each; None if nobody
-    says, correlations included.
+    Attributes
+    ----------
+    array : SensorArray
+        Positions and axes in the world frame, in m.
+    gains : ndarray, shape (n_sensors,)
+        Relative to the sensitivity.
+    covariance : ndarray, shape (6 n, 6 n), or None
+        Of the remaining deviations: ln gain, two tilts (rad) and position (m) of each sensor; None if not known.
     """
 
     array: SensorArray
@@ -200,12 +222,24 @@ class CalibratedSensors:
 
 
 def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSensors:
-    """Read a sensors file that must have been made for the rig of that name, with the array `believed`.
+    """Read a sensors file and check that it belongs to the rig.
+
+    Parameters
+    ----------
+    path : Path
+    rig : str
+        Name of the rig.
+    believed : SensorsSection
+        Sensors section of the rig file.
+
+    Returns
+    -------
+    CalibratedSensors
 
     Raises
     ------
     ConfigError
-        With ``file:line: key`` for every fault, and if the file is another rig's.
+        With ``file:line: key`` for every fault, and if the file belongs to another rig.
     MissingFileError
         If there is no such file.
     """
@@ -234,6 +268,11 @@ def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSe
 
 def write_sensors(path: str | Path, config: SensorsFile) -> None:
     """Write a sensors file that `load_sensors` reads back.
+
+    Parameters
+    ----------
+    path : str or Path
+    config : SensorsFile
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Numbers as files hold them, with the unit in the key, and the same in SI."""
+"""Numbers of files, with the unit in the key, and their values in SI units."""
 
 from __future__ import annotations
 
@@ -24,7 +24,13 @@ FACTORS = {
 
 
 class SI:
-    """A number of a section in SI: with ``pitch = SI("pitch_mm")``, `pitch` is what the file says, in m."""
+    """A number of a section in SI units: with ``pitch = SI("pitch_mm")``, `pitch` is the value of the file in m.
+
+    Parameters
+    ----------
+    key : str
+        Key of the number in the file, with the unit at its end.
+    """
 
     def __init__(self, key: str) -> None:
         self._key = key
@@ -36,7 +42,7 @@ class SI:
 
 
 class SIVector(SI):
-    """The same for a list of numbers, as an array."""
+    """A list of numbers of a section in SI units, as an array."""
 
     def __get__(self, section: Any, owner: object = None) -> FloatArray:  # type: ignore[override]
         value: FloatArray = self._factor * np.array(getattr(section, self._key), dtype=np.float64)

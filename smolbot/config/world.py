@@ -1,4 +1,4 @@
-"""What a kind of rig promises to those who check and open rigs."""
+"""The protocol that every kind of rig keeps, for checking and opening rigs."""
 
 from __future__ import annotations
 
@@ -12,21 +12,54 @@ from smolbot.core.sensing import Device
 
 
 class World(Protocol):
-    """What an entry point of ``smolbot.rigs`` names: how one kind of rig is checked and opened."""
+    """A kind of rig: what an entry point of ``smolbot.rigs`` refers to."""
 
     @staticmethod
     def check(document: Document) -> list[Fault]:
-        """Faults of the world's own section of a rig file."""
+        """Find faults of the world's own section of a rig file.
+
+        Parameters
+        ----------
+        document : Document
+            The rig file.
+
+        Returns
+        -------
+        list of Fault
+        """
 
     @staticmethod
     def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:
-        """Why this rig cannot hold a bare device; None if it can, or if that is not the world's to know."""
+        """Explain why this rig cannot hold a bare device.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        robot : RobotConfig
+
+        Returns
+        -------
+        str or None
+            None if it can, or if the world does not know.
+        """
 
     @staticmethod
     def open(rig: RigConfig, robot: RobotConfig, start: Any, seed: int, **options: Any) -> Rig:
-        """Open the rig with the robot at `start` (x, y in m), ready to play shots.
+        """Open the rig with the robot at its start position, ready to play shots.
 
-        `options` are `gui` and `operator` (see `smolbot.core.operator`); a world passes over what it has no need of.
+        Parameters
+        ----------
+        rig : RigConfig
+        robot : RobotConfig
+        start : tuple of float
+            Start position (x, y) in m; for a helical robot also its heading in rad.
+        seed : int
+        **options : object
+            `gui` and `operator` (see `smolbot.core.operator`); a world ignores those that it does not use.
+
+        Returns
+        -------
+        Rig
         """
 
 

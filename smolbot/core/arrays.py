@@ -1,4 +1,4 @@
-"""Array types and the shape checks that every public function shares."""
+"""Array types, and the shape checks that all public functions share."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SMALL = 64
 
 
 def _sums_up(value: FloatArray) -> bool:
-    """True only for an array without nan or infinity; of huge values it may say no, and they are looked at again."""
+    """Return True only if all values are finite; False may also mean that very large values overflowed."""
     if value.size <= SMALL:
         flat = value.reshape(-1)
         return math.isfinite(flat.dot(flat))
@@ -28,12 +28,27 @@ def _sums_up(value: FloatArray) -> bool:
 
 
 def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: bool = True) -> FloatArray:
-    """Return `value` as a C-ordered float array of the wanted shape (``None`` matches any length).
+    """Return `value` as a C-ordered float array of the requested shape.
+
+    Parameters
+    ----------
+    value : array_like
+    shape : tuple of int or None
+        Requested shape; ``None`` matches any length.
+    name : str
+        Name of the value, for messages.
+    finite : bool
+        Whether nan and infinity are refused.
+
+    Returns
+    -------
+    ndarray
+        `value` itself where it already has the right type and shape.
 
     Raises
     ------
     InputError
-        If the value is not numeric, has another shape, or holds nan or infinity where `finite` is asked.
+        If the value is not numeric, has another shape, or holds nan or infinity where `finite` is set.
     """
     plain = type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous
     if plain and value.shape == shape and (not finite or _sums_up(value)):
@@ -56,7 +71,17 @@ def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: b
 
 
 def frozen(array: FloatArray) -> FloatArray:
-    """Return a read-only copy, for fields of frozen dataclasses."""
+    """Return a read-only copy, for fields of frozen dataclasses.
+
+    Parameters
+    ----------
+    array : ndarray
+
+    Returns
+    -------
+    ndarray
+        Same shape; not writeable.
+    """
     copy = np.array(array)
     copy.setflags(write=False)
     return copy

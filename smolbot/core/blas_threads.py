@@ -1,7 +1,7 @@
-"""Linear algebra with one thread: results that do not depend on how many cores a machine or a notebook lends.
+"""Linear algebra with one thread, so that results do not depend on the number of processor cores.
 
-With several threads, products of matrices of some hundred rows are summed in another order, and a run differs in its
-last bits from the same run with one. Small matrices gain nothing from threads either.
+With several threads, products of matrices of some hundred rows are summed in another order, and a run differs in
+its last bits from the same run with one thread. Small matrices gain nothing from threads either.
 """
 
 from __future__ import annotations
@@ -12,7 +12,12 @@ from contextlib import contextmanager
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """While the block runs, numpy's and scipy's linear algebra use one thread."""
+    """Limit the linear algebra of numpy and scipy to one thread while the block runs.
+
+    Yields
+    ------
+    None
+    """
     import numpy.linalg  # noqa: F401  (a library that is not loaded yet cannot be limited)
     from threadpoolctl import threadpool_limits
 
@@ -21,7 +26,15 @@ def one_thread() -> Iterator[None]:
 
 
 def kernel() -> str:
-    """Library and kind of processor for which linear algebra is computed: it decides the last bits of a result."""
+    """Return the name of the linear algebra library and the processor type that its kernels are made for.
+
+    They decide the last bits of a result.
+
+    Returns
+    -------
+    str
+        For instance ``openblas Haswell``; several libraries are separated by commas.
+    """
     import numpy.linalg  # noqa: F401
     from threadpoolctl import threadpool_info
 

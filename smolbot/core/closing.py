@@ -1,4 +1,4 @@
-"""What is closed at the end of a ``with`` block."""
+"""Base class of objects that are closed at the end of a ``with`` block."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Self
 
 
 class Closing:
-    """Base of what holds something until it is closed, or until the block ends that it was opened for."""
+    """Base class of objects that hold a resource until they are closed or their ``with`` block ends."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the resource."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:

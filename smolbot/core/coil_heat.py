@@ -1,9 +1,9 @@
-"""Heat of coils from the currents that were commanded: one thermal node each, stepped exactly.
+"""Coil temperatures computed from the commanded currents: one thermal node per coil, integrated exactly.
 
     C dT/dt = I² R (1 + alpha (T - 20)) - (T - T_ambient) / R_th
 
 Copper's resistance rises by 0.4 % per degree. With a constant current the equation is linear, so that a step of any
-length is exact; where heating outruns cooling, it grows without bound, as it should.
+length is exact; where heating exceeds cooling, the temperature grows without bound, as it should.
 """
 
 from __future__ import annotations
@@ -43,13 +43,15 @@ class Coil:
     Attributes
     ----------
     name : str
-        As it is called in messages.
+        Name used in messages.
     resistance : float, in ohm
         At 20 degrees Celsius.
     capacity : float, in J/K
+        Heat capacity.
     thermal_resistance : float, in K/W
         To the surroundings.
     limit : float, in degrees Celsius
+        Highest allowed temperature.
     """
 
     name: str
@@ -60,17 +62,24 @@ class Coil:
 
 
 def wound_capacity(resistance: float, turns: float, mean_turn: float, section: float) -> float:
-    """Heat capacity of a winding's copper, in J/K.
+    """Compute the heat capacity of a winding's copper.
 
-    A wire of known length and resistance has one cross-section, and so one mass; no more than fits is believed.
+    A wire of known length and resistance has one cross-section, and so one mass; a mass larger than fits into the
+    winding's cross-section is reduced to what fits.
 
     Parameters
     ----------
     resistance : float, in ohm
         At 20 degrees Celsius.
+    turns : float
     mean_turn : float, in m
+        Mean length of a turn.
     section : float, in m²
-        Of the whole winding.
+        Cross-section of the whole winding.
+
+    Returns
+    -------
+    float, in J/K
 
     Examples
     --------
@@ -84,7 +93,24 @@ def wound_capacity(resistance: float, turns: float, mean_turn: float, section: f
 
 
 def stepped(coil: Coil, temperature: float, mean_square: float, duration: float, ambient: float) -> float:
-    """Temperature in degrees Celsius after `duration` s at a mean square current in A², from `temperature` on."""
+    """Compute a coil's temperature after a time at a constant mean square current.
+
+    The exact solution of ``C dT/dt = I² R (1 + alpha (T - 20)) - (T - T_ambient) / R_th``.
+
+    Parameters
+    ----------
+    coil : Coil
+    temperature : float, in degrees Celsius
+        At the start.
+    mean_square : float, in A²
+        Mean square current.
+    duration : float, in s
+    ambient : float, in degrees Celsius
+
+    Returns
+    -------
+    float, in degrees Celsius
+    """
     # heat balance C dT/dt = R I² (1 + alpha (T - T_ref)) - (T - T_ambient) / R_th, linear in T: solved exactly
     power = mean_square * coil.resistance
     rate = (1.0 / coil.thermal_resistance - ALPHA * power) / coil.capacity
@@ -95,7 +121,21 @@ def stepped(coil: Coil, temperature: float, mean_square: float, duration: float,
 
 
 def mean_squares(window: Window, n_coils: int, n_excitation: int) -> Sequence[float]:
-    """Mean square currents in A² that a window commands, actuation coils first; empty where it drives nothing."""
+    """Compute the mean square current that a window commands in each coil.
+
+    Parameters
+    ----------
+    window : Window
+    n_coils : int
+        Number of actuation coils.
+    n_excitation : int
+        Number of excitation coils.
+
+    Returns
+    -------
+    sequence of float, in A²
+        Actuation coils first, then excitation coils; empty if the window drives nothing.
+    """
     if isinstance(window, Actuate) and any(window.currents):
         return [c * c for c in window.currents] + [0.0] * n_excitation
     if isinstance(window, Excite):
@@ -106,11 +146,18 @@ def mean_squares(window: Window, n_coils: int, n_excitation: int) -> Sequence[fl
 class CoilHeat:
     """Temperatures of a rig's coils: actuation coils in the rig's order, then excitation coils.
 
-    They start at the surroundings': what a run before has left in them is not known.
+    They start at the temperature of the surroundings, since the heat left by an earlier run is not known.
+
+    Parameters
+    ----------
+    coils : sequence of Coil or None
+        None for a coil whose thermal constants are not known; its temperature stays at `ambient`.
+    ambient : float, in degrees Celsius
 
     Attributes
     ----------
     temperatures, peaks : list of float, in degrees Celsius
+        Present and highest temperature of each coil.
     """
 
     def __init__(self, coils: Sequence[Coil | None], ambient: float) -> None:
@@ -120,7 +167,14 @@ class CoilHeat:
         self.peaks = [ambient] * len(self.coils)
 
     def advance(self, squares: Sequence[float], duration: float) -> None:
-        """Let `duration` s pass at mean square currents `squares` (n_coils,) in A²; without any, coils cool."""
+        """Advance all temperatures in time at constant mean square currents.
+
+        Parameters
+        ----------
+        squares : sequence of float, length n_coils, in A²
+            Mean square currents; an empty one lets all coils cool.
+        duration : float, in s
+        """
         if duration <= 0.0:
             return
         for i, coil in enumerate(self.coils):
@@ -133,7 +187,13 @@ class CoilHeat:
                 self.peaks[i] = after
 
     def too_hot(self) -> tuple[Coil, float] | None:
-        """The first coil above its limit, and its temperature."""
+        """Find the first coil above its temperature limit.
+
+        Returns
+        -------
+        tuple of (Coil, float) or None
+            The coil and its temperature in degrees Celsius; None if no coil is too hot.
+        """
         for coil, temperature in zip(self.coils, self.temperatures, strict=True):
             if coil is not None and temperature > coil.limit:
                 return coil, temperature

@@ -1,4 +1,4 @@
-"""What a rig may offer beyond shots: one coil is driven faintly, and the sensors are heard meanwhile."""
+"""Coil probing, which a rig may offer beyond shots: one coil is driven weakly while the sensors record."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ BEFORE, HELD, AFTER = 0.020, 0.040, 0.040
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """What was heard while a coil was switched on and off.
+    """Recording made while a coil was switched on and off.
 
     Attributes
     ----------
     recording : Recording
-        From `BEFORE` s before the coil was told to come on, to `AFTER` s after it was told to go.
+        From `BEFORE` s before the coil was commanded on to `AFTER` s after it was commanded off.
     on, off : float, in s from the first sample
-        When it was told to.
+        Times of the two commands.
     close_limit, open_limit : float, in s
-        How late its relay may be; 0 where there is none.
+        Longest allowed delay of its relay; 0 where there is none.
     """
 
     recording: Recording
@@ -37,29 +37,51 @@ class Probe:
 
 @runtime_checkable
 class Prober(Protocol):
-    """A rig that can hear its own coils."""
+    """A rig that can record its own coils with its sensors."""
 
     def probe(self, coil: str, current: float) -> Probe:
-        """Hold one coil (``+x``, ``excitation x``) at `current` A for `HELD` s and hear the sensors all the while.
+        """Hold one coil at a constant current for `HELD` s and record the sensors before, during and after it.
 
-        It is switched by its relay where it has one: the source stands at the current when the relay opens.
+        The coil is switched by its relay where it has one: the source still supplies the current when the relay
+        opens.
+
+        Parameters
+        ----------
+        coil : str
+            Name of the coil, such as ``+x`` or ``excitation x``.
+        current : float, in A
+
+        Returns
+        -------
+        Probe
 
         Raises
         ------
         InterlockError
             Before anything is driven, if the current breaks a limit.
         RigError
-            If the world fails meanwhile; every output is at zero and every relay open.
+            If the rig fails during the probe; every output is at zero and every relay open.
         """
 
 
 def probe_shot(limits: Limits, coil: str, current: float) -> Shot:
-    """The shot that drives a coil like its probe; what limits say of the one, they say of the other.
+    """Make the shot that drives a coil like its probe does, to check the probe against the limits of shots.
+
+    Parameters
+    ----------
+    limits : Limits
+    coil : str
+        Name of the coil, such as ``+x`` or ``excitation x``.
+    current : float, in A
+
+    Returns
+    -------
+    Shot
 
     Raises
     ------
     InputError
-        For a coil that the rig has not.
+        If the rig has no such coil.
     """
     if coil in limits.coils:
         return Shot((Actuate(tuple(current if name == coil else 0.0 for name in limits.coils), HELD),))

@@ -1,7 +1,7 @@
-"""How hard, and through which coil, to drive the device: enough to reach its stops, not more.
+"""Excitation currents for the device: enough to reach its stops, not more.
 
-Driving on against the stops spends heat and loses amplitude: each impact shifts the oscillation
-against the drive, and the free amplitude that is left falls well below the stop.
+Driving on against the stops costs heat and amplitude: each impact shifts the phase of the oscillation
+against the drive, and the free amplitude that remains falls well below the stop.
 """
 
 from __future__ import annotations
@@ -27,7 +27,15 @@ NEGLIGIBLE_DECAY = 1e-6
 
 @dataclass(frozen=True)
 class Drive:
-    """Signed peak currents (n_exc,) in A, and the amplitude in rad that they should leave."""
+    """Excitation currents and the amplitude that they should produce.
+
+    Attributes
+    ----------
+    currents : ndarray, shape (n_exc,), in A
+        Signed peak currents.
+    amplitude : float, in rad
+        Expected amplitude at the end of the burst.
+    """
 
     currents: FloatArray
     amplitude: float
@@ -42,16 +50,20 @@ def drive(
     max_current: float,
     left: float = 0.0,
 ) -> Drive:
-    """Currents that bring a device of known orientation to its stops by the end of a burst.
+    """Compute the currents that bring a device of known orientation to its stops by the end of a burst.
 
-    Only the torque about body y drives the oscillation, so the field along y x m counts (Eq. S1); the
-    mix that gives most of it for the least heat has each coil in proportion to its own. The amplitude
-    grows as A' = m B / (2 I w) - eta A.
+    Only the torque about body y drives the oscillation, so only the field along y x m counts (Eq. S1). The
+    combination that gives most of it for the least heat drives each coil in proportion to its own contribution. The
+    amplitude grows as
+
+        A' = m B / (2 I w) - eta A
 
     Parameters
     ----------
     fields : ndarray, shape (n_exc, 3), in T per A
         Of each excitation coil at the device, world frame.
+    pose : Pose
+    device : Device
     inertia : float, in kg·m²
         Of the magnet about the cantilever's rotation centre.
     cycles : int
@@ -59,7 +71,13 @@ def drive(
     max_current : float, in A
         Peak, per coil.
     left : float
-        Share of the stops by which the device may still swing, in any phase; the burst first undoes that, at worst.
+        Remaining oscillation at the start as a share of `theta_max`, in any phase; the current is increased to
+        cancel it in the worst case.
+
+    Returns
+    -------
+    Drive
+        Full current in the first coil and amplitude 0 if no coil can drive the device in this orientation.
     """
     x, y, z = (pose.rotation @ device.drive_direction_in_body).tolist()
     useful = [bx * x + by * y + bz * z for bx, by, bz in fields.tolist()]
@@ -74,7 +92,25 @@ def drive(
 
 
 def amplitude_after(field: float, device: Device, inertia: float, cycles: int) -> float:
-    """Amplitude, in rad, that a resonant field of `field` T along y x m builds up in a burst, stops aside."""
+    """Compute the amplitude that a resonant field builds up in a burst, without the stops.
+
+        A = m B / (2 I w) t                          (linear damping; decay neglected)
+        A = m B / (2 I w eta) (1 - exp(-eta t))      (exponential damping)
+
+    Parameters
+    ----------
+    field : float, in T
+        Peak flux density along y x m.
+    device : Device
+    inertia : float, in kg·m²
+        Of the magnet about the cantilever's rotation centre.
+    cycles : int
+        Length of the burst, in periods of the device.
+
+    Returns
+    -------
+    float, in rad
+    """
     omega = 2.0 * math.pi * device.frequency
     growth = device.moment * field / (2.0 * inertia * omega)
     time = cycles / device.frequency

@@ -72,9 +72,18 @@ class Limits:
     max_steering_rate: float = 0.0
 
     def faults(self, shot: Shot, *, magnet_near: bool = False) -> list[str]:
-        """Every limit that the shot breaks, a sentence each; empty if it may be played.
+        """List every limit that a shot breaks.
 
-        `magnet_near` says where the actuation magnet stands when the shot begins.
+        Parameters
+        ----------
+        shot : Shot
+        magnet_near : bool
+            Whether the actuation magnet is near when the shot begins.
+
+        Returns
+        -------
+        list of str
+            One sentence per broken limit; empty if the shot may be played.
         """
         return [one.said for one in self.broken(shot, magnet_near=magnet_near)]
 
@@ -116,7 +125,19 @@ class Limits:
         return found
 
     def check(self, shot: Shot, *, magnet_near: bool = False) -> None:
-        """Raise `InterlockError`, naming every broken limit, unless the shot may be played."""
+        """Raise an error that names every broken limit, unless the shot may be played.
+
+        Parameters
+        ----------
+        shot : Shot
+        magnet_near : bool
+            Whether the actuation magnet is near when the shot begins.
+
+        Raises
+        ------
+        InterlockError
+            If the shot breaks a limit.
+        """
         found = self.broken(shot, magnet_near=magnet_near)
         if found:
             one = found[0]
@@ -167,7 +188,7 @@ class Limits:
     def _mechanical_faults(
         self, window: Rotate | MoveMagnet, before: tuple[float, float, float] | None, *, near: bool
     ) -> list[BrokenLimit]:
-        """Faults of a move of the magnet; `before` is the axis about which it turned just now, near the sample."""
+        """List the limits that a move of the magnet breaks; `before` is the axis of the preceding rotation."""
         if self.max_rotation_frequency <= 0:
             return [BrokenLimit("This rig has no rotating magnet; Rotate and MoveMagnet cannot be played.")]
         if isinstance(window, MoveMagnet):

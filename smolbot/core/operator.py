@@ -1,4 +1,4 @@
-"""The person at the bench, who does what no stage does: asked in the terminal, and waited for."""
+"""The person at the bench, who does what no stage can do: asked in the terminal, and waited for."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _POLL = 0.05  # s: between two checks whether the operator has acted
 
 
 class Operator(Protocol):
-    """Somebody who can be asked for a deed."""
+    """A person, or a stand-in, who can be asked to do something at the bench."""
 
     def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
-        """Ask for something to be done; True once it was, False if the operator aborts.
+        """Ask for something to be done, and wait until it is.
 
         Parameters
         ----------
@@ -31,8 +31,13 @@ class Operator(Protocol):
             What is to be done, such as ``Bring the magnet near``.
         timeout : float, in s
         until : callable, optional
-            Asked over and over while waiting: True says that it was done, as an end switch can tell, and no answer
-            is needed. It may raise, which ends the asking.
+            Polled while waiting: True means that it was done, as an end switch can detect, and no answer is needed.
+            It may raise, which ends the wait.
+
+        Returns
+        -------
+        bool
+            True once it was done, False if the operator aborts.
 
         Raises
         ------
@@ -41,14 +46,38 @@ class Operator(Protocol):
         """
 
     def say(self, text: str) -> None:
-        """Tell the operator something that needs no answer."""
+        """Show the operator a message that needs no answer.
+
+        Parameters
+        ----------
+        text : str
+        """
 
 
 class SilentOperator:
-    """Nobody: what can only be done by hand, and no switch tells of, cannot be done."""
+    """Stand-in for an unattended run: only actions that a switch can confirm are possible."""
 
     def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
-        """Waits for `until`, if there is one."""
+        """Wait until `until` reports that it was done.
+
+        Parameters
+        ----------
+        question : str
+            What is to be done.
+        timeout : float, in s
+        until : callable, optional
+            Polled while waiting; required here.
+
+        Returns
+        -------
+        bool
+            Always True.
+
+        Raises
+        ------
+        RigError
+            Without `until`, or if it is not True in time.
+        """
         if until is None:
             raise RigError(
                 f"There is nobody to ask: '{question}'. Use smolbot run in a terminal, or pass "
@@ -62,11 +91,18 @@ class SilentOperator:
         return True
 
     def say(self, text: str) -> None:
-        """Says nothing."""
+        """Ignore the message.
+
+        Parameters
+        ----------
+        text : str
+        """
 
 
 class TerminalOperator:
-    """Asks on standard error and reads lines of standard input, a terminal or not. Enter: done; q: abort.
+    """Operator who is asked on standard error and answers in lines of standard input, a terminal or not.
+
+    Enter means done, q means abort.
 
     Parameters
     ----------
@@ -76,7 +112,7 @@ class TerminalOperator:
     Attributes
     ----------
     pauses : list of callables
-        Each makes a context in which the terminal is free for a question: a progress bar that steps aside, a thread
+        Each makes a context in which the terminal is free for a question: a progress bar that is hidden, a thread
         that reads keys and waits.
     """
 
@@ -86,7 +122,28 @@ class TerminalOperator:
         self._lines: _Lines | None = None
 
     def ask(self, question: str, timeout: float, until: Callable[[], bool] | None = None) -> bool:
-        """See `Operator.ask`. An answer that says neither is asked for again; the time-out is of them all."""
+        """Ask in the terminal and wait for the answer; see `Operator.ask`.
+
+        An unclear answer is asked for again; the time-out covers all attempts together.
+
+        Parameters
+        ----------
+        question : str
+            What is to be done.
+        timeout : float, in s
+        until : callable, optional
+            Polled while waiting: True means that it was done.
+
+        Returns
+        -------
+        bool
+            True once it was done, False if the operator aborts.
+
+        Raises
+        ------
+        RigError
+            When nobody answers in time, or standard input has ended.
+        """
         with self._alone():
             out = self._out or sys.stderr  # a progress bar that is paused restores it
             lines = self._reader()
@@ -100,7 +157,12 @@ class TerminalOperator:
                 print(f"'{answer}' is neither: Enter when it is done, q to abort ", end="", file=out, flush=True)
 
     def say(self, text: str) -> None:
-        """One line on standard error."""
+        """Print one line on standard error.
+
+        Parameters
+        ----------
+        text : str
+        """
         with self._alone():
             print(text, file=self._out or sys.stderr, flush=True)
 
@@ -151,14 +213,14 @@ class TerminalOperator:
 
 class _Lines(Protocol):
     def next(self, timeout: float) -> str | None:
-        """The next line, or None if none came within `timeout` s; raises EOFError at the end."""
+        """Return the next line, or None if none came within `timeout` s; raise EOFError at the end."""
 
     def forget(self) -> None:
-        """Drop what a person typed before being asked."""
+        """Drop what a person typed before the question was asked."""
 
 
 class _DescriptorLines:
-    """Lines of a file descriptor, read without a thread that would go on reading after the question."""
+    """Reader of a file descriptor's lines, without a thread that would go on reading after the question."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -191,7 +253,7 @@ class _DescriptorLines:
 
 
 class _ThreadLines:
-    """Lines of a stream that cannot be waited for: a notebook's, or Windows'."""
+    """Lines of a stream that cannot be polled: that of a notebook, or of Windows."""
 
     def __init__(self, source: TextIO) -> None:
         self._queue: queue.Queue[str | None] = queue.Queue()
@@ -215,4 +277,4 @@ class _ThreadLines:
         return line
 
     def forget(self) -> None:
-        """A stream that is no terminal holds answers, not what was typed too early."""
+        """Keep everything: a stream that is no terminal holds answers given in advance."""

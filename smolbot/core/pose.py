@@ -1,4 +1,4 @@
-"""Where the device is: one estimate of its six degrees of freedom, and how far to believe it."""
+"""The device's pose: one estimate of its six degrees of freedom, with its covariance."""
 
 from __future__ import annotations
 
@@ -70,9 +70,29 @@ class Pose(Readable):
         return matrix_from_quaternion(self.orientation)
 
     def body_axis(self, axis: str) -> FloatArray:
-        """World direction (3,) of body axis ``x``, ``y`` or ``z``."""
+        """Return the direction of a body axis in the world frame.
+
+        Parameters
+        ----------
+        axis : {"x", "y", "z"}
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            Unit vector.
+        """
         return self.rotation[:, "xyz".index(axis)]
 
     def at(self, time: float) -> Pose:
-        """The same estimate with another time stamp."""
+        """Return the same estimate with another time stamp.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the rig's clock.
+
+        Returns
+        -------
+        Pose
+        """
         return replace(self, time=time)

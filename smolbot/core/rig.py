@@ -1,4 +1,7 @@
-"""The border between thinking and doing: a rig plays shots, a witness (if any) knows the truth."""
+"""The interface between control software and the physical or simulated world.
+
+A rig plays shots and returns recordings; a witness, if there is one, knows the true pose.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +32,37 @@ class Witness(Protocol):
     """
 
     def truth(self, time: float) -> Pose:
-        """True pose at `time` s on the rig's clock; only times already played can be asked."""
+        """Return the true pose of the device.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the rig's clock; only times already played are known.
+
+        Returns
+        -------
+        Pose
+        """
 
 
 class Stage(Protocol):
-    """A device in a holder, which is brought to known places over the sensors of a rig, driven and heard."""
+    """A holder that brings a device to known poses above a rig's sensors, where it is driven and recorded."""
 
     def record(self, position: FloatArray, orientation: FloatArray, half_periods: int) -> Recording:
-        """What the sensors hear after a drive, with the holder at `position` (3,) m and `orientation` (4,)."""
+        """Record the sensors after a drive, with the holder at a given pose.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+        orientation : ndarray, shape (4,)
+            Unit quaternion, scalar first, takes body vectors to world vectors.
+        half_periods : int
+            Length of the listening window.
+
+        Returns
+        -------
+        Recording
+        """
 
 
 @runtime_checkable
@@ -59,26 +85,54 @@ class Rig(Protocol):
     witness: Witness | None
 
     def now(self) -> float:
-        """Time on the rig's clock, in s: the earliest start of the next shot."""
+        """Return the time on the rig's clock, in s: the earliest start of the next shot.
+
+        Returns
+        -------
+        float, in s
+        """
 
     def play(self, shot: Shot) -> Recording | None:
-        """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
+        """Play the windows of one shot in order and return the recording of its listening window.
 
-        None of a shot that listens means that the window was lost in a way that may pass, such as one time-out, and
-        that every output is at zero: the loop goes on, and ends the run when windows are lost one after another.
+        After an error, every output is at zero and every relay open.
 
-        Raises ``InterlockError`` before anything moves if the shot breaks a limit, ``RigError`` if the
-        world fails under it. After either, every output is at zero and every relay open.
+        Parameters
+        ----------
+        shot : Shot
+
+        Returns
+        -------
+        Recording or None
+            None if the shot has no Listen window. None from a shot that listens means that the window was lost for
+            a passing reason, such as one time-out, and that every output is at zero; the loop goes on, and ends the
+            run when several windows in a row are lost.
+
+        Raises
+        ------
+        InterlockError
+            Before anything moves, if the shot breaks a limit.
+        RigError
+            If the rig fails while it plays.
         """
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
-        """Field of each excitation coil at `position` (3,) m, shape (n_exc, 3), in T per A, world frame."""
+        """Return the field of each excitation coil at a point.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+
+        Returns
+        -------
+        ndarray, shape (n_exc, 3), in T per A, world frame
+        """
 
     def stop(self) -> None:
-        """Bring every output to zero now. Safe from any thread, any number of times."""
+        """Set every output to zero now. Safe from any thread, any number of times."""
 
     def close(self) -> None:
-        """Stop, then let go of every device."""
+        """Stop, then release every device."""
 
 
 @runtime_checkable
@@ -115,19 +169,19 @@ class ProvenanceReporter(Protocol):
 
 @dataclass(frozen=True)
 class CheckItem:
-    """One thing that a device says of itself, held against what the rig file says.
+    """One value read back from a device, compared with the rig file.
 
     Attributes
     ----------
     device : str
-        As its maker or the rig file calls it: ``card Dev1``, ``magnet stage``, ``power supply``.
+        Name given by its maker or the rig file: ``card Dev1``, ``magnet stage``, ``power supply``.
     what : str
-        What was read back: ``product``, ``operator's button``.
+        Quantity that was read back: ``product``, ``operator's button``.
     found : str
-        In words or figures, with the unit.
+        Its value, in words or figures, with the unit.
     ok : bool
     limit : str
-        What it should be; empty where anything will do.
+        Expected value; empty where any value is accepted.
     """
 
     device: str
@@ -139,7 +193,13 @@ class CheckItem:
 
 @runtime_checkable
 class Checkable(Protocol):
-    """A rig with devices that can be asked what they are and how they are; ``smolbot check`` asks."""
+    """A rig whose devices can report their identity and state; used by ``smolbot check``."""
 
     def checks(self) -> Iterator[CheckItem]:
-        """Read back every device, nothing driven. A device that does not answer is an item that is not ok."""
+        """Read back every device without driving anything.
+
+        Yields
+        ------
+        CheckItem
+            A device that does not answer gives an item that is not ok.
+        """

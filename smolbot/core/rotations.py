@@ -1,6 +1,6 @@
 """Rotations: unit quaternions, scalar first, that take body vectors to world vectors.
 
-Compiled, since a cycle of the loop makes dozens of them: each once, for arrays of any layout, frozen or not.
+Compiled, since one control cycle calls them dozens of times: each once, for arrays of any layout, read-only or not.
 """
 
 # mypy: disable-error-code="untyped-decorator"
@@ -26,7 +26,7 @@ def _quaternion(w: float, x: float, y: float, z: float) -> FloatArray:
 
 @njit((_VECTOR,), cache=True, error_model="numpy")
 def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrix of a unit quaternion (Eq. S18).
+    """Compute the rotation matrix of a unit quaternion (Eq. S18).
 
     Parameters
     ----------
@@ -48,7 +48,17 @@ def matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
 
 @njit((_MATRIX,), cache=True, error_model="numpy")
 def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
-    """Unit quaternion (4,) with non-negative scalar part of a rotation matrix (3, 3)."""
+    """Compute the unit quaternion of a rotation matrix.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Scalar first; the scalar part is not negative.
+    """
     m = matrix
     xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
     # the largest component from a square root, the others by division by it: no loss of digits
@@ -66,7 +76,16 @@ def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
 
 @njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
 def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Hamilton product: the rotation `b` followed by the rotation `a`; both shape (4,)."""
+    """Multiply two quaternions (Hamilton product): the rotation `b` followed by the rotation `a`.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (4,)
+
+    Returns
+    -------
+    ndarray, shape (4,)
+    """
     aw, ax, ay, az = a[0], a[1], a[2], a[3]
     bw, bx, by, bz = b[0], b[1], b[2], b[3]
     return _quaternion(
@@ -79,7 +98,16 @@ def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @njit((_VECTOR,), cache=True, error_model="numpy")
 def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
-    """Unit quaternion exp(e) of a rotation vector `e`, shape (3,), in rad."""
+    """Compute the unit quaternion exp(e) of a rotation vector e.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (3,), in rad
+
+    Returns
+    -------
+    ndarray, shape (4,)
+    """
     angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     half = 0.5 * angle
     scale = 0.5 if angle < _SMALL_ANGLE else np.sin(half) / angle
@@ -88,7 +116,17 @@ def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
 
 @njit((_VECTOR,), cache=True, error_model="numpy")
 def rotation_vector(quaternion: FloatArray) -> FloatArray:
-    """Rotation vector (3,), in rad, of at most pi, of a unit quaternion (4,)."""
+    """Compute the rotation vector of a unit quaternion.
+
+    Parameters
+    ----------
+    quaternion : ndarray, shape (4,)
+
+    Returns
+    -------
+    ndarray, shape (3,), in rad
+        Of length pi at most.
+    """
     sine = np.sqrt(quaternion[1] ** 2 + quaternion[2] ** 2 + quaternion[3] ** 2)
     scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * np.arctan2(sine, abs(quaternion[0])) / sine
     out = np.empty(3)
@@ -99,18 +137,50 @@ def rotation_vector(quaternion: FloatArray) -> FloatArray:
 
 @njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
 def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
-    """World-frame error e (3,), in rad, with R_estimate = exp(e) R_true; both quaternions (4,)."""
+    """Compute the rotation error e in the world frame, with R_estimate = exp(e) R_true.
+
+    Parameters
+    ----------
+    estimate, truth : ndarray, shape (4,)
+        Unit quaternions, body to world.
+
+    Returns
+    -------
+    ndarray, shape (3,), in rad, world frame
+    """
     return rotation_vector(quaternion_product(estimate, _quaternion(truth[0], -truth[1], -truth[2], -truth[3])))
 
 
 def half_turned(quaternion: FloatArray) -> FloatArray:
-    """The same orientation (4,) turned by half about body z: to sensors a moment along z sounds alike in both."""
+    """Turn an orientation by 180° about body z.
+
+    With a moment along body z, both orientations give the same signal at the sensors.
+
+    Parameters
+    ----------
+    quaternion : ndarray, shape (4,)
+
+    Returns
+    -------
+    ndarray, shape (4,)
+    """
     w, x, y, z = quaternion
     return np.array([-z, y, -x, w])
 
 
 def nearer_twin(quaternion: FloatArray, other: FloatArray | None) -> FloatArray:
-    """Of an orientation (4,) and the one turned by half about body z, that nearer to `other`; with none, the first."""
+    """Choose between an orientation and the one turned by 180° about body z: the one nearer to a reference.
+
+    Parameters
+    ----------
+    quaternion : ndarray, shape (4,)
+    other : ndarray, shape (4,), or None
+        The reference; None keeps `quaternion`.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+    """
     if other is None:
         return quaternion
     twin = half_turned(quaternion)
@@ -118,14 +188,19 @@ def nearer_twin(quaternion: FloatArray, other: FloatArray | None) -> FloatArray:
 
 
 def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> FloatArray:
-    """Orientation whose body axes point along two world directions.
+    """Compute the orientation whose body axes point along two world directions.
 
     Parameters
     ----------
     first, second : ndarray, shape (3,)
         World directions; `second` is made orthogonal to `first`.
     order : str
-        Two of ``x``, ``y``, ``z``: the body axes that they are, for instance ``"zx"``.
+        Two of ``x``, ``y``, ``z``: the body axes that the directions belong to, for instance ``"zx"``.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Unit quaternion, body to world.
     """
     index = ["xyz".index(letter) for letter in order]
     matrix = np.zeros((3, 3))

@@ -1,4 +1,4 @@
-"""What listens and what is listened to: the sensor array, the resonant device, one recording."""
+"""The sensor array, the resonant device that it measures, and one recording."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class SensorArray:
 
     @property
     def responses(self) -> FloatArray:
-        """What each sensor says per tesla along x, y and z, shape (n, 3): its axis times its gain."""
+        """Output of each sensor per tesla along x, y and z, shape (n, 3): its axis times its gain."""
         return self.axes if self.gains is None else self.axes * self.gains[:, None]
 
     def __len__(self) -> int:

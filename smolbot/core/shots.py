@@ -1,4 +1,4 @@
-"""Windows and shots: everything that touches the world, as data.
+"""Windows and shots: everything that acts on the world, as data.
 
 A shot is a short, immutable tuple of windows. It is either electrical (played by the DAQ as one
 hardware-timed waveform) or mechanical (played by the magnet stage), and listens at most once.
@@ -33,6 +33,17 @@ class Actuate:
     duration: float
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
+        """Describe the window in a few words, for a timeline.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Names of the actuation coils; numbers are used without them.
+
+        Returns
+        -------
+        str
+        """
         names = coils or tuple(f"coil {i}" for i in range(len(self.currents)))
         driven = [f"{n} {c:.1f} A" for n, c in zip(names, self.currents, strict=True) if c]
         return "actuate " + (", ".join(driven) or "all off")
@@ -56,9 +67,21 @@ class Excite:
 
     @property
     def duration(self) -> float:
+        """Length in s."""
         return self.cycles / self.frequency
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
+        """Describe the window in a few words, for a timeline.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Not used.
+
+        Returns
+        -------
+        str
+        """
         x, y = self.currents
         return f"excite x {x:+.1f} A, y {y:+.1f} A, {self.cycles} cycles of {self.frequency:.1f} Hz"
 
@@ -77,6 +100,17 @@ class RingDown:
     duration: float
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
+        """Describe the window in a few words, for a timeline.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Not used.
+
+        Returns
+        -------
+        str
+        """
         return "ring-down"
 
 
@@ -96,9 +130,21 @@ class Listen:
 
     @property
     def duration(self) -> float:
+        """Length in s."""
         return self.half_periods / (2.0 * self.frequency)
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
+        """Describe the window in a few words, for a timeline.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Not used.
+
+        Returns
+        -------
+        str
+        """
         return f"listen {self.half_periods} half-periods, {self.duration * 1e3:.1f} ms"
 
 
@@ -116,6 +162,17 @@ class Rest:
     duration: float
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
+        """Describe the window in a few words, for a timeline.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Not used.
+
+        Returns
+        -------
+        str
+        """
         return "rest"
 
 
@@ -139,9 +196,21 @@ class Rotate:
 
     @property
     def duration(self) -> float:
+        """Length in s."""
         return self.turns / self.frequency
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
+        """Describe the window in a few words, for a timeline.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Not used.
+
+        Returns
+        -------
+        str
+        """
         return (
             f"rotate {self.turns:g} turns at {self.frequency:g} Hz about ({', '.join(f'{a:.2f}' for a in self.axis)})"
         )
@@ -163,9 +232,21 @@ class MoveMagnet:
 
     @property
     def duration(self) -> float:
+        """Expected length in s."""
         return self.expected_duration
 
     def describe(self, coils: tuple[str, ...] = ()) -> str:
+        """Describe the window in a few words, for a timeline.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Not used.
+
+        Returns
+        -------
+        str
+        """
         return f"move magnet {self.to}"
 
 
@@ -176,7 +257,18 @@ _MECHANICAL = (Rotate, MoveMagnet)
 
 
 def magnet_near_after(shot: Shot, *, near: bool) -> bool:
-    """Whether the actuation magnet is near once a shot was played, if it was `near` before."""
+    """Return whether the actuation magnet is near once a shot was played.
+
+    Parameters
+    ----------
+    shot : Shot
+    near : bool
+        Whether it is near before the shot.
+
+    Returns
+    -------
+    bool
+    """
     for window in shot.windows:
         if isinstance(window, MoveMagnet):
             near = window.to == "near"
@@ -233,7 +325,7 @@ class Shot:
 
     @property
     def end(self) -> float:
-        """When it ends, on the rig's clock."""
+        """End time on the rig's clock, in s."""
         return self.start + self.duration
 
     @property
@@ -253,14 +345,31 @@ class Shot:
         return found
 
     def timed(self) -> Iterator[tuple[float, Window]]:
-        """Each window with its start, in s from the start of the shot."""
+        """Iterate over the windows with their start times.
+
+        Yields
+        ------
+        start : float, in s
+            From the start of the shot.
+        window : Window
+        """
         at = 0.0
         for window in self.windows:
             yield at, window
             at += window.duration
 
     def timeline(self, coils: tuple[str, ...] = ()) -> str:
-        """One line: the start of each window in ms, what it does, and the end."""
+        """Format the shot as one line: the start of each window in ms, its description, and the end.
+
+        Parameters
+        ----------
+        coils : tuple of str
+            Names of the actuation coils; numbers are used without them.
+
+        Returns
+        -------
+        str
+        """
         parts = [
             f"{at * 1e3:.1f}{' ms' if i == 0 else ''} {w.describe(coils)}" for i, (at, w) in enumerate(self.timed())
         ]

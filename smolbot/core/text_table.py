@@ -1,4 +1,4 @@
-"""Tables in text, as people and programs write them: commas, semicolons or tabs, comments, perhaps a line of names."""
+"""Text tables as people and programs write them: commas, semicolons or tabs, comments, perhaps a line of names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,20 @@ from smolbot.errors import InputError
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table: its cells, their names if the table has any, and where it stands, for messages."""
+    """One line of a table.
+
+    Attributes
+    ----------
+    path : Path
+        File that it is from, for messages.
+    line : int
+        Line number in the file.
+    text : str
+        The whole line.
+    cells : tuple of str
+    names : tuple of str
+        Names of the columns; empty if the table has none.
+    """
 
     path: Path
     line: int
@@ -29,11 +42,36 @@ class Row:
         return self.cells[self.names.index(name)]
 
     def fault(self, message: str) -> InputError:
-        """The error to raise, with ``file:line``."""
+        """Make the error to raise for this row, with ``file:line``.
+
+        Parameters
+        ----------
+        message : str
+
+        Returns
+        -------
+        InputError
+        """
         return InputError(f"{self.path}:{self.line}: {message}")
 
     def number(self, cell: str, name: str) -> float:
-        """What stands in a cell that messages call `name`. Raises InputError if that is no number."""
+        """Parse the number in a cell.
+
+        Parameters
+        ----------
+        cell : str
+        name : str
+            Name of the cell, for messages.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        InputError
+            If the cell is not a number.
+        """
         try:
             return float(cell)
         except ValueError:
@@ -42,7 +80,22 @@ class Row:
             raise self.fault(f"{name} is not a number ('{cell.strip()}').") from None
 
     def finite(self, names: Sequence[str]) -> FloatArray:
-        """The numbers of these columns. Raises InputError for the first that is none, infinite or nan."""
+        """Parse the numbers in some columns.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Names of the n columns.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+
+        Raises
+        ------
+        InputError
+            For the first cell that is not a number, infinite or nan.
+        """
         values = [self.number(self[name], name) for name in names]
         for name, value in zip(names, values, strict=True):
             if not math.isfinite(value):
@@ -52,7 +105,15 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """The lines of a file; blank ones are left out, and a ``#`` begins a comment."""
+    """The lines of a file; blank ones are left out, and a ``#`` begins a comment.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the columns; empty if the table has none.
+    rows : tuple of Row
+    comments : tuple of Row
+    """
 
     names: tuple[str, ...]
     rows: tuple[Row, ...]
@@ -60,12 +121,22 @@ class Table:
 
 
 def read_table(path: Path, *, named: bool = False) -> Table:
-    """Read a table; `named` says that its first line holds names, which is else seen by its lack of numbers.
+    """Read a text table.
+
+    Parameters
+    ----------
+    path : Path
+    named : bool
+        True if the first line holds names; otherwise it is taken for names if it has no number.
+
+    Returns
+    -------
+    Table
 
     Raises
     ------
     InputError
-        If it cannot be read, and for a row with more or fewer cells than names that are known.
+        If the file cannot be read, and with `named` for a row that has more or fewer cells than there are names.
     """
     names: tuple[str, ...] = ()
     rows: list[Row] = []
@@ -90,7 +161,15 @@ def read_table(path: Path, *, named: bool = False) -> Table:
 
 
 def write_rows(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a table with commas between, as programs read it."""
+    """Write a comma-separated table.
+
+    Parameters
+    ----------
+    path : Path
+    header : iterable of str
+        Names of the columns.
+    rows : iterable of iterables
+    """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)

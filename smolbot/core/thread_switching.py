@@ -1,4 +1,4 @@
-"""How long a thread may keep the others of its process waiting."""
+"""How long a thread may keep the other threads of its process waiting."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ TURN = 0.5e-3
 
 @contextmanager
 def short_turns() -> Iterator[None]:
-    """While the block runs, threads of this process take short turns: loop, watchdog, recorder, STOP."""
+    """Shorten the switch interval of this process's threads while the block runs: loop, watchdog, recorder, STOP.
+
+    Yields
+    ------
+    None
+    """
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(TURN, before))
     try:

@@ -1,3 +1,3 @@
-"""Which smolbot this is."""
+"""Version number of smolbot."""
 
 __version__ = "0.1.0"

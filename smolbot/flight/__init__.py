@@ -1,4 +1,4 @@
-"""The loop that flies a mission, and everything that it asks."""
+"""The loop that flies a mission, and its parts."""
 
 from lazy_loader import attach_stub
 

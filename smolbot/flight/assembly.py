@@ -1,4 +1,4 @@
-"""The parts of a flight, each made from the mission's files and put together to a loop."""
+"""The parts of a flight, each built from the mission's files, and the loop that they form."""
 
 from __future__ import annotations
 
@@ -90,7 +90,21 @@ def make_loop(
 
 
 def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memory: HeatMemory | None = None) -> Safety:
-    """The safety of a mission's run, as its rig file says."""
+    """Build the safety supervisor of a mission from the ``[safety]`` section of its rig file.
+
+    Parameters
+    ----------
+    rig : Rig
+    mission : Mission or Observation
+    latch : Latch, optional
+        Stop latch of the run; a new one unless given.
+    memory : HeatMemory, optional
+        Coil temperatures that earlier runs left; without it, the coils start cold.
+
+    Returns
+    -------
+    Safety
+    """
     section = mission.rig.sections.safety
     rules = Rules(
         max_duty=section.max_duty,
@@ -112,7 +126,7 @@ def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memor
 
 
 def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The container, from its floor to the surface, and `margin` m more on every side."""
+    """Compute the allowed box: the container from its floor to the surface, `margin` m larger on every side."""
     box = mission.rig.container
     half = 0.5 * box.size + margin
     (x, y), (right, back) = box.center - half, box.center + half
@@ -120,7 +134,19 @@ def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, flo
 
 
 def make_array_filter(mission: MissionBase, locator: PoseEstimator) -> ArrayFilter | None:
-    """What learns the sensors in flight, where the rig file says how far they may be off; None where it does not."""
+    """Build the filter that estimates sensor errors in flight.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+        Its rig file gives the tolerances of sensor positions, axes and gains.
+    locator : Localizer or Sightings
+
+    Returns
+    -------
+    ArrayFilter or None
+        None if the rig file gives no tolerances, or if the estimator is not ``whitened``.
+    """
     covariance = mission.rig.sensor_covariance
     if covariance is None or "sensors" not in locator.learns:
         return None
@@ -133,7 +159,20 @@ def make_array_filter(mission: MissionBase, locator: PoseEstimator) -> ArrayFilt
 
 
 def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
-    """The array as a flight learned it, for the next one to start from."""
+    """Convert the sensor array that a flight has estimated to a sensors file, from which the next flight can start.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+        Mission of that flight.
+    learned : ArrayFilter
+        Filter at the end of the flight.
+
+    Returns
+    -------
+    SensorsFile
+        Positions, axes and gains with their remaining uncertainty.
+    """
     rig, array = mission.rig, learned.belief.array(learned.deviations)
     gains = rig.sensor_gains * (1.0 if array.gains is None else array.gains)
     section = rig.sections.sensors.model_copy(
@@ -151,7 +190,7 @@ def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
 
 
 def _steer(mission: Mission, controller: Controller | None = None) -> tuple[Tracker, Pilot]:
-    """Who believes and who decides where a robot is steered along a path."""
+    """Build tracker and pilot of a mission that steers a robot along a path."""
     make = load("controllers", mission.law)
     if mission.robot.kind == "helical":
         screwed = mission.helix_setup()
@@ -163,7 +202,7 @@ def _steer(mission: Mission, controller: Controller | None = None) -> tuple[Trac
 
 
 def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
-    """The same where a device is only watched."""
+    """Build tracker and pilot of an observation, which steers nothing."""
     section = mission.sections.observe
     if section.measurements is not None:
         glimpse = Glimpse(mission.robot.device)
@@ -175,6 +214,16 @@ def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
 
 
 def search_volume(mission: MissionBase) -> SearchVolume:
-    """Where the robot can be: inside the container, between its floor and a little above the surface."""
+    """Compute the volume to search for the robot: the container, from its floor to 10 mm above the surface.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+
+    Returns
+    -------
+    SearchVolume
+        Corners in m in the world frame, and the grid's spacing in m.
+    """
     low, (right, back, surface) = mission.rig.container.low, mission.rig.container.high
     return SearchVolume((low[0], low[1], low[2]), (right, back, surface + 0.01), spacing=5e-3)

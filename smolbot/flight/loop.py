@@ -1,4 +1,7 @@
-"""The closed loop: shot, recording, pose, track, command. Nothing calls back up."""
+"""The closed loop: plan a shot, play it, locate, track, and compute the next command.
+
+Each part is called from here and calls nothing back in the loop.
+"""
 
 from __future__ import annotations
 
@@ -35,19 +38,37 @@ _LOG = logging.getLogger(__name__)
 _FORESEEN = (InterlockError, RigError, OutsideTableError)
 
 LEARN_EVERY = 5
-"""Cycles between two looks at the resonance and the noise, which change slowly."""
+"""Number of cycles between two updates of resonance and noise, which change slowly."""
 
 
 @dataclass(frozen=True)
 class StopRules:
-    """When to give up: time in s since the noise was learned, and shots in a row without a pose."""
+    """Limits at which a flight ends without having reached its goal.
+
+    Attributes
+    ----------
+    max_duration : float, in s
+        Counted from the first cycle on, pauses excluded.
+    lost_shots : int
+        Listening shots in a row without an accepted pose.
+    """
 
     max_duration: float
     lost_shots: int
 
 
 def as_lists(sensors: SensorArray) -> dict[str, object]:
-    """An array for the record, bit for bit."""
+    """Convert a sensor array to plain lists for the record, without rounding.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+
+    Returns
+    -------
+    dict
+        ``positions_m`` in m and ``axes``, both (n, 3) in the world frame, and ``gains``, (n,) or None.
+    """
     gains = None if sensors.gains is None else sensors.gains.tolist()
     return {"positions_m": sensors.positions.tolist(), "axes": sensors.axes.tolist(), "gains": gains}
 
@@ -237,7 +258,7 @@ class Loop:
             run.stop_reason += f"; the outputs could not be set to zero: {error}"
 
     def _recovered(self) -> dict[str, int]:
-        """What was borne, by the safety and by the rig; what both counted, once."""
+        """Count the faults that the flight recovered from. A kind that safety and rig both count enters once."""
         found = dict(self.safety.recovered)
         counted = self.rig.recovered if isinstance(self.rig, RecoveryCounter) else {}
         for kind, times in counted.items():
@@ -246,7 +267,7 @@ class Loop:
         return found
 
     def _played(self, shot: Shot) -> Recording | None:
-        """Play one shot as the safety allows it, and let the tape hear of it."""
+        """Play one shot that the safety supervisor has checked, and pass it to the recorder sink."""
         self.safety.before(shot, self.rig.now(), self.tracker.pose)
         recording = self.rig.play(shot)
         ended = self.rig.now()
@@ -262,7 +283,7 @@ class Loop:
             self._tape.happened(event)
 
     def _heed_pause(self) -> None:
-        """Begin or end a pause that somebody asked for."""
+        """Begin or end a pause that was requested."""
         if self.pause.held != self.scheduler.paused:
             self.scheduler.paused = self.pause.held
             self._happened(self.rig.now(), "paused" if self.pause.held else "resumed", {})
@@ -311,7 +332,7 @@ class Loop:
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended, says)
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
-        """Let the localizer know of sensors that do not stand where they were thought to."""
+        """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
         terms = swing.of_the_array(learned.belief.frames)
         if terms is None or not learned.update(pose, terms):
             return
@@ -330,7 +351,7 @@ class Loop:
         self._happened(time, "device retuned", {"frequency_hz": device.frequency, "damping_per_s": device.damping})
 
     def _refresh_noise(self, time: float, swing: Oscillation, recording: Recording) -> None:
-        """Let the localizer know of sensors that have become noisier, or quieter, than they were at the start."""
+        """Update the noise model of sensors whose noise has changed since the start."""
         noise = self.localizer.noise
         energies = None if self.led or noise is None else swing.energies(recording, noise)
         ratios = None if energies is None else self.noise_watch.update(*energies)

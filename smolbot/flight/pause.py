@@ -1,10 +1,15 @@
-"""A pause of a run: asked for from any thread, heeded by the loop once a cycle."""
+"""A pause of a run: requested from any thread, applied by the loop once a cycle."""
 
 from __future__ import annotations
 
 
 class Pause:
-    """While it holds, the loop goes on to listen and moves nothing.
+    """Switch that holds the robot: while it is on, the loop listens but does not move the robot.
+
+    Attributes
+    ----------
+    held : bool
+        True while the pause is on.
 
     Examples
     --------
@@ -18,9 +23,9 @@ class Pause:
         self.held = False
 
     def hold(self) -> None:
-        """From the next cycle on, only listen."""
+        """Only listen, from the next cycle on."""
         self.held = True
 
     def resume(self) -> None:
-        """From the next cycle on, steer again."""
+        """Steer again, from the next cycle on."""
         self.held = False

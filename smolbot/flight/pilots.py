@@ -1,4 +1,4 @@
-"""Who decides between two shots: a pilot turns what the tracker believes into the next command."""
+"""Pilots: they turn the tracked pose into the next command, once a cycle."""
 
 from __future__ import annotations
 
@@ -12,10 +12,25 @@ from smolbot.paths.curve import Curve
 
 
 class Pilot(Protocol):
-    """Asked once a cycle. A command that is done ends the mission; its note says why."""
+    """Protocol of what decides the next command.
+
+    A command with ``done`` ends the mission; its note gives the reason.
+    """
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
-        """What to do next, after `shot` was played and the tracker has heard of it."""
+        """Compute the next command, once a shot was played and the tracker was updated.
+
+        Parameters
+        ----------
+        shot : Shot
+            The shot that was played.
+        tracker : Tracker
+            Updated with the shot.
+
+        Returns
+        -------
+        Command
+        """
 
 
 class Follower:
@@ -32,7 +47,21 @@ class Follower:
         self._sent: Command | None = None
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
-        """The controller's command for the pose that is expected at the end of the shot."""
+        """Compute the controller's command for the pose that is predicted for the end of the shot.
+
+        A command with mechanical windows is repeated until it was played.
+
+        Parameters
+        ----------
+        shot : Shot
+            The shot that was played.
+        tracker : Tracker
+
+        Returns
+        -------
+        Command
+            Without a window until two poses have agreed.
+        """
         if tracker.pose is None:
             return Command(None, note="searching for the signal")
         if not tracker.confirmed:
@@ -54,14 +83,31 @@ class Follower:
 
 
 class Watcher:
-    """Steers nothing: watches for `duration` s from the first pose on."""
+    """Pilot that steers nothing and ends after a fixed time.
+
+    Parameters
+    ----------
+    duration : float, in s
+        Counted from the first pose on.
+    """
 
     def __init__(self, duration: float) -> None:
         self.duration = duration
         self._begun: float | None = None
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
-        """Nothing, until the time is over."""
+        """Return an empty command; it is done when the time is over.
+
+        Parameters
+        ----------
+        shot : Shot
+            The shot that was played.
+        tracker : Tracker
+
+        Returns
+        -------
+        Command
+        """
         if self._begun is None:
             if tracker.pose is None:
                 return Command(None, note="searching for the signal")
@@ -73,13 +119,32 @@ class Watcher:
 
 
 class Measurer:
-    """Steers nothing: has a resting device measured `wanted` times."""
+    """Pilot that steers nothing and ends after a number of independent measurements of a resting device.
+
+    Parameters
+    ----------
+    glimpse : Glimpse
+        Tracker that counts the measurements.
+    wanted : int
+        Number of measurements to make.
+    """
 
     def __init__(self, glimpse: Glimpse, wanted: int) -> None:
         self.wanted = wanted
         self._glimpse = glimpse
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
-        """Nothing, until there are enough measurements."""
+        """Return an empty command; it is done when there are enough measurements.
+
+        Parameters
+        ----------
+        shot : Shot
+            The shot that was played.
+        tracker : Tracker
+
+        Returns
+        -------
+        Command
+        """
         made = self._glimpse.measured
         return Command(None, note=f"{made} of {self.wanted} measurements", done=made >= self.wanted)

@@ -1,4 +1,4 @@
-"""What stands where world, scheduler and pilot do, when a record is played to the loop again."""
+"""Stand-ins for rig, scheduler and pilot that feed a recorded run to the loop."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from smolbot.runs.recording.reader import Played, RecordedRun
 
 
 class PlayedRig:
-    """A rig that gives what was heard in flight, shot after shot, and moves nothing.
+    """Rig that returns the recordings of a recorded run, shot after shot, and moves nothing.
 
     Parameters
     ----------
     record : RecordedRun
-    sensors, limits
-        As the mission believes in them.
+    sensors : SensorArray
+        As the mission's rig file describes them.
+    limits : Limits
     half_periods : int, optional
-        How much of each window of a cycle to give; all of it unless given.
+        Length of each listening window to return; the complete window by default.
     """
 
     witness: Witness | None = None
@@ -44,16 +45,31 @@ class PlayedRig:
         self._now = record.played[0].shot.start if record.played else 0.0
 
     def now(self) -> float:
-        """When the last shot had been played, in s."""
+        """Return when the last shot ended.
+
+        Returns
+        -------
+        float, in s
+            On the clock of the recorded rig.
+        """
         return self._now
 
     def play(self, shot: Shot) -> Recording | None:
-        """What was heard in the next recorded shot with these windows.
+        """Return the recording of the next recorded shot with the same windows.
+
+        Parameters
+        ----------
+        shot : Shot
+
+        Returns
+        -------
+        Recording or None
+            None if the shot did not listen, or if its window was lost in flight.
 
         Raises
         ------
         RigError
-            If there is none: part of the record is missing.
+            If no such shot is left: part of the record is missing.
         """
         for index in range(self._next, len(self._record.played)):
             played = self._record.played[index]
@@ -64,7 +80,17 @@ class PlayedRig:
         raise RigError(f"{self._record.path}: holds no more shot like this one, at {shot.start:.3f} s: {shot}.")
 
     def shortened(self, shot: Shot) -> Shot:
-        """The shot as if it had listened for no more than was asked; one of which something is learned, as it is."""
+        """Shorten the listening window of a shot to the requested number of half-periods.
+
+        Parameters
+        ----------
+        shot : Shot
+
+        Returns
+        -------
+        Shot
+            Unchanged if it belongs to the learning before the first cycle, or if the complete window is used.
+        """
         listen = shot.listen
         if self._half_periods is None or listen is None or shot.mode == "quiet":
             return shot
@@ -72,14 +98,24 @@ class PlayedRig:
         return replace(shot, windows=tuple(brief if w is listen else w for w in shot.windows))
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
-        """None is driven."""
+        """Return a field of zero, since no coil is driven in a replay.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            In the world frame.
+
+        Returns
+        -------
+        ndarray, shape (2, 3), in T per A
+        """
         return np.zeros((2, 3))
 
     def stop(self) -> None:
-        """Nothing moves."""
+        """Do nothing: nothing moves."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no device is open."""
 
     def _cut(self, shot: Shot, recording: Recording) -> Recording:
         brief = self.shortened(shot).listen
@@ -90,7 +126,17 @@ class PlayedRig:
 
 
 class PlayedScheduler:
-    """Gives the shots that were played, in their order, instead of planning any."""
+    """Scheduler that returns the recorded shots in order instead of planning any.
+
+    Parameters
+    ----------
+    record : RecordedRun
+    rig : PlayedRig
+        Shortens the listening windows.
+    cycle : Cycle
+    limits : Limits
+    device : Device
+    """
 
     def __init__(self, record: RecordedRun, rig: PlayedRig, cycle: Cycle, limits: Limits, belief: DeviceBelief) -> None:
         self.cycle = cycle
@@ -108,31 +154,85 @@ class PlayedScheduler:
         return self.belief.scheduled
 
     def quiet_shots(self, duration: float) -> Iterator[Shot]:
-        """Those that only listened."""
+        """Return the recorded shots of background noise.
+
+        Parameters
+        ----------
+        duration : float, in s
+            Ignored; all recorded ones are returned.
+
+        Yields
+        ------
+        Shot
+        """
         yield from (p.shot for p in self._learned if all(isinstance(w, Listen) for w in p.shot.windows))
 
     def probe_shots(self) -> Iterator[Shot]:
-        """Those that drove off resonance."""
+        """Return the recorded shots that excite off resonance.
+
+        Yields
+        ------
+        Shot
+        """
         yield from _first_tries([p for p in self._learned if isinstance(p.shot.windows[0], Excite)])
 
     def tail_shots(self, coil: int) -> Iterator[Shot]:
-        """Those in which one actuation coil pulled faintly."""
+        """Return the recorded shots that measure the current decay of one actuation coil.
+
+        Parameters
+        ----------
+        coil : int
+            Index of the coil, from 0.
+
+        Yields
+        ------
+        Shot
+        """
         yield from _first_tries([p for p in self._learned if _pulled(p.shot) == coil])
 
     def next(self, command: Command, tracker: object) -> Shot:
-        """The shot of the next cycle, whatever was commanded."""
+        """Return the recorded shot of the next cycle.
+
+        Parameters
+        ----------
+        command : Command
+            Ignored.
+        tracker : Tracker
+            Ignored.
+
+        Returns
+        -------
+        Shot
+        """
         return next(self._shots)
 
 
 class PlayedPilot:
-    """Says what was said in flight; done at the last cycle."""
+    """Pilot that repeats the recorded commands and is done at the last cycle.
+
+    Parameters
+    ----------
+    record : RecordedRun
+    """
 
     def __init__(self, record: RecordedRun) -> None:
         self._commands = [moment.cycle.command for moment in record.moments]
         self._given = 0
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
-        """The command of that cycle."""
+        """Return the recorded command of the next cycle.
+
+        Parameters
+        ----------
+        shot : Shot
+            Ignored.
+        tracker : Tracker
+            Ignored.
+
+        Returns
+        -------
+        Command
+        """
         command = self._commands[self._given]
         self._given += 1
         over = self._given == len(self._commands)
@@ -140,7 +240,19 @@ class PlayedPilot:
 
 
 def require_windows(record: RecordedRun, half_periods: int | None) -> None:
-    """Raise ``InputError`` unless there is something to locate in, and as much of it as is wanted."""
+    """Check that a record holds listening windows, and that they are as long as requested.
+
+    Parameters
+    ----------
+    record : RecordedRun
+    half_periods : int or None
+        Requested length of each window; None for the complete windows.
+
+    Raises
+    ------
+    InputError
+        If the record holds no cycle or no listening window, or if its windows are shorter than requested.
+    """
     cycles = set(record.shot_of_cycle)
     heard = [p for p in record.played if p.samples is not None and p.number in cycles]
     if not record.moments:
@@ -159,7 +271,7 @@ def require_windows(record: RecordedRun, half_periods: int | None) -> None:
 
 
 def _pulled(shot: Shot) -> int | None:
-    """Which actuation coil a shot of the learning pulls with."""
+    """Find the actuation coil that a shot of the learning phase drives; None if it drives none."""
     first = shot.windows[0]
     if not isinstance(first, Actuate):
         return None
@@ -167,7 +279,7 @@ def _pulled(shot: Shot) -> int | None:
 
 
 def _first_tries(played: list[Played]) -> Iterator[Shot]:
-    """The shots, those left out that repeat one whose window was lost."""
+    """Drop shots that repeat one whose window was lost."""
     before: Played | None = None
     for p in played:
         repeats = before is not None and before.samples is None and before.shot.windows == p.shot.windows

@@ -1,4 +1,4 @@
-"""What is learned from shots of their own before the first cycle: noise, ring-down, what a pull leaves."""
+"""Learning before the first cycle: background noise, and how fast the coil currents decay."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from smolbot.localization.noise.model import NoiseModel
 
 @dataclass(frozen=True)
 class Quiet:
-    """What is learned before the first cycle.
+    """What to learn before the first cycle.
 
     Attributes
     ----------
     duration : float, in s
-        How long to listen to the noise alone; 0: not at all.
+        How long to record background noise; 0 for not at all.
     sample_rate : float, in Hz
     learn_ring_down : bool
-        Whether to learn the excitation coils' decay, so that listening may start before it is over.
+        Whether to learn the decay of the excitation coils, so that listening can start before it is over.
     """
 
     duration: float
@@ -75,18 +75,24 @@ class Preparation:
         self._happened = happened
 
     def learn(self) -> None:
-        """Play what is to be learned from, and learn."""
+        """Play the shots of the learning phase, and learn noise, ring-down and coil decay from them.
+
+        Raises
+        ------
+        RigError
+            If the recordings of background noise do not suffice.
+        """
         self._learn_noise()
         self._learn_ring_down()
         self._learn_tails()
 
     def _listened(self, shot: Shot) -> Recording | None:
-        """Play one shot; a window that was lost is listened to once more."""
+        """Play one shot, and play it once more if its window was lost."""
         heard = self._play(shot)
         return heard if heard is not None else self._play(replace(shot, start=self._now()))
 
     def _learn_noise(self) -> None:
-        """Listen to the noise alone, and let the localizer know it."""
+        """Record background noise and pass the learned noise model to the localizer."""
         if self.quiet.duration <= 0.0:
             return
         heard = [self._play(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
@@ -101,7 +107,7 @@ class Preparation:
         self._happened(self._now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines})
 
     def _learn_ring_down(self) -> None:
-        """Learn the excitation coils' decay, and listen as soon as it can be told from a signal."""
+        """Learn the decay of the excitation coils, and start listening as early as it allows."""
         if not self.quiet.learn_ring_down:
             return
         heard = [self._listened(shot) for shot in self.scheduler.probe_shots()]
@@ -121,7 +127,7 @@ class Preparation:
         self._happened(self._now(), "ring-down learned", detail)
 
     def _learn_tails(self) -> None:
-        """Learn what a pull of each actuation coil leaves, where listening starts before it is over."""
+        """Learn the decay of each actuation coil's current, where listening starts before it is over."""
         if not self.quiet.learn_ring_down or "transients" not in self.localizer.learns:
             return
         self.tails = CoilTails(tuple(self._tail(coil) for coil in range(len(self.scheduler.limits.coils))))

@@ -1,4 +1,7 @@
-"""Plays a recorded run to the loop again: the same poses, bit for bit, or those that other settings had given."""
+"""Replay of a recorded run: the loop locates again in its recordings, with the same settings or with others.
+
+With the same settings the poses are equal bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from smolbot.runs.trace import Moment, located
 
 @dataclass(frozen=True, repr=False)
 class Replay(Readable):
-    """A recorded run and what came of playing it again.
+    """A recorded run and the result of its replay.
 
     Attributes
     ----------
@@ -36,11 +39,11 @@ class Replay(Readable):
     mission : Mission or Observation
         With the settings of the replay.
     changed : dict
-        What was set otherwise than in flight; empty for the same settings.
+        Settings that differ from those of the flight; empty if none does.
     cycles : list of CycleRecord
-        As replayed, one for each of the record as far as it went.
+        As replayed: one for each recorded cycle, until the replay ended.
     stop_reason : str
-        Why it ended before the record did; empty if it did not.
+        Why the replay ended before the record did; empty if it did not.
     """
 
     record: RecordedRun
@@ -51,10 +54,10 @@ class Replay(Readable):
 
     @property
     def moments(self) -> list[Moment]:
-        """The replayed cycles with the truth that was recorded.
+        """The replayed cycles with the recorded ground truth.
 
-        A shorter window has its middle earlier than the recorded one, by which the truth was asked: at most half the
-        difference of the two, in which a robot hardly moves.
+        If listening windows were shortened, their middle is earlier than the time of the recorded truth. The
+        difference is at most half of what was cut, in which a robot hardly moves.
         """
         return [replace(m, cycle=c) for m, c in zip(self.record.moments, self.cycles, strict=False)]
 
@@ -77,7 +80,13 @@ class Replay(Readable):
         return as_columns(rows, ["time", *names])
 
     def first_difference(self) -> str | None:
-        """Where a replay first differs from the record, in words; None if it is the same, bit for bit."""
+        """Describe the first difference between replay and record.
+
+        Returns
+        -------
+        str or None
+            None if all poses are equal bit for bit.
+        """
         recorded = self.record.moments
         for index, (moment, cycle) in enumerate(zip(recorded, self.cycles, strict=False)):
             for name in ("pose", "tracked"):
@@ -89,7 +98,7 @@ class Replay(Readable):
         return None
 
     def _elsewhere(self) -> str:
-        """That the record comes from another kind of machine, where it does: last bits may differ then."""
+        """Describe how the recording computer differed from this one, since last bits may then differ."""
         there = {name: self.record.provenance.get(name) for name in ("linear_algebra", "packages", "smolbot")}
         here = {"linear_algebra": kernel(), "packages": packages(), "smolbot": __version__}
         other = [name.replace("_", " ") for name, value in here.items() if there[name] != value]
@@ -145,9 +154,22 @@ def replay(
 
 
 def make_replay_loop(record: RecordedRun, mission: Any, half_periods: int | None = None, changed: bool = False) -> Loop:
-    """The loop of a flight with the record in place of its world, scheduler and pilot.
+    """Build the loop of a flight with the record in place of its rig, scheduler and pilot.
 
-    `changed`: the mission's settings are not those of the flight.
+    Parameters
+    ----------
+    record : RecordedRun
+    mission : Mission or Observation
+        With the settings of the replay.
+    half_periods : int, optional
+        Length of each listening window to use; the complete window unless given.
+    changed : bool
+        Whether the settings differ from those of the flight. Safety rules about poses then do not apply, since
+        replayed poses steer nothing.
+
+    Returns
+    -------
+    Loop
     """
     rig = PlayedRig(record, mission.rig.sensors, mission.rig.limits, half_periods)
     loop = make_loop(rig, mission)
@@ -175,7 +197,7 @@ _SHOWN_IN = {
 
 
 def _difference(recorded: Pose | None, found: Pose | None) -> str:
-    """In what two poses differ; empty if in no bit."""
+    """Describe how two poses differ; empty if they are equal bit for bit."""
     if recorded is None or found is None:
         return "" if recorded is found else f"{'none' if recorded is None else 'one'} was recorded"
     for name, (scale, unit) in _SHOWN_IN.items():
@@ -187,7 +209,17 @@ def _difference(recorded: Pose | None, found: Pose | None) -> str:
 
 
 def figures(replayed: Replay) -> dict[str, dict[str, Any]]:
-    """Figures of the record and of the replay, of the cycles that both have."""
+    """Compute the figures of the record and of the replay over the cycles that both have.
+
+    Parameters
+    ----------
+    replayed : Replay
+
+    Returns
+    -------
+    dict
+        With the keys ``recorded`` and ``replayed``; each holds the same figures.
+    """
     moments = replayed.moments
     both = {"recorded": replayed.record.moments[: len(moments)], "replayed": moments}
     return {name: _figures(replayed.mission, of) for name, of in both.items()}
@@ -206,7 +238,17 @@ def _figures(mission: MissionBase, moments: Sequence[Moment]) -> dict[str, Any]:
 
 
 def apart(replayed: Replay) -> dict[str, Any]:
-    """How far replayed poses lie from recorded ones, where both are trusted: distance in mm, angle in deg."""
+    """Compute the difference between replayed and recorded poses, where both are trusted.
+
+    Parameters
+    ----------
+    replayed : Replay
+
+    Returns
+    -------
+    dict
+        Number of poses, statistics of the distance in mm and of the angle in deg; empty if there are no such poses.
+    """
     from smolbot.core.rotations import nearer_twin, rotation_error
     from smolbot.runs.summary import statistics
 

@@ -1,4 +1,4 @@
-"""Makes each shot: interleaves actuation with localization, finds a lost signal, holds still on demand.
+"""Planning of shots: actuation interleaved with localization, search for a lost signal, and pauses.
 
 Where a magnet has to come and go, actuation is a shot of its own.
 """
@@ -22,28 +22,44 @@ from smolbot.localization.forward import envelope
 from smolbot.motion.controller import Command, Cycle
 
 PROBE_HALF_PERIODS = 8
-"""Length of the recordings from which the coils' ring-down is learned."""
+"""Length, in half-periods, of the recordings from which the coils' ring-down is learned."""
 
 TAIL_CURRENTS = (0.025, 0.006, 0.0015)
-"""Shares of the highest current with which a coil pulls so that its decay can be heard: the next where sensors were
-saturated. None of them moves a robot by more than some micrometres."""
+"""Currents, as shares of the highest one, with which the decay of a coil is measured: the next lower one if sensors
+were saturated. None of them moves a robot by more than some micrometres."""
 
 TAIL_PULL = 15e-3
-"""Length of such a pull, in s."""
+"""Length of such an actuation window, in s."""
 
 TAIL_PAUSE = 8e-3
-"""Between it and listening, in s."""
+"""Time from its end to listening, in s."""
 
 AUDIBLE_LEFT = 0.2
-"""Share of a swing below which it is not minded when the next burst is made. A device in a capsule swings on for a
-second, and a burst against that swing would leave little of either; strong damping leaves nothing to mind."""
+"""Remaining swing, as a share of the stops, above which it is taken into account in the next burst. A device in a
+capsule swings on for a second, and a burst against that swing would cancel most of both; with strong damping
+nothing remains."""
 
 SEARCH_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
 """Excitation mixes (x, y) tried in turn while the orientation is unknown."""
 
 
 def stretched_actuation(turn: float, t_min: float, t_max: float, sharp: float) -> float:
-    """Actuation time for a turn of `turn` rad, in s: longer for sharp turns, so that the magnet aligns (Eq. S17).
+    """Compute the actuation time for a turn: longer for sharp turns, so that the magnet aligns.
+
+        t = t_min + (t_max - t_min) |turn| / pi    for |turn| > sharp, else t_min    (Eq. S17)
+
+    Parameters
+    ----------
+    turn : float, in rad
+    t_min : float, in s
+    t_max : float, in s
+        Time for a turn of 180 degrees.
+    sharp : float, in rad
+        Angle above which a turn counts as sharp.
+
+    Returns
+    -------
+    float, in s
 
     Examples
     --------
@@ -56,18 +72,32 @@ def stretched_actuation(turn: float, t_min: float, t_max: float, sharp: float) -
 
 
 class Believed(Protocol):
-    """What the scheduler asks of the tracker: the pose it believes in, and how it came by it."""
+    """Protocol of the tracker as the scheduler uses it."""
 
     @property
-    def pose(self) -> Pose | None: ...
+    def pose(self) -> Pose | None:
+        """The tracked pose; None before the first."""
 
     @property
-    def misses(self) -> int: ...
+    def misses(self) -> int:
+        """Number of listening shots in a row without an accepted pose."""
 
     @property
-    def confirmed(self) -> bool: ...
+    def confirmed(self) -> bool:
+        """True once two poses have agreed."""
 
-    def pose_at(self, time: float) -> Pose: ...
+    def pose_at(self, time: float) -> Pose:
+        """Predict the tracked pose.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the rig's clock.
+
+        Returns
+        -------
+        Pose
+        """
 
 
 class Scheduler:
@@ -115,7 +145,17 @@ class Scheduler:
         return self.belief.scheduled
 
     def quiet_shots(self, duration: float) -> Iterator[Shot]:
-        """Shots of about a second that only listen, `duration` s in all."""
+        """Make shots of at most a second that only listen, to record background noise.
+
+        Parameters
+        ----------
+        duration : float, in s
+            Of all shots together.
+
+        Yields
+        ------
+        Shot
+        """
         frequency = self.device.frequency
         longest = min(1.0, self.limits.max_listen)
         count = max(round(duration / longest), 1)
@@ -124,7 +164,12 @@ class Scheduler:
             yield Shot((Listen(half_periods, frequency),), "quiet", self._clock())
 
     def probe_shots(self) -> Iterator[Shot]:
-        """One shot for each excitation coil that drives off resonance and listens as soon as it may."""
+        """Make one shot for each excitation coil that excites off resonance and listens as early as it may.
+
+        Yields
+        ------
+        Shot
+        """
         frequency = 1.37 * self.device.frequency
         ring_down = max(self.limits.min_ring_down, 1e-3)
         for currents in ((self.cycle.excite_current, 0.0), (0.0, self.cycle.excite_current)):
@@ -133,7 +178,17 @@ class Scheduler:
             yield Shot((excite, RingDown(ring_down), listen), "quiet", self._clock())
 
     def tail_shots(self, coil: int) -> Iterator[Shot]:
-        """Faint pulls of one actuation coil, fainter each time, that are listened to as soon as sensors can bear it."""
+        """Make weak pulls of one actuation coil, each weaker than the last, until the sensors are not saturated.
+
+        Parameters
+        ----------
+        coil : int
+            Index of the coil, from 0.
+
+        Yields
+        ------
+        Shot
+        """
         for share in TAIL_CURRENTS:
             currents = [0.0] * len(self.limits.coils)
             currents[coil] = share * self.limits.max_current
@@ -142,7 +197,17 @@ class Scheduler:
             yield Shot((pull, ring_down, Listen(PROBE_HALF_PERIODS, self.device.frequency)), "quiet", self._clock())
 
     def next(self, command: Command, tracker: Believed) -> Shot:
-        """The next shot, for a command and what the tracker believes."""
+        """Plan the next shot from a command and the tracked pose.
+
+        Parameters
+        ----------
+        command : Command
+        tracker : Believed
+
+        Returns
+        -------
+        Shot
+        """
         mode = self._mode(tracker)
         windows: list[Window] = []
         if mode == "track" and command.mechanical:
@@ -166,7 +231,10 @@ class Scheduler:
         return "hold" if self.paused or not tracker.confirmed else "track"
 
     def _excite(self, mode: Mode, pose: Pose | None, start: float) -> Excite:
-        """Excitation for the pose expected at `start` s; in a search, each direction in turn, then for longer."""
+        """Plan the excitation for the pose predicted for `start` s.
+
+        In a search, each direction is tried in turn, with longer bursts from round to round.
+        """
         turn = (self.searched - 1) % (len(SEARCH_DIRECTIONS) + 1) if mode in ("search", "lost") else 0
         rounds = max(self.searched - 1, 0) // (len(SEARCH_DIRECTIONS) + 1)
         if mode == "search":
@@ -183,7 +251,7 @@ class Scheduler:
         return Excite((float(currents[0]), float(currents[1])), self.device.frequency, cycles)
 
     def _left(self, start: float) -> float:
-        """Share of the stops by which the device may still swing at `start` s, where that is worth minding."""
+        """Compute the remaining swing at `start` s as a share of the amplitude at the stops; 0 if negligible."""
         if self._driven is None:
             return 0.0
         left = float(envelope(self.device, np.array([max(start - self._driven, 0.0)]))[0])

@@ -1,4 +1,4 @@
-"""Flies a mission: opens the rig, makes the parts, runs the loop, leaves a run folder."""
+"""A flight from start to end: open the rig, build the parts, run the loop, write a run folder."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from smolbot.runs.trace import Trace
 _LOG = logging.getLogger(__name__)
 
 LEARNED = "sensors_learned.toml"
-"""File of a run folder with the sensors as the flight learned them."""
+"""File of a run folder with the sensor array as the flight has estimated it."""
 
 
 def run(
@@ -124,19 +124,48 @@ def fly(
     flushed: Callable[[int], None] | None = None,
     report: bool = False,
 ) -> Run:
-    """Fly a loaded mission. `listeners` makes further hearers of every cycle, such as a progress bar.
+    """Fly a loaded mission.
 
-    Where there is a `folder`, the run is recorded in it; `flushed` is told of every message count that is safe there.
-    `live` makes one more hearer of all that goes into a record: a pump to a page that shows the run. The `pause` is
-    held and ended by whoever else has it.
+    Parameters
+    ----------
+    mission : Mission or Observation
+    seed : int
+        Of the simulated world.
+    folder : RunFolder, optional
+        Where to record the run; without it, nothing is written.
+    settings : mapping, optional
+        Settings that replaced those of the mission file, for the record.
+    gui : bool
+        Show the simulated world in a window, where there is a display.
+    witness : bool
+        Log the ground truth of a simulated world.
+    listeners : callable, optional
+        Makes further listeners of every cycle from the mission, such as a progress bar.
+    opener : callable, optional
+        Opens another rig than the rig file names, from mission and seed, such as ``sim.reduced.rig.open_reduced``.
+    operator : Operator, optional
+        Carries out what only a person can move; nobody unless given.
+    latch : Latch, optional
+        Whoever holds it may end the run.
+    pause : Pause, optional
+        Whoever holds it may pause the run.
+    live : callable, optional
+        Makes one more recorder sink from the converter of sensor values, such as the pump of a live page.
+    flushed : callable, optional
+        Called with the number of messages that are safely in the folder, each time that it grows.
+    report : bool
+        Whether to write the run's page into the folder once the rig is closed. If that fails, the run is complete
+        nevertheless, and `Run.report` has the reason.
 
-    `opener` opens another rig than the world that the rig file names, from mission and seed; for example
-    ``sim.reduced.rig.open_reduced``. `operator` is handed to the world. Whoever holds the `latch` may end the run.
+    Returns
+    -------
+    Run
+        Status, every cycle, and the summary.
 
-    With `report`, the page of the run is written into the folder once the rig is closed. One that fails costs the page
-    alone: `Run.report` says why.
-
-    An error that nobody foresaw is raised once every output is at zero and the folder is written.
+    Raises
+    ------
+    Exception
+        Unexpected errors are raised again once all outputs are at zero and the folder is written.
     """
     latch = latch if latch is not None else Latch()
     rig = open_rig(mission, seed, gui=gui, operator=operator) if opener is None else opener(mission, seed)
@@ -184,7 +213,7 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
 
 
 def _report(mission: AnyMission, folder: Path) -> str:
-    """Write the page of a run that is over; whatever goes wrong with it is said, and costs nothing else."""
+    """Write the page of a run that is over; return its path, or why it could not be written."""
     from smolbot.runs.report.flight import Flight
     from smolbot.runs.report.page import save_report
 
@@ -196,7 +225,7 @@ def _report(mission: AnyMission, folder: Path) -> str:
 
 
 class _Flight:
-    """One flight on an open rig: what hears of it, and what it leaves."""
+    """One flight on an open rig, with its listeners and its run folder."""
 
     def __init__(
         self,
@@ -247,7 +276,7 @@ class _Flight:
         return loop.run
 
     def _begin(self, live: Callable[[Converter], Pump] | None, flushed: Callable[[int], None] | None) -> Tapes:
-        """Write what the run starts from, and tell it to whoever records or shows the run."""
+        """Write what the run starts from, and pass it to the recorder and to the live page."""
         converter = Converter.of(self.mission.rig.sections.sensors, self.mission.rig.sensor_gains)
         pumps = [] if live is None else [live(converter)]
         if self.folder is None and not pumps:
@@ -273,7 +302,7 @@ class _Flight:
         self.told = len(self.trace.moments)
 
     def _settle(self, loop: Loop) -> None:
-        """Sum up a flight, however it ended, and complete its folder."""
+        """Summarize a flight, however it ended, and complete its folder."""
         flown, folder, trace = loop.run, self.folder, self.trace
         if flown.status == "stopped":  # perhaps between a cycle and its record
             for record in flown.cycles[len(trace.moments) :]:
@@ -303,7 +332,19 @@ class _Flight:
 
 
 def new_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) -> RunFolder:
-    """A fresh run folder, named by mission, seed and local time."""
+    """Choose a run folder that does not exist yet, named by mission, local time and seed.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    seed : int
+    base : path
+        Folder in which the run folder will be.
+
+    Returns
+    -------
+    RunFolder
+    """
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", mission.name)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = f"{stem}-{stamp}-seed{seed}"

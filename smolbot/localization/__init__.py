@@ -1,4 +1,4 @@
-"""From raw sensor signals to a pose: signal chain, forward model, fit."""
+"""Localization, from raw sensor signals to a pose: signal chain, forward model, fit."""
 
 from lazy_loader import attach_stub
 

@@ -1,12 +1,12 @@
-"""The oscillation as seen through any linear chain, ready for the fit.
+"""Time functions of the oscillation after any linear chain, ready for the fit.
 
-A sensor's field is a smooth function of the deflection, so a low power series in it is exact to
-noise and far beyond: b(theta) = sum_k c_k (theta / theta_ref)^k. With theta from Eq. S2,
+A sensor's field is a smooth function of the deflection, so a low power series in it is exact to well below the
+noise: b(theta) = sum_k c_k (theta / theta_ref)^k. With theta from Eq. S2,
 
     theta^k = A^k D(t)^k cos^k(w t + phi) = A^k sum_h w_kh D(t)^k cos(h (w t + phi)),
 
-and each D^k exp(i h w t) passes through sensor and chain once, before the fit, whatever pose, phase
-and amplitude turn out to be. The fit then costs one field evaluation per sensor and node.
+and each D^k exp(i h w t) passes through sensor and chain once, before the fit, independent of pose, phase
+and amplitude. The fit then costs one field evaluation per sensor and node.
 """
 
 from __future__ import annotations
@@ -39,20 +39,40 @@ ComplexArray = npt.NDArray[np.complex128]
 
 
 def nodes() -> FloatArray:
-    """Chebyshev nodes in theta / REFERENCE_ANGLE at which the field is evaluated, shape (DEGREE + 1,)."""
+    """Compute the Chebyshev nodes at which the field is evaluated.
+
+    Returns
+    -------
+    ndarray, shape (DEGREE + 1,)
+        In units of `REFERENCE_ANGLE`.
+    """
     spread: FloatArray = NODE_SPREAD * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
     return spread
 
 
 @lru_cache(maxsize=1)
 def power_matrix() -> FloatArray:
-    """Matrix (DEGREE + 1, DEGREE + 1) that turns values at the nodes into power series coefficients."""
+    """Compute the matrix that turns values at the nodes into power series coefficients.
+
+    Returns
+    -------
+    ndarray, shape (DEGREE + 1, DEGREE + 1)
+    """
     inverse: FloatArray = np.linalg.inv(np.vander(nodes(), DEGREE + 1, increasing=True)).astype(np.float64)
     return inverse
 
 
 def harmonic_weight(power: int, harmonic: int) -> float:
-    """Weight w_kh of cos(h x) in cos(x)^k."""
+    """Compute the weight w_kh of cos(h x) in cos(x)^k.
+
+    Parameters
+    ----------
+    power, harmonic : int
+
+    Returns
+    -------
+    float
+    """
     if harmonic > power or (power - harmonic) % 2:
         return 0.0
     weight = comb(power, (power - harmonic) // 2) / 2.0**power
@@ -62,12 +82,14 @@ def harmonic_weight(power: int, harmonic: int) -> float:
 def time_basis(
     device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float
 ) -> ComplexArray:
-    """Each D^k exp(i h w t) after the sensors' low pass and the chain.
+    """Compute each D^k exp(i h w t) after the sensors' low pass and the chain.
 
     Parameters
     ----------
+    device : Device
     chain : Taps
         Weights of the chain's output samples.
+    sample_rate : float, in Hz
     time_since_drive : float, in s
         From the end of the drive to the recording's first sample.
     bandwidth : float, in Hz
@@ -76,7 +98,7 @@ def time_basis(
     Returns
     -------
     ndarray of complex, shape (DEGREE + 1, DEGREE + 1, n_out)
-        ``[k, h]``: real part of it times exp(i h phi), summed over h, is the chain's output for
+        ``[k, h]``: its real part times exp(i h phi), summed over h, is the chain's output for
         (D cos(w t + phi))^k.
     """
     omega = 2.0 * np.pi * device.frequency
@@ -96,21 +118,54 @@ def time_basis(
 
 
 def labels() -> npt.NDArray[np.int64]:
-    """Every real time function as (power, harmonic, 0 for the real part or 1 for the imaginary), powers ascending."""
+    """List every real time function.
+
+    Returns
+    -------
+    ndarray of int, shape (n_functions, 3)
+        Power, harmonic, and 0 for the real part or 1 for the imaginary part; powers ascending.
+    """
     return np.array(
         [(k, h, part) for k in range(1, DEGREE + 1) for h in range(k % 2, k + 1, 2) for part in ((0, 1) if h else (0,))]
     )
 
 
 def real_functions(basis: ComplexArray) -> FloatArray:
-    """The time basis (K, K, n_out) as real functions (n_functions, n_out), in the order of `labels`."""
+    """Convert the complex time basis to real functions.
+
+    Parameters
+    ----------
+    basis : ndarray of complex, shape (K, K, n_out)
+
+    Returns
+    -------
+    ndarray, shape (n_functions, n_out)
+        In the order of `labels`.
+    """
     return np.array([basis[k, h].imag if part else basis[k, h].real for k, h, part in labels()])
 
 
 def functions_and_slopes(
     device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-    """Real time functions (n_functions, n_out), and their change per Hz of frequency and per 1/s of damping."""
+    """Compute the real time functions, and their derivatives for frequency and damping.
+
+    Parameters
+    ----------
+    device : Device
+    chain : Taps
+    sample_rate : float, in Hz
+    time_since_drive : float, in s
+        From the end of the drive to the recording's first sample.
+    bandwidth : float, in Hz
+        Of the sensors' first-order low pass.
+
+    Returns
+    -------
+    functions : ndarray, shape (n_functions, n_out)
+    slopes : tuple of 2 ndarrays, shape (n_functions, n_out)
+        Change per Hz of frequency, and per 1/s of damping.
+    """
 
     def of(frequency: float, damping: float) -> FloatArray:
         changed = replace(device, frequency=frequency, damping=damping)

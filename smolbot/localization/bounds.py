@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound of a pose: what no estimator can beat under a given noise.
+"""The Cramer-Rao bound of a pose: the lowest covariance of any estimator under a given noise.
 
 Data are averages over short blocks with the noise's own covariance C. With J the derivative of the
 model for position, rotation, phase and amplitude, and a free polynomial in every channel projected
@@ -26,14 +26,32 @@ N_PHASES = 4
 
 @dataclass(frozen=True)
 class Window:
-    """What is listened to: `half_periods` at `sample_rate` Hz, from `since` s after the end of the drive."""
+    """A listening window.
+
+    Attributes
+    ----------
+    half_periods : float
+    sample_rate : float, in Hz
+    since : float, in s
+        From the end of the drive to the first sample.
+    """
 
     half_periods: float
     sample_rate: float
     since: float
 
     def n_samples(self, frequency: float) -> int:
-        """Whole samples in it, for a device of `frequency` Hz."""
+        """Count the samples in the window.
+
+        Parameters
+        ----------
+        frequency : float, in Hz
+            Of the device.
+
+        Returns
+        -------
+        int
+        """
         return round(self.half_periods * self.sample_rate / (2.0 * frequency))
 
 
@@ -74,22 +92,29 @@ def pose_bound(
     trend: int = 0,
     block: float = BLOCK,
 ) -> Bound:
-    """Cramer-Rao bound at some poses, with phase, amplitude and a polynomial per channel free.
+    """Compute the Cramer-Rao bound at some poses, with phase, amplitude and a polynomial per channel free.
 
     Parameters
     ----------
+    sensors : SensorArray
+    device : Device
     noise : NoiseModel
         The true one.
-    positions : array_like, shape (n_poses, 3), in m
+    positions : array_like, shape (n_poses, 3), in m, world frame
     rotations : array_like, shape (n_poses, 3, 3)
         Rotation matrices, body to world.
+    window : Window
     amplitude : float, optional, in rad
         At the end of the drive; the device's stop if not given.
     trend : int
         Degree of the polynomial that is free in every channel: 0 for a constant, 1 for a constant and a slope.
     block : float, in s
         Samples are averaged over blocks of at most this length: by default the estimator's, which cost up to 3 %
-        against far shorter ones.
+        compared with far shorter ones.
+
+    Returns
+    -------
+    Bound
 
     Raises
     ------
@@ -102,9 +127,26 @@ def pose_bound(
 
 
 class Response:
-    """How whitened data answer to the power series of the channels; one for many poses.
+    """Response of whitened data to the power series of the channels; one object serves many poses.
 
-    Arguments are those of `pose_bound`.
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    noise : NoiseModel
+        The true one.
+    window : Window
+    amplitude : float, optional, in rad
+        At the end of the drive; the device's stop if not given.
+    trend : int
+        Degree of the polynomial that is free in every channel.
+    block : float, in s
+        Longest block over which samples are averaged.
+
+    Raises
+    ------
+    InputError
+        If the window holds too few blocks for the unknowns, or blocks are too short for the noise model.
     """
 
     def __init__(
@@ -136,7 +178,18 @@ class Response:
         self._basis = time_functions.time_basis(device, chain, window.sample_rate, window.since, sensors.bandwidth)
 
     def bound(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Bound:
-        """The bound at some poses, averaged over phases."""
+        """Compute the bound at some poses, averaged over phases.
+
+        Parameters
+        ----------
+        positions : array_like, shape (n_poses, 3), in m, world frame
+        rotations : array_like, shape (n_poses, 3, 3)
+            Rotation matrices, body to world.
+
+        Returns
+        -------
+        Bound
+        """
         values, slopes = self.series(positions, rotations)
         covariances = []
         for phase in np.pi * np.arange(N_PHASES) / N_PHASES:
@@ -148,11 +201,34 @@ class Response:
         return Bound(covariance)
 
     def series(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Power series of the channels at each pose, (n_poses, n_sensors, K), and their derivatives (..., 6)."""
+        """Compute the power series of the channels at each pose; see `channel_series`.
+
+        Parameters
+        ----------
+        positions : array_like, shape (n_poses, 3), in m, world frame
+        rotations : array_like, shape (n_poses, 3, 3)
+            Rotation matrices, body to world.
+
+        Returns
+        -------
+        values : ndarray, shape (n_poses, n_sensors, K), in T
+        slopes : ndarray, shape (n_poses, n_sensors, K, 6), in T/m and T/rad
+        """
         return channel_series(self.sensors, self.device, positions, rotations)
 
     def waves(self, phase: float) -> tuple[FloatArray, FloatArray]:
-        """Whitened answer (n_data, n_sensors, K) to each power of each channel, and its derivative for the phase."""
+        """Compute the whitened response to each power of each channel.
+
+        Parameters
+        ----------
+        phase : float, in rad
+
+        Returns
+        -------
+        now : ndarray, shape (n_data, n_sensors, K)
+        ahead : ndarray, shape (n_data, n_sensors, K), per rad
+            Its derivative for the phase.
+        """
         harmonics = np.arange(self._basis.shape[1])
         turned = self._basis * np.exp(1j * harmonics * phase)[None, :, None]
         size = self.amplitude ** np.arange(len(turned))
@@ -161,7 +237,20 @@ class Response:
         return self._whiten @ now.T, self._whiten @ ahead.T
 
     def jacobian(self, values: FloatArray, slopes: FloatArray, phase: float) -> FloatArray:
-        """Derivatives (n_poses, n_data, 8) of whitened data; the amplitude is a fraction of the reference angle."""
+        """Compute the derivatives of whitened data.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n_poses, n_sensors, K), in T
+        slopes : ndarray, shape (n_poses, n_sensors, K, 6), in T/m and T/rad
+            Both from `series`.
+        phase : float, in rad
+
+        Returns
+        -------
+        ndarray, shape (n_poses, n_data, 8)
+            For position, rotation e, phase, and amplitude as a fraction of the reference angle.
+        """
         now, ahead = self.waves(phase)
         n_data, n_poses = len(now), len(values)
         powers = np.arange(values.shape[2])
@@ -177,13 +266,26 @@ class Response:
 def channel_series(
     sensors: SensorArray, device: Device, positions: npt.ArrayLike, rotations: npt.ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """Each channel as a power series in the deflection, at some poses.
+    """Compute each channel as a power series in the deflection, at some poses.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    positions : array_like, shape (n_poses, 3), in m, world frame
+    rotations : array_like, shape (n_poses, 3, 3)
+        Rotation matrices, body to world.
 
     Returns
     -------
     values : ndarray, shape (n_poses, n_sensors, K), in T
     slopes : ndarray, shape (n_poses, n_sensors, K, 6)
         Derivatives for position (per m) and for e in exp(e) R (per rad).
+
+    Raises
+    ------
+    InputError
+        If there are not as many positions as rotations.
     """
     places = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
     turns = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
@@ -202,7 +304,7 @@ def channel_series(
 
 
 def _inverse_factor(covariance: FloatArray, noise: NoiseModel, block: float) -> FloatArray:
-    """Inverse Cholesky factor."""
+    """Compute the inverse Cholesky factor."""
     try:
         factor = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
@@ -214,7 +316,7 @@ def _inverse_factor(covariance: FloatArray, noise: NoiseModel, block: float) -> 
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Inverses of symmetric positive matrices (n, 8, 8), scaled first so that units cost no precision."""
+    """Invert symmetric positive matrices (n, 8, 8), scaled first so that units cost no precision."""
     scale = 1.0 / np.sqrt(np.einsum("nii->ni", information))
     outer = scale[:, :, None] * scale[:, None, :]
     inverse: FloatArray = np.linalg.inv(information * outer) * outer

@@ -1,7 +1,7 @@
 """The paper's signal chain: same-axis difference, two moving means, time derivative, 4N+1 samples.
 
 The chain is linear, so each of its output samples is a weighted sum of raw samples around it. The
-weights (`Taps`) are found by sending impulses through the very filters defined here; data and
+weights (`Taps`) are found by passing impulses through the filters defined here; data and
 model both pass through them.
 """
 
@@ -35,10 +35,22 @@ POINTS_PER_HALF_PERIOD = 4
 
 
 def moving_mean(signal: FloatArray, window: int = WINDOW, *, later: bool = False) -> FloatArray:
-    """Mean over `window` samples along the last axis; the window shrinks at both ends.
+    """Compute a moving mean along the last axis; the window shrinks at both ends.
 
-    An even window cannot be centred: it reaches one sample further back, or, if `later`, forward. One
-    of each kind together shift nothing in time.
+    An even window cannot be centred: it extends one sample further back, or, if `later`, forward. One
+    of each kind in series cause no time shift.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (..., n)
+    window : int
+        Length in samples.
+    later : bool
+        Whether an even window extends forward.
+
+    Returns
+    -------
+    ndarray, shape (..., n)
     """
     n = signal.shape[-1]
     back = window // 2 - (1 if later and window % 2 == 0 else 0)
@@ -51,27 +63,71 @@ def moving_mean(signal: FloatArray, window: int = WINDOW, *, later: bool = False
 
 
 def central_difference(signal: FloatArray, sample_rate: float) -> FloatArray:
-    """Time derivative along the last axis, one-sided at both ends; per s."""
+    """Compute the time derivative along the last axis, one-sided at both ends.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (..., n)
+    sample_rate : float, in Hz
+
+    Returns
+    -------
+    ndarray, shape (..., n), per s
+    """
     derivative: FloatArray = np.gradient(signal, 1.0 / sample_rate, axis=-1)
     return derivative
 
 
 def filtered(signal: FloatArray, sample_rate: float) -> FloatArray:
-    """Two moving means and a central difference along the last axis, full length."""
+    """Apply two moving means and a central difference along the last axis, at full length.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (..., n)
+    sample_rate : float, in Hz
+
+    Returns
+    -------
+    ndarray, shape (..., n), per s
+    """
     smooth = moving_mean(moving_mean(signal), later=True)
     return central_difference(smooth, sample_rate)
 
 
 def whole_half_periods(n_samples: int, sample_rate: float, frequency: float) -> int:
-    """Number N of half-periods that a recording holds; one sample short still counts."""
+    """Count the complete half-periods N of a recording; one that lacks a single sample still counts.
+
+    Parameters
+    ----------
+    n_samples : int
+    sample_rate : float, in Hz
+    frequency : float, in Hz
+        Of the device.
+
+    Returns
+    -------
+    int
+    """
     return int(np.floor((n_samples + 1) * 2.0 * frequency / sample_rate + _ROUNDING))
 
 
 def sample_points(n_samples: int, sample_rate: float, frequency: float) -> FloatArray:
-    """Indices (whole numbers, as float) of the 4N+1 samples, evenly spread over the whole half-periods.
+    """Choose the 4N+1 samples, evenly spread over the complete half-periods.
 
-    Samples whose filters would reach beyond an end are noisy; where the recording is long enough the
-    outermost ones are therefore drawn in by half a filter.
+    Samples whose filters extend beyond an end are noisy; where the recording is long enough, the
+    outermost samples are therefore moved inward by half a filter.
+
+    Parameters
+    ----------
+    n_samples : int
+    sample_rate : float, in Hz
+    frequency : float, in Hz
+        Of the device.
+
+    Returns
+    -------
+    ndarray, shape (4N+1,)
+        Indices: integers, as float.
 
     Raises
     ------
@@ -104,7 +160,7 @@ class Taps:
     first : ndarray of int, shape (n_out,)
         First raw sample that it uses.
     weights : ndarray, shape (n_out, width), per s
-        Weight of each raw sample from there on; zero beyond the filter's reach.
+        Weight of each raw sample from there on; zero beyond the filter's length.
     """
 
     points: FloatArray
@@ -114,7 +170,20 @@ class Taps:
 
 @lru_cache(maxsize=32)
 def taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
-    """Weights of the chain's 4N+1 samples for a recording of `n_samples`."""
+    """Compute the weights of the chain's 4N+1 samples.
+
+    Parameters
+    ----------
+    n_samples : int
+        Of the recording.
+    sample_rate : float, in Hz
+    frequency : float, in Hz
+        Of the device.
+
+    Returns
+    -------
+    Taps
+    """
     points = sample_points(n_samples, sample_rate, frequency)
     width = min(n_samples, 2 * _REACH + 1)
     first = np.zeros(len(points), dtype=np.int64)
@@ -136,9 +205,9 @@ def taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
 
 
 def difference_matrix(axes: FloatArray, positions: FloatArray) -> FloatArray:
-    """Same-axis difference as a matrix: each sensor minus the reference of its own direction.
+    """Make the matrix of the same-axis difference: each sensor minus the reference of its own direction.
 
-    The reference of a group of parallel sensors is the one nearest to the group's middle: noise
+    The reference of a group of parallel sensors is the one nearest to the group's middle, since noise
     that varies in space differs least from it.
 
     Parameters

@@ -1,8 +1,8 @@
-"""Starts for the fit from anywhere, without a prior.
+"""Starting points for the fit without a prior.
 
 For a fixed position the first harmonic is linear in the oscillating moment vector. A coarse grid of
-positions with a linear solve in each (variable projection) finds where the magnet may be and which
-way its moment swings; what is left is the turn about that swing, and its sign, which are tried.
+positions with a linear solve in each (variable projection) finds likely positions of the magnet and the direction
+in which its moment oscillates. The turn about that direction, and its sign, remain unknown; several are tried.
 """
 
 from __future__ import annotations
@@ -54,14 +54,28 @@ class SearchVolume:
     spacing: float = 0.008
 
     def grid(self) -> FloatArray:
-        """Grid points, shape (n, 3)."""
+        """Make the grid points.
+
+        Returns
+        -------
+        ndarray, shape (n, 3), in m, world frame
+        """
         axes = [np.arange(a, b + GRID_ROUNDING, self.spacing) for a, b in zip(self.low, self.high, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where the magnet may be (3,), which way its moment swings (3,) in A·m² per reference angle, and the phase."""
+    """A starting point of the fit.
+
+    Attributes
+    ----------
+    magnet : ndarray, shape (3,), in m, world frame
+        Position of the magnet.
+    swing : ndarray, shape (3,), in A·m² per reference angle, world frame
+        Oscillating part of its moment.
+    phase : float, in rad
+    """
 
     magnet: FloatArray
     swing: FloatArray
@@ -69,7 +83,20 @@ class Start:
 
 
 def likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Start]:
-    """Grid positions, at least two spacings apart, that explain most of the first harmonic."""
+    """Find the grid positions, at least two spacings apart, that explain most of the first harmonic.
+
+    Parameters
+    ----------
+    problem : Problem
+    volume : SearchVolume
+    keep : int
+        Largest number of starts.
+
+    Returns
+    -------
+    list of Start
+        The best first.
+    """
     model = problem.model
     real, imaginary = (int(np.flatnonzero((labels() == (1, 1, part)).all(axis=1))[0]) for part in (0, 1))
     design = np.concatenate([model.matrix[:, real], -model.matrix[:, imaginary]], axis=1)
@@ -89,7 +116,20 @@ def likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list
 
 
 def best_fits(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Fit]:
-    """Distinct fits from the most promising starts, the best first."""
+    """Find distinct fits from the most promising starts.
+
+    Parameters
+    ----------
+    problem : Problem
+    volume : SearchVolume
+    keep : int
+        Number of grid positions to start from.
+
+    Returns
+    -------
+    list of Fit
+        The best first.
+    """
     tries: list[Fit] = []
     top = problem.model.amplitude_max
     for start in likely_starts(problem, volume, keep):
@@ -114,7 +154,7 @@ def _alike(a: Fit, b: Fit) -> bool:
 
 
 def _orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tuple[FloatArray, float]]:
-    """Rotation matrices whose moment swings along `swing`, turned about it, and the phase that goes with each."""
+    """List rotation matrices whose moment swings along `swing`, turned about it, each with its phase."""
     body = np.array(problem.model.device.drive_direction_in_body)
     out: list[tuple[FloatArray, float]] = []
     signs = (1.0,) if problem.model.device.along_cantilever else (1.0, -1.0)

@@ -1,4 +1,4 @@
-"""How well a pose can be expected to be known: covariance of the estimator under a described noise."""
+"""Expected accuracy of a pose: covariance of the ``paper`` estimator under a described noise."""
 
 from __future__ import annotations
 
@@ -36,13 +36,22 @@ def expected_covariance(
     time_since_drive: float,
     amplitude: float | None = None,
 ) -> FloatArray:
-    """Covariance (6, 6) of the ``paper`` estimator at `pose`, with phase and amplitude free.
+    """Compute the covariance of the ``paper`` estimator at a pose, with phase and amplitude free.
 
-    The noise of a fit is not white after the chain: mains lines are the same in phase for all
+    The noise of a fit is not white after the chain: mains lines have the same phase in all
     sensors and last the whole window. Their phase is uniform, their direction and gradient random.
 
     Parameters
     ----------
+    sensors : SensorArray
+    device : Device
+    noise : NoiseLevels
+    pose : Pose
+    half_periods : int
+        Length of the listening window.
+    sample_rate : float, in Hz
+    time_since_drive : float, in s
+        From the end of the drive to the first sample.
     amplitude : float, optional, in rad
         At the end of the drive; `Device.theta_max` if not given.
 
@@ -73,7 +82,21 @@ def expected_covariance(
 def noise_parts(
     sensors: SensorArray, noise: NoiseLevels, chain: Taps, sample_rate: float, mixing: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Noise covariance of the chain's output as (between channels, between samples) pairs."""
+    """Compute the noise covariance of the chain's output as a sum of Kronecker products.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    noise : NoiseLevels
+    chain : Taps
+    sample_rate : float, in Hz
+    mixing : ndarray, shape (n_differences, n_sensors)
+
+    Returns
+    -------
+    list of tuple of 2 ndarrays
+        Covariance between channels (n_differences, n_differences), and between samples (n_out, n_out).
+    """
     n = len(sensors)
     parts = [(mixing @ mixing.T, _sensor_noise(noise, chain, sample_rate, sensors.bandwidth))]
     alignment = sensors.axes @ sensors.axes.T
@@ -97,7 +120,7 @@ def _response(chain: Taps, sample_rate: float, frequency: float) -> np.ndarray[t
 
 
 def _sensor_noise(noise: NoiseLevels, chain: Taps, sample_rate: float, bandwidth: float) -> FloatArray:
-    """Covariance between output samples of one sensor's own noise."""
+    """Compute the covariance between output samples of one sensor's own noise."""
     top = min(BANDWIDTHS * bandwidth, RATE_SHARE * sample_rate)
     frequency = np.concatenate([np.geomspace(*LOW_BAND, LOW_POINTS), np.arange(HIGH_START, top, HIGH_STEP)])
     density = (noise.floor**2 + max(noise.at_1hz**2 - noise.floor**2, 0.0) / frequency) / (

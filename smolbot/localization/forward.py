@@ -1,4 +1,4 @@
-"""The forward model in plain numpy: what each sensor hears of an oscillating device (Eqs. S2 to S8)."""
+"""The forward model in plain numpy: field of an oscillating device at each sensor (Eqs. S2 to S8)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MU0_OVER_4PI = 1e-7
 
 
 def dipole_field(positions: FloatArray, moment: FloatArray) -> FloatArray:
-    """Magnetic flux density of a point dipole at the origin.
+    """Compute the magnetic flux density of a point dipole at the origin.
 
         B(r) = mu_0 / (4 pi |r|^3) * (3 n (n . m) - m),   n = r / |r|        (Eq. S5)
 
@@ -42,27 +42,61 @@ def dipole_field(positions: FloatArray, moment: FloatArray) -> FloatArray:
 
 
 def envelope(device: Device, time: FloatArray) -> FloatArray:
-    """Damping D(t) at `time` s after the end of the drive (Eq. S3 or S4); 1 at t = 0, never negative."""
+    """Compute the envelope D(t) of the free oscillation.
+
+        D(t) = 1 - eta t      (linear, Eq. S3)
+        D(t) = exp(-eta t)    (exponential, Eq. S4)
+
+    Parameters
+    ----------
+    device : Device
+    time : ndarray, shape (n,), in s
+        After the end of the drive.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        1 at t = 0, never negative.
+    """
     if device.damping_model == "linear":
         return np.maximum(1.0 - device.damping * time, 0.0)
     return np.exp(-device.damping * time)
 
 
 def deflection(device: Device, time: FloatArray, amplitude: float, phase: float) -> FloatArray:
-    """Deflection angle theta(t) in rad (Eq. S2), `time` in s after the end of the drive."""
+    """Compute the deflection angle of the free oscillation.
+
+        theta(t) = A D(t) cos(2 pi f t + phi)        (Eq. S2)
+
+    Parameters
+    ----------
+    device : Device
+    time : ndarray, shape (n,), in s
+        After the end of the drive.
+    amplitude : float, in rad
+        At the end of the drive.
+    phase : float, in rad
+
+    Returns
+    -------
+    ndarray, shape (n,), in rad
+    """
     return amplitude * envelope(device, time) * np.cos(2.0 * np.pi * device.frequency * time + phase)
 
 
 def sensor_field(
     sensors: SensorArray, device: Device, position: FloatArray, orientation: FloatArray, theta: FloatArray
 ) -> FloatArray:
-    """Field along each sensor's axis for given deflections, constant part included.
+    """Compute the field along each sensor's axis for given deflections, constant part included (Eqs. S5 to S8).
 
     Parameters
     ----------
-    position : ndarray, shape (3,), in m
+    sensors : SensorArray
+    device : Device
+    position : ndarray, shape (3,), in m, world frame
         Rotation centre of the cantilever.
     orientation : ndarray, shape (4,)
+        Unit quaternion, body to world.
     theta : ndarray, shape (n,), in rad
 
     Returns

@@ -1,8 +1,8 @@
 """Compiled kernels of the fit. They call each other, so they share this file (numba's cache).
 
-Parameters of the fit, in this order: position (3) in m, world rotation e (3) in rad, phase in rad,
-amplitude as a fraction of the reference angle. Each kernel names its error model: one that does not takes its first
-caller's, and with fast mathematics that moves the last bits.
+Parameters of the fit, in this order: position (3) in m, world rotation e (3) in rad, phase in rad, amplitude as a
+fraction of the reference angle. Each kernel names its error model: one without it inherits that of its first
+caller, which with fast mathematics changes the last bits.
 """
 
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
@@ -53,9 +53,27 @@ _TINY = 1e-30
 
 @njit(cache=True, error_model="python", fastmath=True)
 def series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes):
-    """Power series in the deflection of each channel, and its derivatives for position and rotation.
+    """Compute the power series in the deflection of each channel, and its derivatives for position and rotation.
 
-    `values` (n_channels, K) and `slopes` (n_channels, K, 6) are filled.
+    Parameters
+    ----------
+    positions : ndarray, shape (n_channels, 3), in m, world frame
+        Of the sensors.
+    axes : ndarray, shape (n_channels, 3), world frame
+    moment : ndarray, shape (3,), in A·m², body frame
+    l0 : float, in m
+    angles : ndarray, shape (K,), in rad
+        Nodes of the interpolation.
+    powers : ndarray, shape (K, K)
+        Coefficients of the power series from values at the nodes.
+    position : ndarray, shape (3,), in m, world frame
+        Of the rotation centre.
+    rotation : ndarray, shape (3, 3)
+        Body to world.
+    values : ndarray, shape (n_channels, K), in T
+        Filled.
+    slopes : ndarray, shape (n_channels, K, 6), in T/m and T/rad
+        Filled.
     """
     n_sensors, n_nodes = positions.shape[0], angles.shape[0]
     raw = np.empty((n_sensors, n_nodes, 7))
@@ -110,11 +128,36 @@ def series(positions, axes, moment, l0, angles, powers, position, rotation, valu
 def model(
     matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
 ):
-    """Fill the model's output (n_out,) and its Jacobian (8, n_out).
+    """Fill the model's output and its Jacobian.
 
-    `matrix` (n_functions, n_channels, n_out) is the linear chain's answer to each time function in each
-    channel; `labels` (n_functions, 3) are a function's power, harmonic, and 0 for cosine or 1 for sine.
     Functions are in the order of their powers. Outputs come last so that every inner loop runs along memory.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n_functions, n_channels, n_out)
+        Response of the linear chain to each time function in each channel.
+    labels : ndarray of int, shape (n_functions, 3)
+        Power and harmonic of a function, and 0 for cosine or 1 for sine.
+    positions : ndarray, shape (n_channels, 3), in m, world frame
+        Of the sensors.
+    axes : ndarray, shape (n_channels, 3), world frame
+    moment : ndarray, shape (3,), in A·m², body frame
+    l0 : float, in m
+    angles : ndarray, shape (K,), in rad
+        Nodes of the interpolation; see `series`.
+    powers : ndarray, shape (K, K)
+        Coefficients of the power series; see `series`.
+    position : ndarray, shape (3,), in m, world frame
+        Of the rotation centre.
+    rotation : ndarray, shape (3, 3)
+        Body to world.
+    phase : float, in rad
+    amplitude : float
+        As a fraction of the reference angle.
+    out : ndarray, shape (n_out,)
+        Filled.
+    jacobian : ndarray, shape (8, n_out)
+        Filled.
     """
     n_functions, n_channels, n_out = matrix.shape
     n_powers = angles.shape[0]
@@ -168,7 +211,7 @@ def model(
 
 
 def _solver(n):
-    """Solver of n equations: a number that is known while it is compiled makes a fit some per cent faster."""
+    """Make a solver of n equations: a size known at compile time makes a fit some per cent faster."""
 
     @njit(cache=True, error_model="numpy")
     def solve_posdef(matrix, right):
@@ -205,7 +248,17 @@ _solve_six, _solve_eight = _solver(6), _solver(8)
 
 @njit(cache=True, error_model="numpy")
 def rotate(rotation, e):
-    """exp(e) R for a world rotation vector `e`."""
+    """Compute exp(e) R for a world rotation vector e.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (3, 3)
+    e : ndarray, shape (3,), in rad
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+    """
     angle = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
     if angle < _SMALL_ANGLE:
         return rotation.copy()
@@ -225,9 +278,28 @@ def rotate(rotation, e):
 
 @njit(cache=True, error_model="python", fastmath=True)
 def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
-    """Fill J^T J and J^T r, the belief in the amplitude included; return the cost and the sum squared error (S20).
+    """Fill J^T J and J^T r, the prior of the amplitude included (Eq. S20).
 
-    `jacobian` is (8, n_out); `belief`: mean of the amplitude, and the inverse of its variance (0 without one).
+    Parameters
+    ----------
+    data, out : ndarray, shape (n_out,)
+        Measured and modelled.
+    jacobian : ndarray, shape (8, n_out)
+    amplitude : float
+        As a fraction of the reference angle.
+    belief : ndarray, shape (2,)
+        Prior of the amplitude: its mean and the inverse of its variance (0 without a prior).
+    normal : ndarray, shape (8, 8)
+        Filled.
+    gradient : ndarray, shape (8,)
+        Filled.
+
+    Returns
+    -------
+    cost : float
+        Sum squared error plus the prior's term.
+    sse : float
+        Sum squared error.
     """
     n_out = data.shape[0]
     left = np.empty(n_out)
@@ -257,9 +329,52 @@ def fit(
     data, matrix, labels, positions, axes, moment, l0, angles, powers,
     position, rotation, phase, amplitude, amplitude_max, belief, iterations, tolerance,
 ):  # fmt: skip
-    """Levenberg-Marquardt from one start.
+    """Fit pose, phase and amplitude from one start by the Levenberg-Marquardt method.
 
-    Returns position, rotation, phase, amplitude, sum squared error, J^T J (8, 8) and whether it converged.
+    Parameters
+    ----------
+    data : ndarray, shape (n_out,)
+    matrix : ndarray, shape (n_functions, n_channels, n_out)
+        Response of the linear chain; see `model`.
+    labels : ndarray of int, shape (n_functions, 3)
+        See `model`.
+    positions : ndarray, shape (n_channels, 3), in m, world frame
+        Of the sensors.
+    axes : ndarray, shape (n_channels, 3), world frame
+    moment : ndarray, shape (3,), in A·m², body frame
+    l0 : float, in m
+    angles : ndarray, shape (K,), in rad
+        See `series`.
+    powers : ndarray, shape (K, K)
+        See `series`.
+    position : ndarray, shape (3,), in m, world frame
+        Start.
+    rotation : ndarray, shape (3, 3)
+        Start, body to world.
+    phase : float, in rad
+        Start.
+    amplitude : float
+        Start, as a fraction of the reference angle.
+    amplitude_max : float
+        Upper bound, as a fraction of the reference angle.
+    belief : ndarray, shape (2,)
+        Prior of the amplitude: its mean and the inverse of its variance (0 without a prior).
+    iterations : int
+        Largest number of accepted steps.
+    tolerance : float
+        Relative decrease of the cost below which the fit has converged.
+
+    Returns
+    -------
+    position : ndarray, shape (3,), in m
+    rotation : ndarray, shape (3, 3)
+    phase : float, in rad
+    amplitude : float
+    sse : float
+        Sum squared error.
+    normal : ndarray, shape (8, 8)
+        J^T J.
+    converged : bool
     """
     n_out = data.shape[0]
     out = np.zeros(n_out)
@@ -333,7 +448,35 @@ def fit(
 
 @njit(cache=True, error_model="numpy")
 def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, guess):
-    """Phase and amplitude that fit `data` best at a fixed pose; exact for small amplitudes."""
+    """Compute the phase and amplitude that fit the data best at a fixed pose; exact for small amplitudes.
+
+    Parameters
+    ----------
+    data : ndarray, shape (n_out,)
+    matrix : ndarray, shape (n_functions, n_channels, n_out)
+        Response of the linear chain; see `model`.
+    labels : ndarray of int, shape (n_functions, 3)
+        See `model`.
+    positions : ndarray, shape (n_channels, 3), in m, world frame
+        Of the sensors.
+    axes : ndarray, shape (n_channels, 3), world frame
+    moment : ndarray, shape (3,), in A·m², body frame
+    l0 : float, in m
+    angles : ndarray, shape (K,), in rad
+        See `series`.
+    powers : ndarray, shape (K, K)
+        See `series`.
+    position : ndarray, shape (3,), in m, world frame
+    rotation : ndarray, shape (3, 3)
+        Body to world.
+    guess : float
+        Amplitude at which the model is linearized, as a fraction of the reference angle.
+
+    Returns
+    -------
+    phase : float, in rad
+    amplitude : float
+    """
     n_out = data.shape[0]
     first = np.zeros(n_out)
     jacobian = np.zeros((N_PARAMETERS, n_out))
@@ -355,7 +498,20 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
 
 @njit(cache=True, error_model="numpy")
 def covariance(normal, variance):
-    """Covariance (8, 8) of position, rotation, phase and amplitude; infinite where undetermined."""
+    """Compute the covariance of position, rotation, phase and amplitude.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (8, 8)
+        J^T J.
+    variance : float
+        Of the data.
+
+    Returns
+    -------
+    ndarray, shape (8, 8)
+        Infinite where the data do not determine all parameters.
+    """
     out = np.full((N_PARAMETERS, N_PARAMETERS), np.inf)
     scale = np.zeros(N_PARAMETERS)
     for a in range(N_PARAMETERS):
@@ -382,7 +538,16 @@ def covariance(normal, variance):
 
 @njit(cache=True, error_model="numpy")
 def moving(field):
-    """Rows (n_sensors, n) that are finite and not constant, as bool (n_sensors,)."""
+    """Find the channels whose samples are finite and not constant.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n_sensors, n)
+
+    Returns
+    -------
+    ndarray of bool, shape (n_sensors,)
+    """
     out = np.zeros(field.shape[0], dtype=np.bool_)
     if field.shape[1] == 0:
         return out
@@ -397,9 +562,20 @@ def moving(field):
 
 @njit(cache=True, error_model="python", fastmath=True)
 def tapped(field, first, weights):
-    """Weighted sums (n_sensors, n_out) of raw samples (n_sensors, n), each row less its own first sample.
+    """Compute weighted sums of raw samples, each channel less its own first sample.
 
-    The first sample is taken off so that a large constant costs no precision.
+    The first sample is subtracted so that a large constant costs no precision.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n_sensors, n)
+    first : ndarray of int, shape (n_out,)
+        First sample of each sum.
+    weights : ndarray, shape (n_out, width)
+
+    Returns
+    -------
+    ndarray, shape (n_sensors, n_out)
     """
     n_sensors, n_out, width = field.shape[0], weights.shape[0], weights.shape[1]
     out = np.empty((n_sensors, n_out))
@@ -416,7 +592,18 @@ def tapped(field, first, weights):
 
 @njit(cache=True, error_model="python", fastmath=True)
 def mixed(mixing, samples):
-    """`mixing` (n_rows, n) times `samples` (n, m), row by row in one vector; no threads of a linear algebra library."""
+    """Multiply two matrices without the threads of a linear algebra library.
+
+    Parameters
+    ----------
+    mixing : ndarray, shape (n_rows, n)
+    samples : ndarray, shape (n, m)
+
+    Returns
+    -------
+    ndarray, shape (n_rows * m,)
+        Row by row.
+    """
     n_rows, n, m = mixing.shape[0], samples.shape[0], samples.shape[1]
     out = np.zeros(n_rows * m)
     for q in range(n_rows):
@@ -436,10 +623,25 @@ def mixed(mixing, samples):
 
 @njit(cache=True, error_model="numpy")
 def grid_moments(gram, right, positions, axes, grid, moments):
-    """Fit of an oscillating moment at each grid position; returns how much of the data each explains.
+    """Fit an oscillating moment at each grid position.
 
-    `gram` (2n, 2n) and `right` (2n,) are the normal equations of the first harmonic, in-phase part of all
-    n channels first, then quadrature; `moments` (n_grid, 6) are filled likewise.
+    Parameters
+    ----------
+    gram : ndarray, shape (2n, 2n)
+        Normal equations of the first harmonic: the in-phase part of all n channels first, then quadrature.
+    right : ndarray, shape (2n,)
+        Their right side.
+    positions : ndarray, shape (n, 3), in m, world frame
+        Of the sensors.
+    axes : ndarray, shape (n, 3), world frame
+    grid : ndarray, shape (n_grid, 3), in m, world frame
+    moments : ndarray, shape (n_grid, 6), in A·m², world frame
+        Filled: in phase, then quadrature.
+
+    Returns
+    -------
+    ndarray, shape (n_grid,)
+        Decrease of the sum squared error by the moment at each position.
     """
     n = positions.shape[0]
     lead = np.zeros((n, 3))

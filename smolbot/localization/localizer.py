@@ -1,4 +1,4 @@
-"""From one recording to one pose."""
+"""The localizer: from one recording to one pose."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ MAX_ROLL = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """What one recording says of the oscillation.
+    """Oscillation found in one recording along with the pose.
 
     Attributes
     ----------
@@ -76,7 +76,21 @@ class Swing:
 
     @classmethod
     def of(cls, problem: Problem, fit: Fit, variance: float, spread: FloatArray | None) -> Swing:
-        """That of a fit with residuals of `variance`; `spread` is the covariance in the fit's units, if it has one."""
+        """Make the swing of a fit.
+
+        Parameters
+        ----------
+        problem : Problem
+        fit : Fit
+        variance : float
+            Of the residuals.
+        spread : ndarray, shape (8, 8), or None
+            Covariance in the fit's units, if it is known.
+
+        Returns
+        -------
+        Swing
+        """
         joint = np.full((7, 7), np.inf) if spread is None else spread[_WITHOUT_PHASE]
         joint[6] *= REFERENCE_ANGLE
         joint[:, 6] *= REFERENCE_ANGLE
@@ -84,7 +98,7 @@ class Swing:
 
     @property
     def misfit(self) -> float:
-        """Variance of the residuals: of whitened data about 1 where noise is all that is left."""
+        """Variance of the residuals: about 1 for whitened data if only noise is left."""
         return mean_square(self._problem, self._fit)
 
     def energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
@@ -96,11 +110,29 @@ class Swing:
         return energies(model, self._fit, recording, noise) if model.white else None
 
     def of_the_array(self, frames: FloatArray) -> ArrayTerms | None:
-        """What the recording says of the sensors, with tilts along `frames` (n_sensors, 2, 3); None where nothing."""
+        """Compute the recording's information on the sensors.
+
+        Parameters
+        ----------
+        frames : ndarray, shape (n_sensors, 2, 3)
+            Directions of each sensor's tilts.
+
+        Returns
+        -------
+        ArrayTerms or None
+            None where there is none.
+        """
         return array_terms(self._problem, self._fit, frames)
 
     def resonance(self) -> tuple[FloatArray, FloatArray]:
-        """By how much frequency (Hz) and damping (1/s) seem to be off, shape (2,), and their covariance (2, 2)."""
+        """Estimate the error of the assumed frequency and damping.
+
+        Returns
+        -------
+        offset : ndarray, shape (2,), in Hz and 1/s
+            Estimated minus assumed frequency and damping.
+        covariance : ndarray, shape (2, 2)
+        """
         return self._problem.resonance(self._fit, self._variance)
 
 
@@ -181,30 +213,47 @@ class Localizer(PoseEstimatorBase):
             swing.of_the_array(frames)
 
     def locate(self, recording: Recording, prior: Pose | None = None) -> Pose:
-        """Pose at the middle of the recording, from all of it.
+        """Estimate the pose at the middle of a recording, from all of its samples.
 
         Parameters
         ----------
         recording : Recording
         prior : Pose, optional
-            Start of the fit, and what decides between poses that sensors can hardly tell apart. Its
-            covariance is not used: fusing is the tracker's work. Without it the fit starts cold.
+            Start of the fit; it also decides between poses that sensors can hardly distinguish. Its
+            covariance is not used: fusion is the tracker's task. Without it the fit starts cold.
 
         Returns
         -------
         Pose
-            `trusted` is false where the fit explains too little, another pose explains it as well, or
-            it ends outside the search volume.
+            `trusted` is false where the fit explains too little, another pose explains the data as well, or
+            the fit ends outside the search volume.
 
         Raises
         ------
         InputError
-            If the recording does not fit the sensors, or holds no half-period; says which channel.
+            If the recording does not fit the sensors, or holds no half-period; the message names the channel.
         """
         return self.locate_swing(recording, prior)[0]
 
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, Swing]:
-        """`locate`, and what was learned of the oscillation along with the pose."""
+        """Estimate the pose as `locate` does, and return the oscillation that was fitted with it.
+
+        Parameters
+        ----------
+        recording : Recording
+        prior : Pose, optional
+            See `locate`.
+
+        Returns
+        -------
+        pose : Pose
+        swing : Swing
+
+        Raises
+        ------
+        InputError
+            See `locate`.
+        """
         first = self.free_trend(recording)
         pose, swing = self._locate_with(recording, prior, first)
         if self.estimator == "whitened" and first < LEAST_TREND and swing.misfit > MISFIT:
@@ -222,17 +271,45 @@ class Localizer(PoseEstimatorBase):
         return self._pose(problem, found, recording, prior)
 
     def free_trend(self, recording: Recording) -> int:
-        """Degree of the polynomial that is left free in every channel: as high as costs next to nothing."""
+        """Choose the degree of the polynomial that is left free in every channel: the highest at a negligible cost.
+
+        Parameters
+        ----------
+        recording : Recording
+
+        Returns
+        -------
+        int
+        """
         half_periods = 2.0 * self.device.frequency * recording.duration
         return int(np.searchsorted(TREND_FROM, half_periods + 0.01)) if self.estimator == "whitened" else 0
 
     def locate_segments(self, recording: Recording, half_periods: int, prior: Pose | None = None) -> tuple[Pose, ...]:
-        """Poses of consecutive segments of `half_periods` each (superfast mode); the rest is left out.
+        """Estimate poses of consecutive segments of one recording (superfast mode).
 
-        One drive swings through all of them, so the amplitude is learned along the way, and a pose starts from
-        the one before; the first from `prior`, or cold where there is none or it leads nowhere. A device that
-        moves within a segment changes its static field too; where that shows, a slope in every channel is left
-        free as well.
+        An incomplete last segment is left out.
+
+        One drive causes the oscillation in all of them, so the amplitude is learned along the way. Each fit starts
+        from the pose of the segment before; the first from `prior`, or cold if there is none or its fit fails. A
+        device that moves within a segment changes its static field too; where that is detected, a slope in every
+        channel is left free as well.
+
+        Parameters
+        ----------
+        recording : Recording
+        half_periods : int
+            Length of a segment.
+        prior : Pose, optional
+            See `locate`.
+
+        Returns
+        -------
+        tuple of Pose
+
+        Raises
+        ------
+        InputError
+            See `locate`; and if the recording is shorter than a segment.
         """
         shared = SharedAmplitude.of(self.device)
         poses: list[Pose] = []
@@ -250,9 +327,10 @@ class Localizer(PoseEstimatorBase):
     def _locate_segment(
         self, segment: Recording, prior: Pose | None, shared: SharedAmplitude, *, stale: bool
     ) -> tuple[Pose, Swing, float]:
-        """Pose of a segment, its swing as of the time that its model was made for, and the amplitude's share then.
+        """Return a segment's pose, its swing at its model's start time, and the amplitude's share at that time.
 
-        `stale`: the prior is of before this recording, and a fit from it that explains little is started cold as well.
+        `stale`: the prior is from before this recording; a fit from it that explains little is started cold as
+        well.
         """
         ringing = AUDIBLE * max(self.transients, default=0.0)
         anchored, share = anchor(self.device, segment.time_since_drive, ringing)
@@ -277,7 +355,23 @@ class Localizer(PoseEstimatorBase):
         return best[1], best[2], share
 
     def prepare(self, recording: Recording, trend: int = 0) -> Problem:
-        """The recording as the estimator sees it, ready to be fitted; `trend` as for `whitened_model`."""
+        """Prepare the fit of a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+        trend : int
+            Degree of the polynomial that is free in every channel; see `whitened_model`.
+
+        Returns
+        -------
+        Problem
+
+        Raises
+        ------
+        InputError
+            If the recording does not fit the sensors.
+        """
         if self.estimator == "paper":
             return prepare_paper(recording, self.sensors, self.device)
         return prepare_whitened(recording, self.sensors, self.device, self.noise, trend, self.transients)
@@ -293,9 +387,9 @@ class Localizer(PoseEstimatorBase):
     def _pose(
         self, problem: Problem, found: list[Fit], recording: Recording, prior: Pose | None, *, steady: bool = False
     ) -> tuple[Pose, Swing]:
-        """The best fit as a pose; of twins that sound alike, the one that turned less since the prior.
+        """Make a pose of the best fit; the 180° ambiguity is resolved by the least turn since the prior.
 
-        A `steady` device is listened to again and again, so its turn about the moment need be known roughly only.
+        A `steady` device is recorded again and again, so its turn about the moment needs to be known only roughly.
         """
         best, flip_margin, odds = choose(problem, found, self.device, prior)
         variance = _inflated(problem, best) if problem.model.white else mean_square(problem, best)
@@ -319,12 +413,12 @@ class Localizer(PoseEstimatorBase):
         return pose, Swing.of(problem, best, variance, spread if usable else None)
 
     def _knows(self, spread: FloatArray, fit: Fit, steady: bool) -> bool:
-        """Whether a fit of covariance `spread` tells place and direction well enough to act on."""
+        """Return whether a fit of covariance `spread` determines position and direction well enough to act on."""
         placed = max(spread[0, 0], spread[1, 1], spread[2, 2]) < MAX_SIGMA[0] ** 2
         return bool(placed) and self._knows_direction(spread[3:6, 3:6], fit, steady)
 
     def _knows_direction(self, turn: FloatArray, fit: Fit, steady: bool) -> bool:
-        """Whether rotations of covariance `turn` are known; of a steady device, the turn about the moment roughly."""
+        """Return whether rotations of covariance `turn` are known well enough."""
         if not steady:
             return bool(max(turn[0, 0], turn[1, 1], turn[2, 2]) < MAX_SIGMA[1] ** 2)
         moment = fit.rotation @ self.device.moment_in_body
@@ -347,12 +441,12 @@ class Paper(Localizer):
 
 
 def _near_enough(pose: Pose, prior: Pose) -> bool:
-    """Whether a pose that is too vague to act on may still start the next fit."""
+    """Return whether a pose that is too uncertain to act on may still start the next fit."""
     vague = float(np.sqrt(np.diag(pose.covariance)[:3].max()))
     return vague < MAX_SIGMA[0] and float(np.linalg.norm(pose.position - prior.position)) < 2.0 * MAX_SIGMA[0]
 
 
 def _inflated(problem: Problem, fit: Fit) -> float:
-    """Variance of whitened residuals: one, unless they are larger than chance makes them."""
+    """Estimate the variance of whitened residuals: one, unless they are significantly larger."""
     variance = mean_square(problem, fit)
     return variance if variance > 1.0 + 4.0 * math.sqrt(2.0 / freedom(problem)) else 1.0

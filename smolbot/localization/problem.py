@@ -1,6 +1,6 @@
-"""One fit made ready: a recording brought to a vector, and the linear map from time functions to it.
+"""A prepared fit: a recording reduced to a data vector, and the linear map from time functions to it.
 
-Both estimators are of this form; they differ in the linear chain alone.
+Both estimators have this form; only their linear chains differ.
 """
 
 from __future__ import annotations
@@ -32,7 +32,22 @@ MAX_CONDITION = 1e10
 
 
 class Fit(NamedTuple):
-    """Outcome of one Levenberg-Marquardt fit. `normal` is J^T J for (position, e, phase, amplitude)."""
+    """Outcome of one Levenberg-Marquardt fit.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,), in m, world frame
+    rotation : ndarray, shape (3, 3)
+        Body to world.
+    phase : float, in rad
+    amplitude : float
+        As a fraction of the reference angle.
+    sse : float
+        Sum squared error.
+    normal : ndarray, shape (8, 8)
+        J^T J for (position, e, phase, amplitude).
+    converged : bool
+    """
 
     position: FloatArray
     rotation: FloatArray
@@ -45,31 +60,35 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """What stays the same from one recording to the next like it.
+    """The part of a fit that is the same for all recordings of one kind.
 
     Attributes
     ----------
     device : Device
-    positions, axes : ndarray, shape (n_channels, 3)
-        Of the sensors that take part; an axis is as long as its sensor's gain.
+    positions : ndarray, shape (n_channels, 3), in m, world frame
+        Of the sensors that take part.
+    axes : ndarray, shape (n_channels, 3)
+        Of the same sensors; an axis is as long as its sensor's gain.
+    used : ndarray of bool, shape (n_sensors,)
+        Sensors that take part.
     chain : Taps
-        Brings raw samples to fewer ones, channel by channel.
+        Reduces raw samples to fewer ones, channel by channel.
     mixing : ndarray, shape (n_rows, n_channels * n_taps) or (n_differences, n_channels)
-        Brings those to the data vector; see `separable`.
+        Reduces those to the data vector; see `separable`.
     matrix : ndarray, shape (n_out, n_functions, n_channels)
-        The data vector's answer to each time function in each channel.
+        Response of the data vector to each time function in each channel.
     slopes : ndarray, shape (2, n_out, n_functions, n_channels)
         Change of `matrix` per Hz of the resonance, and per 1/s of the damping.
     functions : ndarray, shape (n_functions, n_taps)
-        The time functions themselves, as the chain gives them.
+        The time functions themselves, after the chain.
     free : ndarray, shape (n_taps, n_free)
-        Courses that are free in every channel, and tell nothing of the device.
+        Time functions with a free size in every channel, which carry no information on the device.
     separable : bool
         True where `mixing` acts on channels alone, for every tap alike.
     white : bool
-        True where the data vector's noise is white and of unit size.
+        True where the data vector's noise is white and of unit variance.
     common : LinearModel, optional
-        What is the same for every array; see `of_all_arrays`.
+        The part that is the same for every array; see `of_all_arrays`.
     """
 
     device: Device
@@ -93,26 +112,26 @@ class LinearModel:
 
     @property
     def of_all_arrays(self) -> LinearModel:
-        """One object for all models that differ in nothing but places, axes and gains, moment and l0."""
+        """One object for all models that differ only in positions, axes, gains, moment and l0."""
         return self.common or self
 
     @cached_property
     def ramps(self) -> FloatArray:
-        """Data vector's answer (n_channels, n_out) to a rise by 1 T over the recording, in each channel."""
+        """Response (n_channels, n_out) of the data vector to a rise by 1 T over the recording, in each channel."""
         time = np.linspace(-0.5, 0.5, len(self.chain.first))
         by_channel = self.mixing.reshape(len(self.mixing), -1, len(time))
         return np.ascontiguousarray((by_channel @ time).T)
 
     @cached_property
     def belief(self) -> FloatArray:
-        """Mean of the amplitude's prior, and the inverse of its variance; no prior where the noise is not scaled."""
+        """Prior of the amplitude: mean and inverse variance (0, so no prior, where the noise is not scaled)."""
         scale = time_functions.REFERENCE_ANGLE
         mean, std = self.device.amplitude_prior
         return np.array([mean / scale, (scale / std) ** 2 if self.white else 0.0])
 
     @cached_property
     def constants(self) -> tuple[Any, ...]:
-        """Arguments that every kernel of the fit begins with."""
+        """First arguments of every kernel of the fit."""
         return (
             np.ascontiguousarray(self.matrix.transpose(1, 2, 0)),
             time_functions.labels(),
@@ -125,7 +144,16 @@ class LinearModel:
         )
 
     def vector(self, field: FloatArray) -> FloatArray:
-        """Data vector (n_out,) of raw samples (n_channels, n) in T."""
+        """Compute the data vector of raw samples.
+
+        Parameters
+        ----------
+        field : ndarray, shape (n_channels, n), in T
+
+        Returns
+        -------
+        ndarray, shape (n_out,)
+        """
         tapped = _kernels.tapped(field, self.chain.first, self.chain.weights)
         return _kernels.mixed(self.mixing, tapped if self.separable else tapped.reshape(-1, 1))
 
@@ -137,11 +165,24 @@ class LinearModel:
         amplitude: float,
         matrix: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Model (n_out,) and its Jacobian (n_out, 8) at one set of parameters.
+        """Compute the modelled data vector and its Jacobian.
 
-        Parameters are position (3,) in m, rotation matrix (3, 3), phase in rad, and amplitude as a
-        fraction of the reference angle; derivatives for the rotation are for e in exp(e) R. `matrix`
-        stands in for the model's own, such as one of its slopes.
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+        rotation : ndarray, shape (3, 3)
+            Body to world.
+        phase : float, in rad
+        amplitude : float
+            As a fraction of the reference angle.
+        matrix : ndarray, shape (n_out, n_functions, n_channels), optional
+            Used in place of the model's own, such as one of its slopes.
+
+        Returns
+        -------
+        out : ndarray, shape (n_out,)
+        jacobian : ndarray, shape (n_out, 8)
+            Derivatives for the rotation are for e in exp(e) R.
         """
         first = self.constants[0] if matrix is None else np.ascontiguousarray(matrix.transpose(1, 2, 0))
         out = np.zeros(first.shape[2])
@@ -155,14 +196,22 @@ class LinearModel:
 def paper_model(
     sensors: SensorArray, device: Device, usable: bytes, n_samples: int, sample_rate: float, since: float
 ) -> LinearModel:
-    """The paper's chain for recordings of one kind, kept for the next one like it.
+    """Make the paper's chain for recordings of one kind; cached for similar recordings.
 
     Parameters
     ----------
+    sensors : SensorArray
+    device : Device
     usable : bytes
         Of a bool array (n_sensors,): the sensors that take part.
+    n_samples : int
+    sample_rate : float, in Hz
     since : float, in s
         From the end of the drive to the first sample.
+
+    Returns
+    -------
+    LinearModel
     """
     used = np.frombuffer(usable, dtype=np.bool_)
     mixing = difference_matrix(sensors.axes[used], sensors.positions[used])
@@ -191,14 +240,20 @@ def paper_model(
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One fit made ready: a linear model and the data vector (n_out,)."""
+    """A prepared fit.
+
+    Attributes
+    ----------
+    model : LinearModel
+    data : ndarray, shape (n_out,)
+    """
 
     model: LinearModel
     data: FloatArray
 
     @cached_property
     def total_sum_of_squares(self) -> float:
-        """Eq. S21; of whitened data about zero, since their mean has no meaning."""
+        """Total sum of squares (Eq. S21); of whitened data about zero, since their mean has no meaning."""
         off = self.data if self.model.white else self.data - self.data.mean()
         return float(np.vdot(off, off))
 
@@ -212,15 +267,46 @@ class Problem:
         iterations: int = 40,
         tolerance: float = 1e-5,
     ) -> Fit:
-        """Levenberg-Marquardt from one start; amplitudes are fractions of the reference angle."""
+        """Fit by the Levenberg-Marquardt method from one start.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+        rotation : ndarray, shape (3, 3)
+            Body to world.
+        phase : float, in rad
+        amplitude : float
+            As a fraction of the reference angle.
+        iterations : int
+            Largest number of steps.
+        tolerance : float
+            Relative decrease of the cost below which the fit has converged.
+
+        Returns
+        -------
+        Fit
+        """
         start = (np.array(position), np.array(rotation, order="C"), float(phase), float(amplitude))
         limits = (self.model.amplitude_max, self.model.belief, iterations, tolerance)
         return Fit(*_kernels.fit(self.data, *self.model.constants, *start, *limits))
 
     def resonance(self, fit: Fit, variance: float) -> tuple[FloatArray, FloatArray]:
-        """By how much frequency (Hz) and damping (1/s) seem to differ from the device's, and the covariance (2, 2).
+        """Estimate the error of the device's frequency and damping.
 
         One Gauss-Newton step from a finished fit, with pose, phase and amplitude left free.
+
+        Parameters
+        ----------
+        fit : Fit
+        variance : float
+            Of the residuals.
+
+        Returns
+        -------
+        offset : ndarray, shape (2,), in Hz and 1/s
+            Estimated minus assumed frequency and damping; zero where undetermined.
+        covariance : ndarray, shape (2, 2)
+            Infinite where undetermined.
         """
         # what a change of frequency or damping does to the samples, less what the eight parameters explain
         model = self.model
@@ -238,7 +324,20 @@ class Problem:
         return inverse @ (free.T @ residual), uncertainty
 
     def phase_and_amplitude(self, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
-        """Best phase and amplitude at a fixed pose, from a linear solve."""
+        """Estimate phase and amplitude at a fixed pose by a linear solve.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+        rotation : ndarray, shape (3, 3)
+            Body to world.
+
+        Returns
+        -------
+        phase : float, in rad
+        amplitude : float
+            As a fraction of the reference angle; at most the stop.
+        """
         place = (np.array(position), np.array(rotation, order="C"))
         top = self.model.amplitude_max
         phase, size = _kernels.linear_start(self.data, *self.model.constants, *place, FIRST_AMPLITUDE * top)
@@ -257,12 +356,22 @@ FADED = 1e-6
 
 
 def usable_channels(recording: Recording, sensors: SensorArray, device: Device) -> BoolArray:
-    """Channels that take part: not saturated, finite, and not silent, for a constant has nothing to say.
+    """Find the channels that take part: not saturated, finite, and not constant.
+
+    Parameters
+    ----------
+    recording : Recording
+    sensors : SensorArray
+    device : Device
+
+    Returns
+    -------
+    ndarray of bool, shape (n_sensors,)
 
     Raises
     ------
     InputError
-        If the recording does not fit sensors or device, no drive preceded it, or it was too long ago.
+        If the recording does not fit sensors or device, no drive preceded it, or the drive was too long ago.
     """
     heard = len(recording.field)
     if heard != len(sensors):
@@ -288,7 +397,21 @@ def usable_channels(recording: Recording, sensors: SensorArray, device: Device) 
 
 
 def require_enough(count: int, what: str, usable: BoolArray) -> None:
-    """Raise `InputError`, naming the channels left out, if too few are left."""
+    """Raise an error that names the channels left out, if too few remain.
+
+    Parameters
+    ----------
+    count : int
+        What remains.
+    what : str
+        Its name, for the message.
+    usable : ndarray of bool, shape (n_sensors,)
+
+    Raises
+    ------
+    InputError
+        If `count` is less than `MIN_OUTPUTS`.
+    """
     if count < MIN_OUTPUTS:
         bad = ", ".join(str(i) for i in np.flatnonzero(~usable)) or "none"
         raise InputError(
@@ -298,7 +421,17 @@ def require_enough(count: int, what: str, usable: BoolArray) -> None:
 
 
 def prepare_paper(recording: Recording, sensors: SensorArray, device: Device) -> Problem:
-    """Pass a recording through the paper's chain and make its fit ready.
+    """Pass a recording through the paper's chain and prepare its fit.
+
+    Parameters
+    ----------
+    recording : Recording
+    sensors : SensorArray
+    device : Device
+
+    Returns
+    -------
+    Problem
 
     Raises
     ------

@@ -33,12 +33,23 @@ ROUNDED_SAMPLES = 1e-6
 
 
 def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Recording]:
-    """Consecutive segments of equal length, as many as the recording holds.
+    """Cut a recording into consecutive segments of equal length, as many as it holds.
+
+    Parameters
+    ----------
+    recording : Recording
+    device : Device
+    half_periods : int
+        Length of a segment.
+
+    Yields
+    ------
+    Recording
 
     Raises
     ------
     InputError
-        If it holds none, or `half_periods` is not positive.
+        If the recording holds no segment, or `half_periods` is not positive.
     """
     n, rate = recording.field.shape[1], recording.sample_rate
     total = whole_half_periods(n, rate, device.frequency)
@@ -58,19 +69,44 @@ def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Rec
 
 
 def remaining(device: Device, time: float) -> float:
-    """Share of the amplitude that is left `time` s after the end of the drive, at least `LEAST`."""
+    """Compute the share of the amplitude that is left after a time.
+
+    Parameters
+    ----------
+    device : Device
+    time : float, in s
+        After the end of the drive.
+
+    Returns
+    -------
+    float
+        At least `LEAST`.
+    """
     if device.damping_model == "linear":
         return max(1.0 - device.damping * time, LEAST)
     return max(math.exp(-device.damping * time), LEAST)
 
 
 def anchor(device: Device, time: float, earliest: float = 0.0) -> tuple[float, float]:
-    """The time after the drive whose model serves a segment at `time`, and the amplitude's share from there to here.
+    """Find the time after the drive whose model serves a segment, so that few models are needed.
 
     Under exponential damping a shift in time is a change of amplitude and phase, so that one model serves
-    all. Under linear damping the rate of decay, seen from the segment, grows as the amplitude falls: models
-    are made anew every 5 %, which leaves 0.1 % of the signal. Before `earliest` s, while coils may still
+    all. Under linear damping the relative rate of decay grows as the amplitude falls: a new model is
+    made every 5 %, which leaves an error of 0.1 % of the signal. Before `earliest`, while coils may still
     ring, each segment has a model of its own.
+
+    Parameters
+    ----------
+    device : Device
+    time : float, in s
+        Start of the segment after the end of the drive.
+    earliest : float, in s
+
+    Returns
+    -------
+    anchor : float, in s
+    share : float
+        Amplitude at `time` over that at the anchor.
     """
     if time < earliest:
         return time, 1.0
@@ -83,7 +119,14 @@ def anchor(device: Device, time: float, earliest: float = 0.0) -> tuple[float, f
 
 @dataclass(frozen=True)
 class SharedAmplitude:
-    """What is known at `time` s of the amplitude at the end of the drive: mean and standard deviation, in rad."""
+    """Estimate of the amplitude at the end of the drive, shared by all segments.
+
+    Attributes
+    ----------
+    mean, std : float, in rad
+    time : float, in s
+        After the end of the drive; the time for which the estimate holds.
+    """
 
     mean: float
     std: float
@@ -91,16 +134,46 @@ class SharedAmplitude:
 
     @classmethod
     def of(cls, device: Device) -> SharedAmplitude:
-        """What is known before anything was heard."""
+        """Make the prior estimate from a device.
+
+        Parameters
+        ----------
+        device : Device
+
+        Returns
+        -------
+        SharedAmplitude
+        """
         return cls(*device.amplitude_prior, 0.0)
 
     def at(self, device: Device, time: float) -> SharedAmplitude:
-        """The same at a later time, less sure by as much as the damping may be off."""
+        """Predict the estimate at a later time, with the uncertainty that an error of the damping adds.
+
+        Parameters
+        ----------
+        device : Device
+        time : float, in s
+            After the end of the drive.
+
+        Returns
+        -------
+        SharedAmplitude
+        """
         loss = DAMPING_ERROR * device.damping * self.mean
         return replace(self, std=math.hypot(self.std, loss * math.sqrt(max(time - self.time, 0.0))), time=time)
 
     def narrowed(self, amplitude: float, std: float) -> SharedAmplitude:
-        """After a segment whose fit, this belief included, found `amplitude` with `std`."""
+        """Update with a segment whose fit included this estimate as a prior.
+
+        Parameters
+        ----------
+        amplitude, std : float, in rad
+            Found by the fit. An outlier doubles the uncertainty instead.
+
+        Returns
+        -------
+        SharedAmplitude
+        """
         if not math.isfinite(std):
             return self
         if abs(amplitude - self.mean) > GATE * self.std:
@@ -108,7 +181,18 @@ class SharedAmplitude:
         return replace(self, mean=amplitude, std=max(std, AMPLITUDE_FLOOR * amplitude))
 
     def scaled(self, device: Device, share: float) -> Device:
-        """The device as a model sees it of whose amplitude this share is left."""
+        """Scale the amplitudes of a device, for a model that starts later in the oscillation.
+
+        Parameters
+        ----------
+        device : Device
+        share : float
+            Of the amplitude that is left.
+
+        Returns
+        -------
+        Device
+        """
         return replace(
             device, theta_max=share * device.theta_max, amplitude=share * self.mean, amplitude_std=share * self.std
         )

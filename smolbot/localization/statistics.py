@@ -1,9 +1,9 @@
-"""How good measurements are: the paper's statistics, linear and circular (Eqs. S20 to S30).
+"""The paper's statistics of measurements, linear and circular (Eqs. S20 to S30).
 
 Everywhere `measured` d and `truth` f have k values along the first axis and n datasets along the
 second; an array of shape (k,) is one dataset. Units are those of the data; circular data are in rad.
 
-Where the print is wrong or leaves a choice: S26 divides by kn - 1, although n means are taken out of
+Where the print is wrong or leaves a choice: S26 divides by kn - 1, although n means are subtracted from
 the data (the paper's choice, kept); S27 takes the modulus of a difference that may lie anywhere on the
 circle, so the difference is first wrapped to (-pi, pi]; S29 needs the factor 1/(kn), or S28 is the
 root of a negative number.
@@ -22,7 +22,17 @@ NO_DIRECTION = 1e-12
 
 
 def sum_squared_error(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
-    """SSE = sum (d - f)²  (Eq. S20).
+    """Compute the sum squared error.
+
+        SSE = sum (d - f)²        (Eq. S20)
+
+    Parameters
+    ----------
+    measured, fitted : array_like, shape (k,) or (k, n)
+
+    Returns
+    -------
+    float, in the squared unit of the data
 
     Examples
     --------
@@ -34,13 +44,35 @@ def sum_squared_error(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
 
 
 def total_sum_of_squares(measured: npt.ArrayLike) -> float:
-    """TSS = sum (d - mean d)²  (Eqs. S21, S22), over all values as one dataset."""
+    """Compute the total sum of squares over all values as one dataset.
+
+        TSS = sum (d - mean d)²        (Eqs. S21, S22)
+
+    Parameters
+    ----------
+    measured : array_like, shape (k,) or (k, n)
+
+    Returns
+    -------
+    float, in the squared unit of the data
+    """
     d = _datasets(measured, "measured")
     return float(np.sum((d - d.mean()) ** 2))
 
 
 def coefficient_of_determination(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
-    """R² = 1 - SSE / TSS  (Eq. S23): 1 for a perfect fit, 0 for one no better than the mean, below that for worse.
+    """Compute the coefficient of determination.
+
+        R² = 1 - SSE / TSS        (Eq. S23)
+
+    Parameters
+    ----------
+    measured, fitted : array_like, shape (k,) or (k, n)
+
+    Returns
+    -------
+    float
+        1 for a perfect fit, 0 for one no better than the mean, negative for a worse one.
 
     Raises
     ------
@@ -59,17 +91,21 @@ def coefficient_of_determination(measured: npt.ArrayLike, fitted: npt.ArrayLike)
 
 
 def differential_mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike) -> float:
-    """MAE of differences from a reference place (Eq. S25).
+    """Compute the mean absolute error of differences from a reference position.
 
-        MAE_diff = 1/(kn) sum |d - (f + mean d_ref)|
+        MAE_diff = 1/(kn) sum |d - (f + mean d_ref)|        (Eq. S25)
 
     Parameters
     ----------
     measured : array_like, shape (k,) or (k, n)
     truth : array_like, shape (k,) or (k, n)
-        True differences from the reference place, such as a stage's readings.
+        True differences from the reference position, such as a stage's readings.
     reference : array_like, any shape
-        Values measured at the reference place.
+        Values measured at the reference position.
+
+    Returns
+    -------
+    float, in the unit of the data
 
     Examples
     --------
@@ -81,9 +117,17 @@ def differential_mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLi
 
 
 def standard_deviation(measured: npt.ArrayLike) -> float:
-    """Standard deviation about each dataset's own mean (Eq. S26).
+    """Compute the standard deviation about each dataset's own mean.
 
-        sigma = sqrt(1/(kn - 1) sum_j sum_i (mean d_j - d_ij)²)
+        sigma = sqrt(1/(kn - 1) sum_j sum_i (mean d_j - d_ij)²)        (Eq. S26)
+
+    Parameters
+    ----------
+    measured : array_like, shape (k,) or (k, n)
+
+    Returns
+    -------
+    float, in the unit of the data
 
     Raises
     ------
@@ -102,12 +146,23 @@ def standard_deviation(measured: npt.ArrayLike) -> float:
 
 
 def circular_mean(angles: npt.ArrayLike) -> float:
-    """Direction of the mean, arg(sum exp(i d)), in (-pi, pi] (Eq. S30); over all values as one dataset.
+    """Compute the mean direction over all values as one dataset.
+
+        mean = arg(sum exp(i d))        (Eq. S30)
+
+    Parameters
+    ----------
+    angles : array_like, shape (k,) or (k, n), in rad
+
+    Returns
+    -------
+    float, in rad
+        Within (-pi, pi].
 
     Raises
     ------
     InputError
-        If the directions cancel, so that none is their mean.
+        If the directions cancel, so that they have no mean.
 
     Examples
     --------
@@ -123,9 +178,9 @@ def circular_mean(angles: npt.ArrayLike) -> float:
 def differential_circular_mean_absolute_error(
     measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike
 ) -> float:
-    """MAE of turns from a reference direction, in rad, within 0 to pi (Eq. S27).
+    """Compute the mean absolute error of turns from a reference direction.
 
-        MAE = arg(sum exp(i |w(d - (f + mean d_ref))|)),   w: wrapped to (-pi, pi]
+        MAE = arg(sum exp(i |w(d - (f + mean d_ref))|)),   w: wrapped to (-pi, pi]        (Eq. S27)
 
     Without w, an error of -1 deg that is written 359 deg would count as -1 deg and cancel one of +1 deg.
 
@@ -133,7 +188,12 @@ def differential_circular_mean_absolute_error(
     ----------
     measured, truth : array_like, shape (k,) or (k, n), in rad
     reference : array_like, in rad
-        Directions measured at the reference place; their circular mean counts (Eq. S30).
+        Directions measured at the reference position; their circular mean counts (Eq. S30).
+
+    Returns
+    -------
+    float, in rad
+        Within 0 to pi.
 
     Examples
     --------
@@ -148,11 +208,18 @@ def differential_circular_mean_absolute_error(
 
 
 def circular_standard_deviation(angles: npt.ArrayLike) -> float:
-    """Standard deviation of directions about each dataset's own circular mean, in rad (Eqs. S28, S29).
+    """Compute the standard deviation of directions about each dataset's own circular mean.
 
-        sigma = sqrt(-2 ln R),   R = 1/(kn) |sum_j sum_i exp(i (mean d_j - d_ij))|
+        sigma = sqrt(-2 ln R),   R = 1/(kn) |sum_j sum_i exp(i (mean d_j - d_ij))|        (Eqs. S28, S29)
 
-    Infinite where R is 0: directions without any preference.
+    Parameters
+    ----------
+    angles : array_like, shape (k,) or (k, n), in rad
+
+    Returns
+    -------
+    float, in rad
+        Infinite where R is 0: directions without any preference.
 
     Examples
     --------
@@ -166,13 +233,22 @@ def circular_standard_deviation(angles: npt.ArrayLike) -> float:
 
 
 def wrapped(angles: npt.ArrayLike) -> FloatArray:
-    """The same directions within (-pi, pi], any shape, in rad."""
+    """Wrap angles to (-pi, pi].
+
+    Parameters
+    ----------
+    angles : array_like, in rad
+
+    Returns
+    -------
+    ndarray, same shape, in rad
+    """
     turned: FloatArray = np.pi - np.mod(np.pi - np.asarray(angles, dtype=np.float64), 2.0 * np.pi)
     return turned
 
 
 def _datasets(values: npt.ArrayLike, name: str) -> FloatArray:
-    """Values as (k, n), finite, at least one."""
+    """Convert values to a finite array (k, n) of at least one value."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -186,7 +262,7 @@ def _datasets(values: npt.ArrayLike, name: str) -> FloatArray:
 
 
 def _pair(measured: npt.ArrayLike, truth: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Both as (k, n); one dataset of truth serves all datasets of measured values."""
+    """Convert both to (k, n); one dataset of truth serves all datasets of measured values."""
     d, f = _datasets(measured, "measured"), _datasets(truth, "truth")
     if len(f) != len(d) or f.shape[1] not in (1, d.shape[1]):
         raise InputError(f"measured has shape {d.shape} and truth {f.shape}; they must match, or truth be (k,).")

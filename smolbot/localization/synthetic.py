@@ -1,4 +1,4 @@
-"""Poses from a world that skips the signals: what takes a localizer's place in the loop there."""
+"""Simulated pose fixes for rigs without sensor signals: they replace the localizer in the loop."""
 
 from __future__ import annotations
 
@@ -36,16 +36,19 @@ class SightedSwing:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The outcome of a fit, not yet judged.
+    """Simulated outcome of a fit, before the checks that decide whether it is trusted.
 
     Attributes
     ----------
-    position, orientation : ndarray, shapes (3,) in m and (4,)
+    position : ndarray, shape (3,), in m, world frame
+        As estimated.
+    orientation : ndarray, shape (4,)
         As estimated.
     amplitude : float, in rad
         As estimated, at the end of the drive.
     covariance : ndarray, shape (7, 7)
-        As claimed, of (position in m, rotation e in rad, amplitude in rad); infinite where a fit says nothing.
+        As reported by the fit, of (position in m, rotation e in rad, amplitude in rad); infinite where
+        undetermined.
     r_squared : float
     """
 
@@ -58,7 +61,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Sighting(Recording):
-    """A recording whose samples were never made: it carries the fit that a localizer would have come to.
+    """A recording without samples: it holds the fit that a localizer would have found.
 
     Attributes
     ----------
@@ -94,17 +97,26 @@ class Sightings(PoseEstimatorBase):
         self.transients = transients
 
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, SightedSwing]:
-        """Pose and swing of a sighting, judged by the rules of `Localizer`; depends on its arguments alone.
+        """Return pose and oscillation of a simulated fix, checked by the rules of `Localizer`.
+
+        Depends on its arguments alone.
 
         Parameters
         ----------
+        recording : Recording
+            A `Sighting`.
         prior : Pose, optional
-            Of the two orientations that sound alike, the one nearer to it is returned.
+            Of the two orientations that give the same signal, the one nearer to it is returned.
+
+        Returns
+        -------
+        pose : Pose
+        swing : SightedSwing
 
         Raises
         ------
         InputError
-            Where nothing was seen, as with a recording that has too few usable channels.
+            Where nothing was measured, as with a recording that has too few usable channels.
         """
         if not isinstance(recording, Sighting) or recording.fitted is None:
             raise InputError("This recording holds no pose: nothing was driven before it.")
@@ -133,7 +145,7 @@ class Sightings(PoseEstimatorBase):
 
 @runtime_checkable
 class SightingRig(Protocol):
-    """A rig that makes no signals, but poses with the errors that a localizer's would have."""
+    """A rig that simulates no signals, but pose fixes with the errors that a localizer would have."""
 
     def sightings(self, localizer: PoseEstimator) -> PoseEstimator:
         """What takes the place of `localizer`; from now on the rig errs as that one would.

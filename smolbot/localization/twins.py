@@ -1,4 +1,4 @@
-"""Which of several fits to believe: poses that sound alike, and how clearly the best stands out."""
+"""Choice among several fits: poses that give the same or nearly the same signal (180° ambiguity)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,16 @@ TINY = 1e-300
 
 
 class Chosen(NamedTuple):
-    """A fit, how many times worse its twin fits (at least 1), and by how much in chi-square any other does."""
+    """The chosen fit, and how clearly it is the best one.
+
+    Attributes
+    ----------
+    fit : Fit
+    flip_margin : float
+        Residual of the flipped orientation over that of the fit, at least 1.
+    odds : float
+        Difference in chi-square to the best other solution.
+    """
 
     fit: Fit
     flip_margin: float
@@ -37,7 +46,20 @@ class Chosen(NamedTuple):
 
 
 def choose(problem: Problem, found: list[Fit], device: Device, prior: Pose | None) -> Chosen:
-    """The best of `found`, best first; of twins that sound alike, the one that turned less since the prior."""
+    """Choose the best fit; the 180° ambiguity is resolved by the least turn since the prior.
+
+    Parameters
+    ----------
+    problem : Problem
+    found : list of Fit
+        The best first.
+    device : Device
+    prior : Pose or None
+
+    Returns
+    -------
+    Chosen
+    """
     best, flip_margin, odds = found[0], 1.0, np.inf
     along = device.along_cantilever
     variance = 1.0 if problem.model.white else mean_square(problem, best)
@@ -54,12 +76,32 @@ def choose(problem: Problem, found: list[Fit], device: Device, prior: Pose | Non
 
 
 def freedom(problem: Problem) -> int:
-    """Degrees of freedom of the residuals of a fit."""
+    """Count the degrees of freedom of a fit's residuals.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
     return max(problem.data.size - N_PARAMETERS, 1)
 
 
 def mean_square(problem: Problem, fit: Fit) -> float:
-    """Variance of the residuals of a fit."""
+    """Compute the variance of a fit's residuals.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : Fit
+
+    Returns
+    -------
+    float, in the squared unit of the data
+    """
     return fit.sse / freedom(problem)
 
 
@@ -77,7 +119,7 @@ def _both_twins(problem: Problem, best: Fit, device: Device) -> tuple[Fit, Fit]:
 
 
 def _turned(fit: Fit, prior: Pose) -> float:
-    """Angle between a fit's orientation and the prior's, in rad."""
+    """Compute the angle between a fit's orientation and the prior's, in rad."""
     return float(np.arccos(np.clip(0.5 * (np.trace(fit.rotation.T @ prior.rotation) - 1.0), -1.0, 1.0)))
 
 

@@ -1,4 +1,4 @@
-"""What a controller is: it turns poses into commands. Controllers never extrapolate."""
+"""The interface of controllers, which turn poses into commands. Controllers never extrapolate poses in time."""
 
 from __future__ import annotations
 
@@ -48,11 +48,12 @@ class Cycle:
     Attributes
     ----------
     excite_cycles : int
+        Length of the excitation, in periods of the device.
     ring_down : float, in s
     half_periods : int
-        N of the listening window.
+        Length N of the listening window, in half-periods of the device.
     excite_current : float, in A
-        Peak in the coil that drives most.
+        Peak in the coil with the largest current.
     """
 
     excite_cycles: int = 5
@@ -61,12 +62,32 @@ class Cycle:
     excite_current: float = 10.0
 
     def windows(self, frequency: float) -> tuple[Excite, RingDown, Listen]:
-        """A drive by the first coil and what follows it, at a resonance in Hz."""
+        """Make the windows of the localization: excitation by the first coil, ring-down, listening.
+
+        Parameters
+        ----------
+        frequency : float, in Hz
+            Resonance of the device.
+
+        Returns
+        -------
+        tuple of (Excite, RingDown, Listen)
+        """
         drive = Excite((self.excite_current, 0.0), frequency, self.excite_cycles)
         return drive, RingDown(self.ring_down), Listen(self.half_periods, frequency)
 
     def duration(self, frequency: float) -> float:
-        """From the end of the actuation to the end of listening, in s."""
+        """Compute the time from the end of the actuation to the end of listening.
+
+        Parameters
+        ----------
+        frequency : float, in Hz
+            Resonance of the device.
+
+        Returns
+        -------
+        float, in s
+        """
         return self.excite_cycles / frequency + self.ring_down + self.half_periods / (2.0 * frequency)
 
 
@@ -103,7 +124,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class HelixSetup:
-    """Everything the controller of a helical robot may know of its world: beliefs, never truth.
+    """Everything the controller of a helical robot may know of its world: model parameters, never ground truth.
 
     Attributes
     ----------
@@ -112,7 +133,7 @@ class HelixSetup:
     device : Device
     cycle : Cycle
     move : float, in s
-        Expected, to bring the magnet near or to take it away.
+        Expected time to bring the magnet near or to take it away.
     tolerance : float, in m
         Distance within which the path's end counts as reached.
     """
@@ -175,13 +196,13 @@ class Command:
 
 @dataclass(frozen=True)
 class Reach:
-    """How a controller's force would act along a path, by the table and its beliefs.
+    """Force of a controller along a path, computed from the field table and the model parameters.
 
     Attributes
     ----------
-    points : ndarray, shape (n, 3), in m
+    points : ndarray, shape (n, 3), in m, world frame
     force : ndarray, shape (n,), in N
-        Of the force that it would exert.
+        Magnitude of the force.
     direction_error : ndarray, shape (n,), in rad
         Angle between that force and the path.
     """
@@ -322,12 +343,27 @@ def robot_kinds(law: type[Controller]) -> tuple[str, ...]:
 def complete_gains(
     known: Mapping[str, Gain], given: Mapping[str, float], law: str, rising: tuple[str, str] | None = None
 ) -> dict[str, float]:
-    """Given gains laid over the defaults; of the two `rising` ones the first must not exceed the second.
+    """Complete the given gains with the defaults.
+
+    Parameters
+    ----------
+    known : mapping of str to Gain
+    given : mapping of str to float
+    law : str
+        Name of the controller, for messages.
+    rising : tuple of 2 str, optional
+        Two gains of which the first must not exceed the second.
+
+    Returns
+    -------
+    dict of str to float
+        A value for every known gain.
 
     Raises
     ------
     InputError
-        For every unknown gain, and every one outside its range; for two that do not rise.
+        For every unknown gain, and every one outside its range; or if the first of the two `rising` gains exceeds
+        the second.
     """
     faults = [gain_fault(known, name, value, law) for name, value in given.items()]
     found = [fault for fault in faults if fault]
@@ -342,7 +378,21 @@ def complete_gains(
 
 
 def gain_fault(known: Mapping[str, Gain], name: str, value: Any, law: str) -> str | None:
-    """What is wrong with one gain of controller `law`, or None."""
+    """Explain what is wrong with one gain of a controller.
+
+    Parameters
+    ----------
+    known : mapping of str to Gain
+    name : str
+    value : float
+    law : str
+        Name of the controller, for messages.
+
+    Returns
+    -------
+    str or None
+        None if the gain is valid.
+    """
     if name not in known:
         return f"unknown gain of {law}; known gains: {', '.join(known)}.{did_you_mean(name, known)}"
     gain = known[name]

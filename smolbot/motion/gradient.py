@@ -1,4 +1,4 @@
-"""Overdamped motion of a gradient-pulled robot in the horizontal plane, as its controller believes it."""
+"""Overdamped motion of a gradient-pulled robot in the horizontal plane, as its controller models it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,17 @@ COIL_ERROR = 0.03
 
 
 def body_of(robot: Robot) -> FloatArray:
-    """A robot (7,) as the kernels take it."""
+    """Pack a robot's parameters for the compiled kernels.
+
+    Parameters
+    ----------
+    robot : Robot
+
+    Returns
+    -------
+    ndarray, shape (7,)
+        In the order of `smolbot.motion.kernels`.
+    """
     return np.array(
         [
             robot.moment,
@@ -43,11 +53,10 @@ def advance(
     heading: float,
     duration: float,
 ) -> tuple[FloatArray, float]:
-    """Motion under constant coil currents for one window.
+    """Compute the motion under constant coil currents for one window.
 
-    The moment turns into the field, first by bending the cantilever, then by turning the housing
-    against viscous drag, and is pulled by grad(m . B) where the magnet is. Momentum dies in under a millisecond and is
-    left out.
+    The moment turns into the field, first by bending the cantilever, then by turning the housing against viscous
+    drag, and is pulled by grad(m . B) at the magnet. Momentum decays in less than a millisecond and is neglected.
 
     Parameters
     ----------
@@ -82,10 +91,28 @@ def stray_turn(
     duration: float,
     variance: float,
 ) -> float:
-    """Variance of a window's turn, in rad², that errors of the coils' fields and of the heading (`variance`) add.
+    """Compute the variance of a window's turn that errors of the coils' fields and of the heading add.
 
-    A robot that nearly points against the field turns either way: what decides is smaller than any belief. Arguments
-    are those of `advance`.
+    A robot that points almost against the field may turn either way: the direction depends on errors smaller than
+    the model's accuracy.
+
+    Parameters
+    ----------
+    robot : Robot
+    field : ndarray, shape (n_coils, 3), in T per A
+        At the robot, world frame.
+    gradient : ndarray, shape (n_coils, 3, 3), in T per (A m)
+        ``[..., i, j] = dB_i / dx_j``.
+    currents : ndarray, shape (n_coils,), in A
+    heading : float, in rad
+        Of the cantilever in the horizontal plane, from x toward y.
+    duration : float, in s
+    variance : float, in rad²
+        Of the heading.
+
+    Returns
+    -------
+    float, in rad²
     """
     steps = max(math.ceil(duration / COARSE), 1)
     given = float(heading), float(duration), steps, COIL_ERROR, float(variance)

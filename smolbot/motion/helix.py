@@ -1,4 +1,4 @@
-"""A helix in gel under a rotating magnet, as its controller believes it: between plates, averaged over turns."""
+"""A helix in gel between plates under a rotating magnet, as its controller models it: averaged over turns."""
 
 from __future__ import annotations
 
@@ -23,36 +23,39 @@ BEARING = 7.0
 
 @dataclass(frozen=True)
 class Helix:
-    """A screw in a gel, and the magnet that turns it. SI units.
+    """Model parameters of a screw in a gel, and of the magnet that turns it. SI units.
 
     Attributes
     ----------
     advance : float, in m
-        Per turn, slip taken off.
+        Per turn, after slip.
     moment : float, in A·m²
-    stiffness, theta_max : float, in N·m/rad and rad
-        Of the cantilever between magnet and housing, and its stops.
+    stiffness : float, in N·m/rad
+        Of the cantilever between magnet and housing.
+    theta_max : float, in rad
+        Stop of its deflection.
     spin_yield, tilt_yield : float, in N·m
         Torque about the axis, and across it, at which the gel yields.
     across_yield : float, in N
+        Force across the axis at which the gel yields.
     viscous_rate : float, in rad/s
         Rate of turn at which viscous drag is as large as the yield stress.
     center_ahead, magnet_ahead : float, in m
-        Housing's middle and oscillating magnet from the rotation centre, along the axis.
+        Positions of the housing's middle and of the oscillating magnet from the rotation centre, along the axis.
     half_length : float, in m
     low, high : float, in m
-        Lowest and highest place of the axis between the plates.
-    magnet : tuple of 3 floats, in m
-        Centre of the magnet.
+        Lowest and highest position of the axis between the plates.
+    magnet : tuple of 3 floats, in m, world frame
+        Centre of the actuation magnet.
     field : float, in T
         Mean over a turn, straight below the magnet at `distance`.
     distance : float, in m
     steering_rate : float, in rad/s
         Of the magnet's axis about the vertical.
     steering : float
-        Measured turn of the axis over what theory says.
+        Ratio of the measured turn of the axis to the computed one.
     drift : float, in m
-        To the left, per turn, as measured.
+        Measured displacement to the left, per turn.
     """
 
     advance: float
@@ -99,9 +102,46 @@ class Helix:
         steering: float = 1.0,
         drift: float = 0.0,
     ) -> Helix:
-        """A helix as large as a cylinder, in a gel that yields at `yield_stress` Pa and flows with `viscosity` Pa·s.
+        """Make a helix of a cylinder's size in a yield-stress gel.
 
         The cantilever's stiffness follows from its resonance: k = I (2 pi f)², I = m_magnet l0².
+
+        Parameters
+        ----------
+        pitch : float, in m
+            Of the screw, per turn.
+        slip : float
+            Share of the pitch that is lost.
+        diameter, length : float, in m
+            Of the cylinder.
+        center_ahead : float, in m
+            Position of the housing's middle along the axis, from the rotation centre.
+        moment : float, in A·m²
+        l0 : float, in m
+            From the rotation centre to the magnet.
+        theta_max : float, in rad
+            Stop of the deflection.
+        frequency : float, in Hz
+            Resonance of the cantilever.
+        yield_stress : float, in Pa
+        viscosity : float, in Pa·s
+        magnet : tuple of 3 floats, in m, world frame
+            Centre of the actuation magnet.
+        field : float, in T
+            Mean over a turn, straight below the magnet at `distance`.
+        distance : float, in m
+        steering_rate : float, in rad/s
+            Of the magnet's axis about the vertical.
+        floor, plate : float, in m
+            Heights of the lower and the upper plate.
+        steering : float
+            Ratio of the measured turn of the axis to the computed one.
+        drift : float, in m
+            Measured displacement to the left, per turn.
+
+        Returns
+        -------
+        Helix
         """
         radius = 0.5 * diameter
         return cls(
@@ -127,13 +167,35 @@ class Helix:
         )
 
     def load(self, frequency: float) -> float:
-        """Torque, in N·m, that it takes to turn in the gel at `frequency` Hz."""
+        """Compute the torque that it takes to turn in the gel.
+
+            T = spin_yield (1 + 2 pi f / viscous_rate)
+
+        Parameters
+        ----------
+        frequency : float, in Hz
+            Of the robot's rotation.
+
+        Returns
+        -------
+        float, in N·m
+        """
         return self.spin_yield * (1.0 + 2.0 * math.pi * frequency / self.viscous_rate)
 
     def torque_margin(self, position: FloatArray, frequency: float) -> float:
-        """Least torque of the field in a turn over the most that the gel asks for, at `position` (3,) in m.
+        """Compute the smallest torque of the field in a turn over the largest torque that the gel requires.
 
         Where the field is weakest it turns twice as fast as the magnet. Below 1 the robot steps out.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m, world frame
+        frequency : float, in Hz
+            Of the magnet's rotation.
+
+        Returns
+        -------
+        float
         """
         away = float(np.linalg.norm(position - np.array(self.magnet)))
         weakest = self.field / MEAN_OF_ELLIPSE * (self.distance / away) ** 3
@@ -141,7 +203,7 @@ class Helix:
 
     @cached_property
     def body(self) -> FloatArray:
-        """As the kernels take it."""
+        """Parameters (18,) in the order of `smolbot.motion.helixkernels`."""
         weakest = self.moment * self.field / MEAN_OF_ELLIPSE
         return np.array(
             [self.advance, self.center_ahead, self.magnet_ahead - self.center_ahead, *self.magnet, weakest,
@@ -151,11 +213,24 @@ class Helix:
 
     @cached_property
     def factors(self) -> FloatArray:
-        """What the kernels multiply and add by, as measured beforehand."""
+        """Learned factors (4,) of the kernels, at their values measured beforehand."""
         return np.array([1.0, self.steering, 0.0, self.drift])
 
     def turning(self, tilt: float, frequency: float, turns: int = 4) -> float:
-        """Turn of the axis per turn of the robot, in rad, below the magnet with the field's axis `tilt` rad aside."""
+        """Compute the turn of the robot's axis per turn of the robot, straight below the magnet.
+
+        Parameters
+        ----------
+        tilt : float, in rad
+            Angle from the robot's axis to the axis of the rotating field.
+        frequency : float, in Hz
+        turns : int
+            Number of turns to reach the steady state.
+
+        Returns
+        -------
+        float, in rad
+        """
         state = np.array([self.magnet[0], self.magnet[1], 0.5 * (self.low + self.high), 0.0, 0.0, np.nan])
         for _ in range(turns):
             state[: kernels.Z] = self.magnet[:2]
@@ -165,28 +240,45 @@ class Helix:
         return float(state[kernels.HEADING] - before)
 
     def tightest(self, frequency: float, tilt: float) -> float:
-        """Radius, in m, of the tightest bend at a tilt of at most `tilt` rad."""
+        """Compute the radius of the tightest possible bend.
+
+        Parameters
+        ----------
+        frequency : float, in Hz
+        tilt : float, in rad
+            Largest angle from the robot's axis to the axis of the rotating field.
+
+        Returns
+        -------
+        float, in m
+            ``inf`` if the robot cannot be steered.
+        """
         most = max(self.turning(t, frequency) for t in np.linspace(0.5 * tilt, tilt, 5))
         return self.advance / most if most > 0 else math.inf
 
     def carry(
         self, windows: tuple[Window, ...], position: FloatArray, orientation: FloatArray
     ) -> tuple[FloatArray, FloatArray, float, float]:
-        """Where the rotation centre and the axis go through the windows of a mechanical shot.
+        """Predict the motion through the windows of a mechanical shot.
 
         Parameters
         ----------
-        position : ndarray, shape (3,), in m
+        windows : tuple of Window
+        position : ndarray, shape (3,), in m, world frame
+            Of the rotation centre.
         orientation : ndarray, shape (4,)
+            Unit quaternion, body to world.
 
         Returns
         -------
-        position, orientation
-            At the end; the roll is left as it was, which says nothing.
+        position : ndarray, shape (3,), in m, world frame
+            At the end.
+        orientation : ndarray, shape (4,)
+            At the end; the roll is not predicted but left unchanged.
         turns : float
-            Of the magnet, in either sense.
+            Of the magnet, in either direction.
         turned : float, in rad
-            Of the axis, all turns of it added up.
+            Sum of the absolute turns of the robot's axis.
         """
         state = state_of(position, orientation)
         heading, pitch, turns, turned = state[kernels.HEADING], state[kernels.PITCH], 0.0, 0.0
@@ -206,16 +298,41 @@ class Helix:
 
 
 def state_of(position: FloatArray, orientation: FloatArray) -> FloatArray:
-    """State (6,) of the kernels for a pose, the magnet's axis free."""
+    """Convert a pose to a state of the kernels, with the magnet's axis free.
+
+    Parameters
+    ----------
+    position : ndarray, shape (3,), in m, world frame
+    orientation : ndarray, shape (4,)
+        Unit quaternion, body to world.
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        As described in `smolbot.motion.helixkernels`.
+    """
     ahead = matrix_from_quaternion(orientation)[:, 2]
     heading, pitch = math.atan2(ahead[1], ahead[0]), math.asin(min(max(ahead[2], -1.0), 1.0))
     return np.array([*position, heading, pitch, np.nan])
 
 
 def course_of(window: Rotate, heading: float) -> tuple[float, float]:
-    """Course, in rad, of the magnet's axis for a robot of a heading, and 1 ahead or -1 back along it.
+    """Compute the course of the magnet's axis, and whether it drives the robot forward or back.
 
-    The robot turns against the magnet, so a magnet's axis that points back drives it ahead.
+    The robot turns against the magnet, so a magnet's axis that points back drives it forward.
+
+    Parameters
+    ----------
+    window : Rotate
+    heading : float, in rad
+        Of the robot's axis.
+
+    Returns
+    -------
+    course : float, in rad
+        Heading of the line along which the robot is driven; within 90° of `heading`.
+    sense : float
+        1 forward along it, -1 back.
     """
     course = math.atan2(-window.axis[1], -window.axis[0])
     if math.cos(course - heading) >= 0.0:
@@ -224,5 +341,19 @@ def course_of(window: Rotate, heading: float) -> tuple[float, float]:
 
 
 def rotation(course: float, sense: float, frequency: float, turns: float) -> Rotate:
-    """The window that drives the robot about the line of heading `course` (rad), ahead for `sense` 1, back for -1."""
+    """Make the window that drives the robot along a line.
+
+    Parameters
+    ----------
+    course : float, in rad
+        Heading of the line.
+    sense : float
+        1 forward along it, -1 back.
+    frequency : float, in Hz
+    turns : float
+
+    Returns
+    -------
+    Rotate
+    """
     return Rotate((-sense * math.cos(course), -sense * math.sin(course), 0.0), frequency, turns)

@@ -1,8 +1,8 @@
-"""Compiled motion of a helix between plates, averaged over turns, and the choice of the axis that keeps it on a path.
+"""Compiled motion of a helix between plates, averaged over turns, and the search for the axis that follows a path.
 
-Kernels that call each other share this file, since numba's cache does not see a change in another one. Lengths in m,
-angles in rad. A state is (x, y, z) of the rotation centre, heading and pitch (up) of the axis, and the course of the
-magnet's axis: the heading about which the field turns straight below the magnet; nan while the axis is free.
+Kernels that call each other share this file, since numba's cache does not notice a change in another one. Lengths
+in m, angles in rad. A state is (x, y, z) of the rotation centre, heading and pitch (up) of the axis, and the course
+of the magnet's axis: the heading about which the field turns straight below the magnet; nan while the axis is free.
 """
 
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
@@ -31,24 +31,42 @@ PHASES = 16  # of a turn, to average over
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def wrapped(angle):
-    """The same angle within half a turn."""
+    """Wrap an angle to within half a turn of zero.
+
+    Parameters
+    ----------
+    angle : float, in rad
+
+    Returns
+    -------
+    float, in rad
+        Within -pi to pi.
+    """
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mean_torque(body, heading, pitch, course, sense, load, rx, ry, rz, out):
-    """Torque across the axis, averaged over one turn of the magnet.
+    """Compute the torque across the robot's axis, averaged over one turn of the magnet.
 
-    The field is that of a dipole at (rx, ry, rz) from the actuation magnet; it turns twice as strong along the
-    vertical as across. The moment lags behind it as the load asks. Between its stops the magnet follows the field by
-    bending the cantilever, and only its stiffness turns the housing; beyond them the field does.
+    The field is that of a dipole at (rx, ry, rz) from the actuation magnet; it is twice as strong along the
+    vertical as across. The moment lags behind it as the load requires. Between its stops the magnet follows the
+    field by bending the cantilever, and only the cantilever's stiffness turns the housing; at the stops the field
+    does.
 
     Parameters
     ----------
+    body : ndarray, shape (18,)
+    heading, pitch : float, in rad
+        Of the robot's axis.
+    course : float, in rad
+        Of the magnet's axis.
     sense : float
-        1 where the field turns as a robot does that goes along `course`, -1 against it.
+        1 where the field turns like a robot that moves forward along `course`, -1 against it.
     load : float, in N·m
         About the axis.
+    rx, ry, rz : float, in m
+        Position relative to the actuation magnet, world frame.
     out : ndarray, shape (2,), in N·m
         Receives the mean torque that turns the axis to the left, and up.
     """
@@ -88,12 +106,30 @@ def mean_torque(body, heading, pitch, course, sense, load, rx, ry, rz, out):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def screw_on(body, factors, state, course, sense, turns, frequency):
-    """State after `turns` turns of the magnet at `frequency` Hz toward `course`, ahead (`sense` 1) or back (-1).
+    """Compute the state after some turns of the magnet.
 
-    While it turns in a gel that has yielded, the robot gives way across its axis to the mean torque and to the magnet's
-    pull, each in proportion to the square of (yield torque about the axis / strength across it) over the load. The
-    plates hold nose and tail: what would pass them is turned and pushed back, as the gel lets the housing turn and
-    drift.
+    While it turns in a gel that has yielded, the robot yields across its axis to the mean torque and to the
+    magnet's pull, each in proportion to the square of (yield torque about the axis / strength across it) over the
+    load. The plates limit nose and tail: an end that would penetrate them is turned and pushed back, in the ratio
+    in which the gel lets the housing turn and drift.
+
+    Parameters
+    ----------
+    body : ndarray, shape (18,)
+    factors : ndarray, shape (4,)
+        Learned: on advance and steering, offset of the axis (rad), drift to the left per turn (m).
+    state : ndarray, shape (6,)
+    course : float, in rad
+        Target of the magnet's axis.
+    sense : float
+        1 forward, -1 back.
+    turns : float
+        Of the magnet.
+    frequency : float, in Hz
+
+    Returns
+    -------
+    ndarray, shape (6,)
     """
     out = state.copy()
     if math.isnan(out[COURSE]):
@@ -139,9 +175,28 @@ def screw_on(body, factors, state, course, sense, turns, frequency):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def nearest(points, arc, x, y, near, window):
-    """Arc length of the nearest place on a polyline, the signed distance to it (positive to its left) and its heading.
+    """Find the nearest place on a polyline.
 
-    Only pieces whose arc length lies within `window` of `near` are looked at.
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2), in m
+    arc : ndarray, shape (n,), in m
+        Arc length at each point.
+    x, y : float, in m
+        The point.
+    near : float, in m
+        Arc length near which to search.
+    window : float, in m
+        Only segments within this distance of `near` are searched.
+
+    Returns
+    -------
+    s : float, in m
+        Arc length of the nearest place.
+    side : float, in m
+        Signed distance to it, positive to the left of the path.
+    heading : float, in rad
+        Of the path there.
     """
     best, place, side, heading = math.inf, near, 0.0, 0.0
     for i in range(len(arc) - 1):
@@ -162,7 +217,32 @@ def nearest(points, arc, x, y, near, window):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def miss(body, factors, state, course, turns, frequency, points, arc, near, weight):
-    """Cost of holding a course: mean squared distance to the path, and `weight`² times that of the last heading."""
+    """Compute the cost of holding a course.
+
+        J = mean(distance to the path)² + (weight * error of the last heading)²
+
+    Parameters
+    ----------
+    body : ndarray, shape (18,)
+    factors : ndarray, shape (4,)
+    state : ndarray, shape (6,)
+    course : float, in rad
+        Of the magnet's axis.
+    turns : float
+        Of the magnet.
+    frequency : float, in Hz
+    points : ndarray, shape (n, 2), in m
+        Of the path.
+    arc : ndarray, shape (n,), in m
+        Arc length at each point.
+    near : float, in m
+        Arc length near which to search for the nearest place.
+    weight : float, in m/rad
+
+    Returns
+    -------
+    float, in m²
+    """
     cost, at, heading = 0.0, state, 0.0
     pieces = max(math.ceil(3.0 * turns - 1e-9), 1)
     for _ in range(pieces):
@@ -175,7 +255,34 @@ def miss(body, factors, state, course, turns, frequency, points, arc, near, weig
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def best_course(body, factors, state, most_tilt, reach, turns, frequency, points, arc, near, weight):
-    """Course within `most_tilt` of the heading and `reach` of the axis as it stands that misses the path least."""
+    """Find the course with the least cost, within limits of tilt and steering.
+
+    Parameters
+    ----------
+    body : ndarray, shape (18,)
+    factors : ndarray, shape (4,)
+    state : ndarray, shape (6,)
+    most_tilt : float, in rad
+        Largest angle from the robot's heading.
+    reach : float, in rad
+        Largest angle from the present course of the magnet's axis.
+    turns : float
+        Of the magnet.
+    frequency : float, in Hz
+    points : ndarray, shape (n, 2), in m
+        Of the path.
+    arc : ndarray, shape (n,), in m
+        Arc length at each point.
+    near : float, in m
+        Arc length near which to search for the nearest place.
+    weight : float, in m/rad
+        Of the heading's error; see `miss`.
+
+    Returns
+    -------
+    float, in rad
+        If both limits cannot be kept, as near to the robot's heading as the axis can come.
+    """
     low, high = state[HEADING] - most_tilt, state[HEADING] + most_tilt
     if not math.isnan(state[COURSE]):
         now = state[HEADING] + wrapped(state[COURSE] - state[HEADING])

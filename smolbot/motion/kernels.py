@@ -1,8 +1,9 @@
 """Compiled motion of a gradient-pulled robot, and the search for currents that move it along a path.
 
-Kernels that call each other share this file, since numba's cache does not see a change in another one. Lengths in m,
-angles in rad; a robot is an array `body`: moment, drag, rotational drag, stiffness, stop, places of magnet and centre
-of drag along the cantilever (`smolbot.motion.robot.Robot`). A state is (x, y, heading) of the rotation centre.
+Kernels that call each other share this file, since numba's cache does not notice a change in another one. Lengths
+in m, angles in rad. A robot is an array `body`: moment, drag, rotational drag, stiffness, stop, positions of magnet
+and centre of drag along the cantilever (`smolbot.motion.robot.Robot`). A state is (x, y, heading) of the rotation
+centre.
 """
 
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
@@ -26,13 +27,40 @@ BACK, AHEAD = 1e-3, 2e-3  # how far, in m, from where it was, a robot is looked 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def wrapped(angle):
-    """The same angle within half a turn."""
+    """Wrap an angle to within half a turn of zero.
+
+    Parameters
+    ----------
+    angle : float, in rad
+
+    Returns
+    -------
+    float, in rad
+        Within -pi to pi.
+    """
     return angle - 2.0 * math.pi * round(angle / (2.0 * math.pi))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def deflection(off, torque, stiffness, theta_max):
-    """Angle of the magnet toward a field `off` rad from the housing: k d = m B sin(off - d), up to the stop."""
+    """Compute the angle by which the magnet bends toward a field, up to the stop.
+
+        k d = m B sin(off - d)
+
+    Parameters
+    ----------
+    off : float, in rad
+        Angle from the housing to the field.
+    torque : float, in N·m
+        Moment times flux density.
+    stiffness : float, in N·m/rad
+    theta_max : float, in rad
+        Stop.
+
+    Returns
+    -------
+    float, in rad
+    """
     d = 0.0
     for _ in range(8):
         value = stiffness * d - torque * math.sin(off - d)
@@ -45,28 +73,33 @@ def deflection(off, torque, stiffness, theta_max):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def roll(body, field, gradient, x, y, heading, duration, steps):
-    """One window of constant currents.
+    """Simulate one window of constant currents.
 
     Parameters
     ----------
     body : ndarray, shape (7,)
     field : ndarray, shape (2,), in T
-        At the origin of the places; the field of all coils together.
+        At the origin of the coordinates; the field of all coils together.
     gradient : ndarray, shape (2, 2), in T/m
         ``dB_i / dx_j``.
-    x, y, heading : float
+    x, y : float, in m
         Of the rotation centre, at the start.
+    heading : float, in rad
+        At the start.
     duration : float, in s
     steps : int
+        Integration steps.
 
     Returns
     -------
-    x, y, heading : float
+    x, y : float, in m
         At the end.
-    middle_x, middle_y : float
-        Half way through.
+    heading : float, in rad
+        At the end.
+    middle_x, middle_y : float, in m
+        At half of the window.
     tail : float, in m
-        How far the robot was pushed tail first.
+        Distance by which the robot was pushed tail first.
     """
     none = np.empty((0, 0))
     return _rolled(body, field, gradient, x, y, heading, duration, steps, none, none, none.shape[1])
@@ -74,9 +107,28 @@ def roll(body, field, gradient, x, y, heading, duration, steps):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def moved(body, b, g, currents, heading, duration, steps):
-    """Displacement (x, y) and heading after one window of coil currents; see `smolbot.motion.gradient.advance`.
+    """Compute displacement and heading after one window of coil currents; see `smolbot.motion.gradient.advance`.
 
-    `b` (n_coils, 3) and `g` (n_coils, 3, 3) are the coils' field and gradient per ampere at the rotation centre.
+    Parameters
+    ----------
+    body : ndarray, shape (7,)
+    b : ndarray, shape (n_coils, 3), in T per A
+        Field of the coils at the rotation centre.
+    g : ndarray, shape (n_coils, 3, 3), in T per (A m)
+        Its gradient, ``[..., i, j] = dB_i / dx_j``.
+    currents : ndarray, shape (n_coils,), in A
+    heading : float, in rad
+        At the start.
+    duration : float, in s
+    steps : int
+        Integration steps.
+
+    Returns
+    -------
+    x, y : float, in m
+        Displacement.
+    heading : float, in rad
+        At the end.
     """
     field, gradient = np.zeros(2), np.zeros((2, 2))
     for c in range(currents.shape[0]):
@@ -91,10 +143,32 @@ def moved(body, b, g, currents, heading, duration, steps):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def strayed(body, b, g, currents, heading, duration, steps, share, variance):
-    """Variance of a window's turn, in rad², for fields that are off by a `share` each, and a heading of some variance.
+    """Compute the variance of a window's turn, for coil fields with a relative error each and an uncertain heading.
 
-    A robot that nearly points against the field turns either way: what decides is smaller than any belief. `b`, `g` and
-    `currents` are those of `moved`.
+    A robot that points almost against the field may turn either way: the direction depends on errors smaller than
+    the model's accuracy.
+
+    Parameters
+    ----------
+    body : ndarray, shape (7,)
+    b : ndarray, shape (n_coils, 3), in T per A
+        Field of the coils at the rotation centre.
+    g : ndarray, shape (n_coils, 3, 3), in T per (A m)
+        Its gradient, ``[..., i, j] = dB_i / dx_j``.
+    currents : ndarray, shape (n_coils,), in A
+    heading : float, in rad
+        At the start.
+    duration : float, in s
+    steps : int
+        Integration steps.
+    share : float
+        Relative error of each coil's field.
+    variance : float, in rad²
+        Of the heading.
+
+    Returns
+    -------
+    float, in rad²
     """
     total, apart = np.zeros(3), 0.0
     for c in range(currents.shape[0]):
@@ -112,10 +186,10 @@ def strayed(body, b, g, currents, heading, duration, steps, share, variance):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _bend(sine, cosine, torque, stiffness, stop, bent):
-    """Deflection toward a field whose angle from the housing has the sine (not below 0) and cosine; see `deflection`.
+    """Compute the deflection toward a field whose angle from the housing has a sine, not below 0, and a cosine.
 
-    Found by Newton's method from a guess `bent`, between nothing and the stop: in the free stretch of 0 to `stop` the
-    spring wins over the field at one place only.
+    Newton's method from a guess `bent`, between nothing and the stop; see `deflection`. Between 0 and `stop`,
+    spring and field balance at one angle only.
     """
     if torque * (sine * math.cos(stop) - cosine * math.sin(stop)) >= stiffness * stop:
         return stop
@@ -132,10 +206,10 @@ def _bend(sine, cosine, torque, stiffness, stop, bent):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count):
-    """`roll`, with the derivatives of all that it returns for the first `count` of some variables.
+    """Simulate one window as `roll` does, with the derivatives of all results by the first `count` variables.
 
-    Angles are kept as unit vectors, (c, s) for the housing, so that a step takes an exponential and square roots but
-    hardly any function of an angle.
+    Angles are kept as unit vectors, (c, s) for the housing, so that a step takes an exponential and square roots
+    but hardly any trigonometric function.
 
     Parameters
     ----------
@@ -143,7 +217,7 @@ def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slope
         Derivatives of the field (x, y), and of the gradient (xx, xy, yx, yy).
     slopes : ndarray, shape (7, n)
         Derivatives of x, y and heading at the start in the first three rows; they are replaced by those of x, y,
-        heading, middle_x, middle_y and tail. The last row is room to work in.
+        heading, middle_x, middle_y and tail. The last row is work space.
     """
     moment, stiffness, stop = body[MOMENT], body[STIFFNESS], body[STOP]
     center, magnet = body[CENTER], body[MAGNET]
@@ -242,10 +316,31 @@ def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slope
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def nearest(points, arc, first, last, guess, x, y, back=BACK, ahead=AHEAD):
-    """Arc length of the nearest place on the leg first..last, and the offset from it, along and across.
+    """Find the nearest place on one leg of a path.
 
-    Only the strand from `back` m before to `ahead` m beyond the arc length `guess` is looked at. The offset along is
-    not zero before the start and beyond the end of the leg only.
+    Only the part from `back` before to `ahead` beyond the arc length `guess` is searched.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, 2), in m
+    arc : ndarray, shape (k,), in m
+        Arc length at each point.
+    first, last : int
+        Vertices at which the leg begins and ends.
+    guess : float, in m
+        Arc length near which to search.
+    x, y : float, in m
+        The point.
+    back, ahead : float, in m
+
+    Returns
+    -------
+    s : float, in m
+        Arc length of the nearest place.
+    along : float, in m
+        Offset of the point along the leg; not zero only before its start and beyond its end.
+    across : float, in m
+        Offset of the point across the leg, positive to its left.
     """
     s, along, across, _ = _nearest(points, arc, first, last, guess, x, y, back, ahead)
     return s, along, across
@@ -253,7 +348,7 @@ def nearest(points, arc, first, last, guess, x, y, back=BACK, ahead=AHEAD):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _nearest(points, arc, first, last, guess, x, y, back, ahead):
-    """`nearest`, and the segment that it is on."""
+    """Find the nearest place as `nearest` does, and the segment that it is on."""
     low, high = first, last
     while low < last - 1 and arc[low + 1] < guess - back:
         low += 1
@@ -276,7 +371,7 @@ def _nearest(points, arc, first, last, guess, x, y, back, ahead):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _place_on_leg(points, i, offsets, dx, dy):
-    """How the offset across and along, and the arc length, of `nearest` change as the place moves by (dx, dy)."""
+    """Compute the change of `nearest`'s offsets across and along, and arc length, as the point moves (dx, dy)."""
     x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     length = math.sqrt(x * x + y * y)
     tx, ty = x / length, y / length
@@ -392,7 +487,7 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _boxed_step(hessian, slope, z, low, high, step):
-    """Minimise the quadratic model within the bounds, one current after the other."""
+    """Minimize the quadratic model within the bounds, one current after the other."""
     n = z.shape[0]
     step[:] = 0.0
     for _ in range(30):
@@ -411,18 +506,21 @@ def _boxed_step(hessian, slope, z, low, high, step):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg, weights, starts, count, rounds):
-    """Currents of the next window, or of the next two, that keep to the path and go forward.
+    """Plan currents of the next window, or of the next two, that keep to the path and move the robot forward.
 
-    All starts are tried, and the best `count` of them are improved by Gauss-Newton steps within the bounds.
+    All starts are evaluated, and the best `count` of them are improved by Gauss-Newton steps within the bounds.
 
     Parameters
     ----------
-    b, g : ndarray, shape (n_coils, 2), (n_coils, 2, 2)
-        Horizontal field (T/A) at the origin of the places, and its gradient (T/(A m)).
+    b : ndarray, shape (n_coils, 2), in T per A
+        Horizontal field at the origin of the coordinates.
+    g : ndarray, shape (n_coils, 2, 2), in T per (A m)
+        Its gradient.
     low, high : ndarray, shape (n_coils,), in A
+        Bounds of the currents.
     body : ndarray, shape (7,)
     state : ndarray, shape (3,)
-        Place from the origin, and heading, when the window begins.
+        Position (m) from the origin, and heading (rad), when the window begins.
     drift : ndarray, shape (2,), in m/s
     rest, duration : float, in s
         Between two windows, and of one.
@@ -432,11 +530,16 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
         Points (k, 2) from the origin, their arc lengths (k,), headings (l,) from the leg's first vertex on, and the
         spacing of these in m.
     leg : tuple
-        First and last vertex, arc length now, arc length that is wanted of each window, how far ahead the heading
-        counts, and distance from its end at which the leg is done, in m.
+        First and last vertex, present arc length, arc length requested of each window, how far ahead of the robot
+        the target heading is taken, and distance from its end at which the leg is done, in m.
     weights : ndarray, shape (8,)
+        Of the cost, in the order of the constants above.
     starts : ndarray, shape (m, windows, n_coils), in A
-    count, rounds : int
+        Initial guesses.
+    count : int
+        Number of starts to improve.
+    rounds : int
+        Largest number of Gauss-Newton steps.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Motion that nobody commands: a device that something else leads, such as a hand."""
+"""Motion that is not commanded: a device that is externally guided, for instance by hand."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Motion:
-    """How a device is thought to move for reasons of its own, such as the hand that leads it.
+    """Stochastic model of an externally guided device.
 
-    Velocity and turn rate wander about zero (an Ornstein-Uhlenbeck process in each axis): the next moment goes on like
-    this one, and in the long run nothing is known.
+    Velocity and turn rate vary randomly about zero (an Ornstein-Uhlenbeck process in each axis): in the short run
+    the motion continues as it is, in the long run nothing can be predicted.
 
     Attributes
     ----------
     speed : float, in m/s
         Standard deviation of the velocity, per axis.
     turn : float, in rad/s
-        The same of the turn rate.
+        Standard deviation of the turn rate, per axis.
     change : float, in s
-        Time in which either becomes another one.
+        Correlation time of both.
     """
 
     speed: float
@@ -28,12 +28,40 @@ class Motion:
     change: float
 
     def carry(self, wait: float) -> tuple[float, float]:
-        """How much of a rate is left after `wait` s, and the time in s by which it has carried the device on."""
+        """Compute how a rate decays, and the displacement per unit of initial rate.
+
+            kept = exp(-t / tau),   path = tau (1 - kept)
+
+        Parameters
+        ----------
+        wait : float, in s
+
+        Returns
+        -------
+        kept : float
+            Share of the rate that is left.
+        path : float, in s
+            Integral of the decaying share over the wait.
+        """
         kept = math.exp(-wait / self.change)
         return kept, self.change * (1.0 - kept)
 
     def spread(self, wait: float) -> tuple[float, float, float]:
-        """Variances, for a rate of unit variance, that `wait` s add: of the path, of path with rate, of the rate."""
+        """Compute the process noise of a wait, for a rate of unit variance.
+
+        Parameters
+        ----------
+        wait : float, in s
+
+        Returns
+        -------
+        path : float, in s²
+            Variance of the displacement.
+        path_rate : float, in s
+            Covariance of displacement and rate.
+        rate : float
+            Variance of the rate.
+        """
         kept, carried = self.carry(wait)
         path = self.change * (2.0 * wait - self.change * (3.0 - 4.0 * kept + kept**2))
         return max(path, 0.0), carried**2 / self.change, 1.0 - kept**2

@@ -1,4 +1,4 @@
-"""A robot as its controller believes it to be."""
+"""Model parameters of a gradient-pulled robot, as its controller assumes them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,26 @@ _MU0 = 4e-7 * np.pi
 
 
 def magnet_inertia(moment: float, l0: float) -> float:
-    """Inertia, in kg·m², of a magnet of `moment` A·m² about a rotation centre `l0` m away."""
+    """Compute the inertia of a magnet about a rotation centre at a distance: I = m_magnet l0².
+
+    The mass follows from the moment: m_magnet = rho mu_0 moment / B_r, with remanence B_r and density rho.
+
+    Parameters
+    ----------
+    moment : float, in A·m²
+    l0 : float, in m
+        From the rotation centre to the magnet.
+
+    Returns
+    -------
+    float, in kg·m²
+    """
     return MAGNET_DENSITY * moment * _MU0 / REMANENCE * l0**2
 
 
 @dataclass(frozen=True)
 class Robot:
-    """An overdamped swimmer. SI units.
+    """A robot whose drag dominates its inertia (overdamped). SI units.
 
     Attributes
     ----------
@@ -38,7 +51,7 @@ class Robot:
     theta_max : float, in rad
         Stop of its deflection.
     magnet_ahead, center_ahead : float, in m
-        Places of magnet and centre of drag along the cantilever, from its rotation centre.
+        Positions of magnet and centre of drag along the cantilever, from its rotation centre.
     """
 
     kind: Literal["gradient"]
@@ -62,9 +75,28 @@ class Robot:
         theta_max: float,
         center_ahead: float = 0.0,
     ) -> Robot:
-        """A gradient-pulled robot with the drag of a sphere of `radius` m in a liquid of `viscosity` Pa·s.
+        """Make a gradient-pulled robot with the drag of a sphere in a liquid.
 
         The cantilever's stiffness follows from its resonance: k = I (2 pi f)², I = m_magnet l0².
+
+        Parameters
+        ----------
+        moment : float, in A·m²
+        radius : float, in m
+            Of the sphere.
+        viscosity : float, in Pa·s
+        frequency : float, in Hz
+            Resonance of the cantilever.
+        l0 : float, in m
+            From the rotation centre to the magnet.
+        theta_max : float, in rad
+            Stop of the deflection.
+        center_ahead : float, in m
+            Position of the centre of drag along the cantilever, from its rotation centre.
+
+        Returns
+        -------
+        Robot
         """
         return cls(
             kind="gradient",

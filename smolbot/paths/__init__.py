@@ -1,4 +1,4 @@
-"""Curves that a robot follows, and where they come from: glyphs, SVG, CSV."""
+"""Paths that a robot follows, and their sources: glyphs, SVG drawings, CSV files."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""Corners of a path: found, counted, and rounded by arcs; in the plane or in space."""
+"""Corners of a path, in the plane or in space: detection, counting, and rounding by arcs."""
 
 from __future__ import annotations
 
@@ -42,26 +42,61 @@ SCAN_POINTS = 33
 
 
 def directions(points: FloatArray) -> FloatArray:
-    """Unit vectors (n - 1, d) of the segments."""
+    """Compute the unit vectors of a polyline's segments.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+
+    Returns
+    -------
+    ndarray, shape (n - 1, d)
+    """
     steps = np.diff(points, axis=0)
     return np.asarray(steps / np.linalg.norm(steps, axis=1, keepdims=True))
 
 
 def turns(points: FloatArray) -> FloatArray:
-    """Angle (n - 2,) in rad by which the path turns at each inner point."""
+    """Compute the angle by which a polyline turns at each inner point.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+
+    Returns
+    -------
+    ndarray, shape (n - 2,), in rad
+    """
     way = directions(points)
     return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(way[1:] - way[:-1], axis=1), 0.0, 1.0))
 
 
 def corner_indices(points: FloatArray) -> list[int]:
-    """Inner points that are corners."""
+    """Find the inner points of a polyline that are corners.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+
+    Returns
+    -------
+    list of int
+        Indices into `points`.
+    """
     return [int(i) + 1 for i in np.flatnonzero(turns(points) > CORNER)]
 
 
 def curvature(points: FloatArray) -> FloatArray:
-    """Curvature (n,) at each point, in 1 over the unit of `points`, of the circle through it and its neighbours.
+    """Compute the curvature at each point: that of the circle through the point and its two neighbours.
 
-    0 at ends and corners.
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+
+    Returns
+    -------
+    ndarray, shape (n,), in 1 over the unit of `points`
+        0 at ends and corners.
 
     Examples
     --------
@@ -77,16 +112,21 @@ def curvature(points: FloatArray) -> FloatArray:
 
 
 def rounded(points: FloatArray, radius: float) -> Outline:
-    """The path with every corner replaced by an arc that touches both of its sides.
+    """Replace every corner by an arc that touches both of its sides.
 
-    A side between two corners gives each of them half. Where that is too short the arc is as large as it allows;
-    a remark says so. Where the path turns back on itself the corner stays.
+    A side between two corners gives half of its length to each of them. Where that is too short, the arc is as
+    large as the side allows, and a remark reports it. Where the path turns back on itself, the corner stays.
 
     Parameters
     ----------
     points : ndarray, shape (n, d), in mm
     radius : float, in mm
         0 keeps all corners.
+
+    Returns
+    -------
+    Outline
+        The new points, and remarks on corners that could not be rounded as requested.
     """
     corners = corner_indices(points)
     if radius <= 0.0 or not corners:
@@ -124,7 +164,7 @@ def rounded(points: FloatArray, radius: float) -> Outline:
 
 
 def _part(side: FloatArray, low: float, high: float) -> FloatArray:
-    """What two arcs leave of a side: a point, where it is nothing."""
+    """Cut a side between two arc lengths; a single point if nothing is left between two arcs."""
     arc = arc_of(side)
     inner = side[(arc > low + ROUNDING) & (arc < high - ROUNDING)]
     return np.vstack([place_at(side, min(low, high)), inner, place_at(side, high)])
@@ -135,7 +175,7 @@ Fillet = tuple[float, FloatArray, float, float]
 
 
 def _largest_arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float) -> Fillet | None:
-    """An arc of `radius`, or the largest for which there is room."""
+    """Compute the arc of `radius`, or the largest one that fits."""
     found = _arc(before, after, room, radius)
     if found is not None:
         return found
@@ -151,7 +191,7 @@ def _largest_arc(before: FloatArray, after: FloatArray, room: tuple[float, float
 
 
 def _arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float) -> Fillet | None:
-    """The arc of `radius` that touches both sides, which lead away from the corner; None where there is no room."""
+    """Compute the arc of `radius` that touches both sides, which begin at the corner; None if it does not fit."""
     one, other = directions(before)[0], directions(after)[0]
     half = float(np.arcsin(min(0.5 * float(np.linalg.norm(one + other)), 1.0)))  # of the turn
     back = onward = radius * np.tan(half)
@@ -173,7 +213,7 @@ def _arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radiu
 def _bent(
     before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float
 ) -> tuple[float, float, FloatArray] | None:
-    """Lengths that an arc takes of two sides with bends, and its centre, or None where there is no room.
+    """Compute the lengths that an arc takes of two curved sides, and its centre; None if it does not fit.
 
     The centre lies `radius` beside the first side, and is as far from the second.
     """

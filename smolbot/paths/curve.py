@@ -1,4 +1,4 @@
-"""Paths as curves: polylines with arc length, distance and progress."""
+"""Paths as curves: polylines with arc length, distance and progress; reading them from CSV files."""
 
 from __future__ import annotations
 
@@ -59,22 +59,53 @@ class Curve:
 
     @property
     def length(self) -> float:
-        """In m."""
+        """Length of the path, in m."""
         return float(self.arc[-1])
 
     def at(self, s: FloatArray | float) -> FloatArray:
-        """Points at arc lengths `s` (clipped to the path), shape (..., 3)."""
+        """Compute the points at given arc lengths.
+
+        Parameters
+        ----------
+        s : ndarray, shape (...), or float, in m
+            Clipped to the path.
+
+        Returns
+        -------
+        ndarray, shape (..., 3), in m, world frame
+        """
         clipped = np.clip(s, 0.0, self.length)
         return np.stack([np.interp(clipped, self.arc, self.points[:, k]) for k in range(3)], axis=-1)
 
     def tangent(self, s: FloatArray) -> FloatArray:
-        """Unit direction of travel at arc lengths `s`, shape (n, 3)."""
+        """Compute the unit direction of travel at given arc lengths.
+
+        Parameters
+        ----------
+        s : ndarray, shape (n,), in m
+
+        Returns
+        -------
+        ndarray, shape (n, 3), world frame
+        """
         index = np.clip(np.searchsorted(self.arc, s, side="right") - 1, 0, len(self.points) - 2)
         steps = np.diff(self.points, axis=0)[index]
         return steps / np.linalg.norm(steps, axis=1, keepdims=True)
 
     def sampled(self, spacing: float, corner: float = CORNER) -> FloatArray:
-        """Arc lengths at most `spacing` m apart that include the start, every corner and the end."""
+        """Sample arc lengths along the path that include the start, every corner and the end.
+
+        Parameters
+        ----------
+        spacing : float, in m
+            Largest distance between two samples.
+        corner : float, in rad
+            Turns beyond it are corners.
+
+        Returns
+        -------
+        ndarray, shape (n,), in m
+        """
         steps = np.diff(self.points, axis=0)
         steps = steps / np.linalg.norm(steps, axis=1, keepdims=True)
         turns = np.arccos(np.clip(np.sum(steps[1:] * steps[:-1], axis=1), -1.0, 1.0))
@@ -84,11 +115,11 @@ class Curve:
         return np.concatenate([[0.0], *pieces])
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Nearest place on the path in the horizontal plane.
+        """Project points onto the path: find the nearest place on it in the horizontal plane.
 
         Parameters
         ----------
-        points : ndarray, shape (n, 3), in m
+        points : ndarray, shape (n, 3), in m, world frame
 
         Returns
         -------
@@ -111,12 +142,20 @@ class Curve:
 
 
 def read_csv(path: Path) -> FloatArray:
-    """Points (n, 2) in mm of a CSV file with the columns x and y; a header line is allowed.
+    """Read a path from a CSV file with the columns x and y; a header line is allowed.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ndarray, shape (n, 2), in mm
 
     Raises
     ------
     InputError
-        With file and line of the first row that is not two numbers.
+        With file and line of the first row that is not two finite numbers, or for fewer than two points.
     """
     rows: list[tuple[float, float]] = []
     for row in read_table(path).rows:

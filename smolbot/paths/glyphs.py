@@ -1,4 +1,4 @@
-"""Letters and signs as one continuous route, in a box of a given size: four own letters, and a plotter's font."""
+"""Letters and signs as one continuous route in a box of given size: four letters of our own, and a plotter font."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STRETCH_DIGITS = 6
 
 
 def _letter_r(width: float, height: float) -> FloatArray:
-    """Up the stem, round the bowl back to the stem, down the leg."""
+    """Draw an R: up the stem, round the bowl back to the stem, down the leg."""
     radius = BOWL * height
     straight = max(width - radius, 0.0)
     stretch = min(width, radius) / radius
@@ -51,9 +51,10 @@ def _letter_l(width: float, height: float) -> FloatArray:
 
 
 def _letter_s(width: float, height: float) -> FloatArray:
-    """From the upper end round the upper bowl, through the middle, round the lower one: the gentlest bends that fit.
+    """Draw an S from the upper end round the upper bowl, through the middle and round the lower bowl.
 
-    Each bowl is half as high as the letter, its ends quarter circles and half circles joined by straight pieces.
+    The bends are the gentlest that fit: each bowl is half as high as the letter, its ends quarter circles and half
+    circles joined by straight pieces.
     """
     radius = BOWL * height
     reach = max(0.5 * width - radius, 0.0)
@@ -71,7 +72,17 @@ GLYPHS = {"I": _letter_i, "L": _letter_l, "R": _letter_r, "S": _letter_s}
 
 
 def glyph_fault(name: str) -> str | None:
-    """Why `name` is no glyph, or None if it is one."""
+    """Explain why a name is not a glyph.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str or None
+        None if it is a glyph.
+    """
     if len(name) > 1:
         return f"a glyph is one character, got {len(name)} ('{name}'); a word has no path between its letters."
     if not in_font(name):
@@ -80,7 +91,23 @@ def glyph_fault(name: str) -> str | None:
 
 
 def glyph(name: str, width: float, height: float) -> FloatArray:
-    """Points (n, 2) of a character of the given size, centred on the origin, in the unit of `width`.
+    """Draw a character of the given size, centred on the origin.
+
+    Parameters
+    ----------
+    name : str
+        One printable ASCII character.
+    width, height : float
+        Size of its box, in any unit of length.
+
+    Returns
+    -------
+    ndarray, shape (n, 2), in the unit of `width`
+
+    Raises
+    ------
+    InputError
+        If `name` is not one printable character.
 
     Examples
     --------
@@ -93,14 +120,26 @@ def glyph(name: str, width: float, height: float) -> FloatArray:
 
 
 def drawn_glyph(name: str, width: float, height: float) -> Outline:
-    """A character, and what must be said of its route: what is drawn twice, and which gaps are bridged.
+    """Draw a character, with remarks on what is drawn twice and which gaps are bridged.
 
     It fills its box; one without a width or a height, such as ``|``, is as long as the box allows.
+
+    Parameters
+    ----------
+    name : str
+        One printable ASCII character.
+    width, height : float, in mm
+        Size of its box.
+
+    Returns
+    -------
+    Outline
+        Centred on the origin.
 
     Raises
     ------
     InputError
-        For what is not one printable character.
+        If `name` is not one printable character.
     """
     fault = glyph_fault(name)
     if fault:

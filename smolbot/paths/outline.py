@@ -1,4 +1,4 @@
-"""What a path is made from: points, and what a user should know of how they came about."""
+"""The points of a path before it becomes a curve, with remarks for the user."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from smolbot.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Outline:
-    """Points (n, 2) or (n, 3) in mm, and remarks on them, each a sentence without its full stop."""
+    """Points of a path, and remarks on how they were made.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 2) or (n, 3), in mm
+    remarks : tuple of str
+        A sentence each, without its full stop.
+    """
 
     points: FloatArray
     remarks: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Small geometry of polylines (n, 2) or (n, 3): places along them, nearest places, crossings, even samples."""
+"""Geometry of polylines (n, 2) or (n, 3): points along them, nearest points, crossings, even samples."""
 
 from __future__ import annotations
 
@@ -16,18 +16,50 @@ ROUNDING = 1e-9
 
 
 def arc_of(points: FloatArray) -> FloatArray:
-    """Arc length at each point, shape (n,)."""
+    """Compute the arc length at each point of a polyline.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def place_at(points: FloatArray, s: FloatArray | float) -> FloatArray:
-    """Points at arc lengths `s`, shape (..., d)."""
+    """Interpolate points of a polyline at given arc lengths.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    s : ndarray, shape (...), or float
+
+    Returns
+    -------
+    ndarray, shape (..., d)
+    """
     arc = arc_of(points)
     return np.stack([np.interp(s, arc, points[:, k]) for k in range(points.shape[1])], axis=-1)
 
 
 def nearest_place(points: FloatArray, to: FloatArray) -> tuple[float, float]:
-    """Arc length of the place nearest to a point, and its distance."""
+    """Find the place on a polyline that is nearest to a point.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    to : ndarray, shape (d,)
+
+    Returns
+    -------
+    arc_length : float
+        Of the nearest place.
+    distance : float
+        From the point to it.
+    """
     start, step = points[:-1], np.diff(points, axis=0)
     share = np.clip(np.sum((to - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
     away = np.linalg.norm(start + share[:, None] * step - to, axis=1)
@@ -36,7 +68,16 @@ def nearest_place(points: FloatArray, to: FloatArray) -> tuple[float, float]:
 
 
 def crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
-    """Arc lengths on both of every place where two plane polylines cross.
+    """Find every place where two plane polylines cross.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (n, 2)
+
+    Returns
+    -------
+    list of tuple of 2 floats
+        Arc lengths of the crossing along `a` and along `b`.
 
     Examples
     --------
@@ -61,7 +102,18 @@ def crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
 
 
 def split_at(points: FloatArray, places: list[float]) -> list[FloatArray]:
-    """Parts between the given arc lengths, which are inside and in order."""
+    """Split a polyline at given arc lengths.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    places : list of float
+        Arc lengths inside the polyline, in ascending order.
+
+    Returns
+    -------
+    list of ndarray, each of shape (m, d)
+    """
     arc = arc_of(points)
     bounds = [0.0, *places, float(arc[-1])]
     parts = []
@@ -72,7 +124,19 @@ def split_at(points: FloatArray, places: list[float]) -> list[FloatArray]:
 
 
 def is_straight(points: FloatArray, slack: float = 1e-6) -> bool:
-    """Whether a polyline is a straight line, of which it strays by `slack` of its length at most."""
+    """Return whether a polyline is a straight line.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    slack : float
+        Largest allowed deviation, as a share of its length.
+
+    Returns
+    -------
+    bool
+        False if it has no length or turns back.
+    """
     way = points[-1] - points[0]
     length = float(np.linalg.norm(way))
     if length == 0.0:
@@ -84,9 +148,20 @@ def is_straight(points: FloatArray, slack: float = 1e-6) -> bool:
 
 
 def even_samples(points: FloatArray, turn: float, most: int = 720) -> FloatArray:
-    """A smooth polyline anew, with points at even distances that nowhere turn by more than `turn` rad; at most `most`.
+    """Resample a smooth polyline at even distances.
 
-    A straight line keeps its two ends alone.
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    turn : float, in rad
+        Largest turn at any point.
+    most : int
+        Largest number of segments; it wins over `turn`.
+
+    Returns
+    -------
+    ndarray, shape (m, d)
+        The two ends alone for a straight line.
     """
     from scipy.interpolate import CubicSpline
 

@@ -1,4 +1,4 @@
-"""Wanted speed along a path as data: slower in bends, by a limit on the centripetal acceleration."""
+"""Requested speed along a path as data: slower in bends, by a limit on the centripetal acceleration."""
 
 from __future__ import annotations
 
@@ -28,7 +28,13 @@ MIN_CURVATURE = 1e-12
 
 @dataclass(frozen=True)
 class SpeedProfile:
-    """Speed (n,) in m/s at arc lengths (n,) in m; between them its square is linear, as at a constant acceleration.
+    """Speed along a path; between the given arc lengths its square is linear, as at a constant acceleration.
+
+    Attributes
+    ----------
+    arc : ndarray, shape (n,), in m
+        Arc lengths, ascending.
+    speed : ndarray, shape (n,), in m/s
 
     Examples
     --------
@@ -58,36 +64,62 @@ class SpeedProfile:
 
     @property
     def duration(self) -> float:
-        """From the path's start to its end, in s."""
+        """Time from the path's start to its end, in s."""
         return float(self.times[-1])
 
     def at(self, s: float) -> float:
-        """Speed at arc length `s`, in m/s."""
+        """Compute the speed at an arc length.
+
+        Parameters
+        ----------
+        s : float, in m
+
+        Returns
+        -------
+        float, in m/s
+        """
         return float(np.sqrt(np.interp(s, self.arc, self.speed**2)))
 
     def after(self, s: float, time: float) -> float:
-        """Arc length that is reached `time` s after `s`, at most the path's end."""
+        """Compute the arc length that is reached some time after another one.
+
+        Parameters
+        ----------
+        s : float, in m
+            Arc length at the start.
+        time : float, in s
+
+        Returns
+        -------
+        float, in m
+            At most the path's end.
+        """
         return float(np.interp(np.interp(s, self.arc, self.times) + time, self.times, self.arc))
 
 
 def speed_profile(
     points: FloatArray, speed: float, lateral: float | None = None, acceleration: float | None = None
 ) -> SpeedProfile:
-    """The quickest way along a path within limits on speed, centripetal acceleration and change of speed.
+    """Compute the fastest speed profile within limits on speed, centripetal acceleration and change of speed.
 
-    First v <= sqrt(lateral / curvature) everywhere; then a pass forward and one backward hold the change of v² to
+    First v <= sqrt(lateral / curvature) everywhere; then a forward and a backward pass limit the change of v² to
     2 a ds, as in time-optimal path parameterization (Bobrow, Dubowsky and Gibson 1985). A path begins and ends at
-    speed: a robot in a viscous liquid has no inertia to speak of.
+    speed, since a robot in a viscous liquid has negligible inertia.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3), in m
     speed : float, in m/s
-        Wanted where nothing slows.
+        Requested where nothing slows the robot.
     lateral : float, in m/s², optional
-        Most centripetal acceleration, v² times curvature; a corner counts as a bend of `CORNER_RADIUS`.
+        Largest centripetal acceleration, v² times curvature; a corner counts as a bend of `CORNER_RADIUS`.
     acceleration : float, in m/s², optional
-        Most change of the speed along the path; default: `lateral`.
+        Largest change of the speed along the path; default: `lateral`.
+
+    Returns
+    -------
+    SpeedProfile
+        Constant speed without `lateral`.
     """
     arc = arc_of(points)
     if lateral is None:

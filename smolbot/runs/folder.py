@@ -1,4 +1,4 @@
-"""The run folder: both files as used, provenance, cycles, summary and picture."""
+"""The run folder: files as used, provenance, cycles, summary and picture."""
 
 from __future__ import annotations
 
@@ -28,14 +28,25 @@ _PACKAGES = ("numpy", "scipy", "numba", "magpylib", "pybullet", "pydantic")
 
 
 class RunFolder:
-    """Written as the run goes on; whatever was flushed before a kill is readable after it.
+    """A run folder, written during the run; whatever was flushed before a kill can be read after it.
+
+    Parameters
+    ----------
+    path : Path
+        A new or empty folder.
 
     Attributes
     ----------
+    path : Path
     rows : int
-        Cycles that were recorded.
+        Number of recorded cycles.
     error : str or None
         Why ``cycles.csv`` ends before the run.
+
+    Raises
+    ------
+    InputError
+        If `path` is a file, or a folder that is not empty.
     """
 
     def __init__(self, path: Path) -> None:
@@ -50,7 +61,20 @@ class RunFolder:
         self.error: str | None = None
 
     def begin(self, contents: Mapping[str, bytes], provenance: Mapping[str, Any]) -> None:
-        """Make the folder and write what the run starts from: files by their names, and where it came from."""
+        """Create the folder and write the files that the run starts from.
+
+        Parameters
+        ----------
+        contents : mapping of str to bytes
+            File contents by file name.
+        provenance : mapping
+            See `provenance`.
+
+        Raises
+        ------
+        InputError
+            If the folder cannot be written.
+        """
         with writing(self.path, "the run folder", "made"):
             self.path.mkdir(parents=True, exist_ok=True)
             for name, content in contents.items():
@@ -58,7 +82,12 @@ class RunFolder:
             write_whole(self.path / PROVENANCE, json_bytes(provenance))
 
     def record(self, moment: Moment) -> None:
-        """Append one cycle to ``cycles.csv``; a disk that refuses ends that table, not the run."""
+        """Append one cycle to ``cycles.csv``; a write error ends that table, not the run.
+
+        Parameters
+        ----------
+        moment : Moment
+        """
         try:
             if self.error is None:
                 self._append(row(self.rows, moment))
@@ -77,7 +106,13 @@ class RunFolder:
         self._file.flush()
 
     def end(self, summary: dict[str, Any]) -> None:
-        """Close the table of cycles and write the summary."""
+        """Close the table of cycles and write the summary.
+
+        Parameters
+        ----------
+        summary : dict
+            Figures of the run.
+        """
         if self._file is not None:
             with contextlib.suppress(OSError):  # of what could not be flushed, which is known
                 self._file.close()
@@ -85,24 +120,62 @@ class RunFolder:
 
 
 def dated(name: str) -> Path:
-    """A folder in runs/ of that name and of this moment."""
+    """Build a folder path below ``runs/`` from a name and the current time.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Path
+    """
     return Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all, however this process ends."""
+    """Write a file so that it is complete or absent, however the process ends.
+
+    Parameters
+    ----------
+    path : Path
+    content : bytes
+    """
     part = path.with_name(f"{path.name}.part")
     part.write_bytes(content)
     part.replace(path)
 
 
 def json_bytes(data: Any) -> bytes:
-    """As every JSON file of a run folder is written."""
+    """Encode data as every JSON file of a run folder is encoded.
+
+    Parameters
+    ----------
+    data : object
+        Values that JSON does not know are written as text.
+
+    Returns
+    -------
+    bytes
+    """
     return (json.dumps(data, indent=2, default=str) + "\n").encode()
 
 
 def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
-    """Where a run came from: version, commit, seed, settings, drawn mismatches, packages."""
+    """Collect the provenance of a run: version, commit, seed, settings, sampled mismatches, packages.
+
+    Parameters
+    ----------
+    seed : int
+    settings : mapping of str to str
+        The ``--set`` options.
+    world : mapping
+        What the world reports of itself, such as sampled mismatches.
+
+    Returns
+    -------
+    dict
+    """
     return {
         "smolbot": __version__,
         "commit": _commit(),
@@ -117,7 +190,13 @@ def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any])
 
 
 def packages() -> dict[str, str]:
-    """Versions of the packages on which figures depend."""
+    """Find the versions of the packages that affect the figures.
+
+    Returns
+    -------
+    dict of str to str
+        Version by package name.
+    """
     found: dict[str, str] = {}
     for name in _PACKAGES:
         try:
@@ -128,7 +207,7 @@ def packages() -> dict[str, str]:
 
 
 def _commit() -> str | None:
-    """Commit of the source tree that is running, if it is one and git is there."""
+    """Return the commit of the running source tree; None outside a git checkout."""
     home = Path(__file__).parents[2]
     if not (home / ".git").exists():
         return None

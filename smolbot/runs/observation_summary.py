@@ -1,4 +1,4 @@
-"""The figures of merit of a mission that only looks."""
+"""The figures of merit of an observation."""
 
 from __future__ import annotations
 
@@ -15,10 +15,22 @@ from smolbot.runs.trace import Moment, Trace
 
 
 def summarise_observation(mission: Observation, run: Run, trace: Trace) -> dict[str, Any]:
-    """Figures of an observation, in the units that their names carry.
+    """Compute the figures of merit of an observation.
 
-    `pose_rate_hz` counts trusted poses over the time that was watched. Errors against the truth, where a witness knows
-    it, are of every trusted pose; of independent measurements, their scatter needs no witness.
+    `pose_rate_hz` is the number of trusted poses divided by the observed time. Errors against the ground truth,
+    where a witness knows it, are those of every trusted pose. The scatter of independent measurements needs no
+    witness.
+
+    Parameters
+    ----------
+    mission : Observation
+    run : Run
+    trace : Trace
+
+    Returns
+    -------
+    dict
+        Units are in the keys.
     """
     out = common_figures(mission, run)
     measuring = mission.sections.observe.measurements is not None
@@ -35,14 +47,32 @@ def summarise_observation(mission: Observation, run: Run, trace: Trace) -> dict[
 
 
 def measurements(trace: Trace) -> list[Moment]:
-    """The cycles that measured: those after a search, with a pose that can be trusted."""
+    """Find the cycles that count as measurements: those after a search, with a trusted pose.
+
+    Parameters
+    ----------
+    trace : Trace
+
+    Returns
+    -------
+    list of Moment
+    """
     return [m for m in trace.moments if m.cycle.shot.mode == "hold" and m.cycle.trusted is not None]
 
 
 def watching(run: Run) -> dict[str, Any]:
-    """How steadily a device was seen: trusted poses per second, and gaps between them.
+    """Compute the pose rate of a tracked device and the gaps between its trusted poses.
 
-    A gap is a run of shots, after the first trusted pose, of which none gave a pose that can be trusted.
+    A gap is a series of shots without a trusted pose, after the first trusted pose.
+
+    Parameters
+    ----------
+    run : Run
+
+    Returns
+    -------
+    dict
+        `pose_rate_hz`, and `gaps` with `count`, `shots` and `longest_s`.
     """
     seen = [c.trusted is not None for c in run.cycles]
     if not any(seen):
@@ -62,10 +92,17 @@ def watching(run: Run) -> dict[str, Any]:
 
 
 def scatter(poses: list[Pose]) -> dict[str, Any]:
-    """Mean of independent poses and how far they lie from each other: standard deviations with n - 1.
+    """Compute mean and standard deviation (n - 1 in the denominator) of independent poses.
 
-    `sigma_mm` has one for each axis, and `distance`, the root of their squares' sum; `sigma_deg`, with `angle`,
-    likewise of rotations about the world's axes.
+    Parameters
+    ----------
+    poses : list of Pose
+
+    Returns
+    -------
+    dict
+        `sigma_mm` has one value for each axis and `distance`, the root of the sum of their squares. `sigma_deg` has
+        the same for rotations about the world axes, with `angle`. With fewer than two poses only their number.
     """
     if len(poses) < 2:
         return {"measurements": len(poses)}
@@ -85,7 +122,22 @@ def scatter(poses: list[Pose]) -> dict[str, Any]:
 
 
 def observation_verdict(mission: Observation, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
-    """``passed`` or ``failed``, and every reason for a failure."""
+    """Evaluate an observation against the limits of its mission file.
+
+    Parameters
+    ----------
+    mission : Observation
+    run : Run
+    figures : dict
+        See `summarise_observation`.
+
+    Returns
+    -------
+    str
+        ``passed`` or ``failed``.
+    list of str
+        Every reason for a failure.
+    """
     wanted = mission.sections.verdict
     reasons = [] if run.status == "completed" else [run.stop_reason or run.status]
     error, rate, sigma = (figures.get(key) for key in ("localization_error_mm", "pose_rate_hz", "sigma_mm"))

@@ -1,4 +1,4 @@
-"""How a flight of either kind turned out: its figures, and its picture."""
+"""Figures of merit and picture of a run of either kind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,22 @@ from smolbot.runs.trace import Trace
 
 
 def sum_up(mission: AnyMission, run: Run, trace: Trace, seed: int, drawn: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of a run; `drawn` is what its world said of itself."""
+    """Compute the figures of merit of a run.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    run : Run
+    trace : Trace
+    seed : int
+    drawn : mapping
+        What the world reports of itself, such as sampled mismatches.
+
+    Returns
+    -------
+    dict
+        Units are in the keys.
+    """
     if isinstance(mission, Observation):
         figures = summarise_observation(mission, run, trace)
     else:
@@ -28,7 +43,16 @@ def sum_up(mission: AnyMission, run: Run, trace: Trace, seed: int, drawn: Mappin
 
 
 def draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
-    """The picture of a run, as a file that is there whole or not at all."""
+    """Draw the picture of a run, as a file that is complete or absent.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    run : Run
+    trace : Trace
+    path : Path
+        The PNG file to write.
+    """
     part = path.with_name(f"{path.stem}.part{path.suffix}")
     if isinstance(mission, Observation):
         from smolbot.runs.pictures.observation import draw_observation

@@ -1,4 +1,4 @@
-"""After a kill: a whole record from a torn one, and the rest of its run folder from the record."""
+"""Recover a run after a kill: a complete record from a torn one, and the rest of the run folder from the record."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _FLUSH_EVERY = 500  # messages
 
 @dataclass
 class Recovery:
-    """What was found, and what was done.
+    """Result of a recovery.
 
     Attributes
     ----------
     found : RecordedRun
-        The record as it was found.
+        The record before the recovery.
     torn : Path or None
-        Where the record as found is kept, if it was written anew.
+        Where the old record is kept, if it was rewritten.
     written : list of str
         Files that were written into the folder.
     unread : int
@@ -58,15 +58,25 @@ class Recovery:
 
 
 def recover(run: str | Path) -> Recovery:
-    """Make a run whole again, as far as its record goes; a whole one is left as it is.
+    """Complete a run as far as its record goes; a complete one is left as it is.
 
-    A record that is torn or damaged is written anew and kept as ``run.torn.mcap``; what the folder lacks is made from
-    it. Nothing is written before everything was read, and no file is overwritten but a torn summary or picture.
+    A torn or damaged record is rewritten and the old one kept as ``run.torn.mcap``. Missing files of the folder are
+    made from it. Nothing is written before everything is read, and no file is overwritten but a torn summary or
+    picture.
+
+    Parameters
+    ----------
+    run : str or Path
+        Run folder, or its record.
+
+    Returns
+    -------
+    Recovery
 
     Raises
     ------
     InputError
-        If it is no record, its run still goes on, or the disk refuses.
+        If it is no record, its run still goes on, or a file cannot be written.
     """
     path = _record(run)
     if path.name == TORN and path.with_name(RECORD).exists():
@@ -85,7 +95,7 @@ def recover(run: str | Path) -> Recovery:
 
 
 def _record(run: str | Path) -> Path:
-    """The record, or what another recovery left of it that was itself cut short."""
+    """Return the path of the record, or of the torn one that an interrupted recovery left."""
     folder = Path(run)
     if folder.is_dir() and not (folder / RECORD).exists() and (folder / TORN).is_file():
         return folder / TORN
@@ -103,7 +113,7 @@ def _refuse_living(path: Path) -> None:
 
 
 def _rewrite(found: RecordedRun, target: Path) -> Path:
-    """Write a whole record of what was found, in the place of the old one; returns where that is kept."""
+    """Write a complete record in the place of the old one; return where the old one is kept."""
     part = target.with_name(f"{target.name}.part")
     part.unlink(missing_ok=True)
     scan, file, last = Scan(found.path), McapFile(part), 0
@@ -142,7 +152,7 @@ def _free_name(target: Path) -> Path:
 
 
 def _complete(done: Recovery, target: Path) -> None:
-    """Make what the folder lacks."""
+    """Make the missing files of the folder."""
     found, folder = done.found, target.parent
     contents = {**found.begin.files, PROVENANCE: json_bytes(found.provenance)}
     for name, content in contents.items():
@@ -172,7 +182,7 @@ def _complete(done: Recovery, target: Path) -> None:
 
 
 def _figures(done: Recovery, mission: AnyMission, run: Run, trace: Trace) -> dict[str, Any]:
-    """The figures of a run, from its record, and what of it is lost."""
+    """Compute the figures of a run from its record, with what is lost of it."""
     found = done.found
     figures = sum_up(mission, run, trace, int(found.provenance["seed"]), found.provenance["world"])
     figures["recording"] = {
@@ -184,12 +194,18 @@ def _figures(done: Recovery, mission: AnyMission, run: Run, trace: Trace) -> dic
 
 
 def _lost(found: RecordedRun) -> int:
-    """Bytes that held nothing readable, in the record as it is and in the one that it was written anew from."""
+    """Return the number of unreadable bytes, of this record and of the one that it was rewritten from."""
     return found.lost + (found.recovered.lost_bytes if found.recovered is not None else 0)
 
 
 def write_cycles(path: Path, found: RecordedRun) -> None:
-    """``cycles.csv`` as the flight would have written it."""
+    """Write ``cycles.csv`` as the flight would have written it.
+
+    Parameters
+    ----------
+    path : Path
+    found : RecordedRun
+    """
     part = path.with_name(f"{path.name}.part")
     rows = [row(number, moment) for number, moment in zip(found.number_of_cycle, found.moments, strict=True)]
     with part.open("w", newline="", encoding="utf-8") as file:

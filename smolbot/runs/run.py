@@ -1,4 +1,4 @@
-"""What a flight leaves: its cycles and events, and how it ended. Who hears of them while it lasts."""
+"""The result of a flight, and the protocols of the listeners that are notified during it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,22 @@ Status = Literal["completed", "stuck", "stopped", "lost", "timeout", "failed"]
 
 @dataclass(frozen=True)
 class CycleRecord:
-    """What happened in one cycle. `pose` is as located, `tracked` as believed; `compute` in s.
+    """One cycle.
 
-    `ended` is when the rig had truly played the shot, in s: a hand that moves a magnet is not punctual. `rig` is what
-    the rig says of itself in a line, if it says anything.
+    Attributes
+    ----------
+    shot : Shot
+    pose : Pose or None
+        As located.
+    tracked : Pose or None
+        The tracker's estimate.
+    command : Command
+    compute : float, in s
+        Computing time.
+    ended : float, in s
+        When the rig finished playing the shot; moving a magnet may take longer than planned.
+    rig : str
+        Status line of the rig, if it has one.
     """
 
     shot: Shot
@@ -36,13 +48,21 @@ class CycleRecord:
 
     @property
     def trusted(self) -> Pose | None:
-        """The pose as located, if it may be trusted."""
+        """The located pose if it is trusted, else None."""
         return self.pose if self.pose is not None and self.pose.trusted else None
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that changed what is believed, at a time on the rig's clock in s."""
+    """A change of what is assumed, or of the flight.
+
+    Attributes
+    ----------
+    time : float, in s
+        On the rig's clock.
+    what : str
+    detail : dict
+    """
 
     time: float
     what: str
@@ -50,7 +70,16 @@ class Event:
 
 
 def trusted_poses(cycles: Iterable[CycleRecord]) -> list[Pose]:
-    """Those of some cycles, in order."""
+    """Return the trusted poses of some cycles, in order.
+
+    Parameters
+    ----------
+    cycles : iterable of CycleRecord
+
+    Returns
+    -------
+    list of Pose
+    """
     return [pose for cycle in cycles if (pose := cycle.trusted) is not None]
 
 
@@ -109,19 +138,39 @@ class Run(Readable):
 
 
 class Listener(Protocol):
-    """Hears of every cycle as it ends: recorder, progress."""
+    """A callable that is notified of every cycle at its end: recorder, progress."""
 
-    def __call__(self, record: CycleRecord) -> None: ...
+    def __call__(self, record: CycleRecord) -> None:
+        """Receive one cycle.
+
+        Parameters
+        ----------
+        record : CycleRecord
+        """
 
 
 class Tape(Protocol):
-    """Hears everything that was played and everything that happened, as it comes: the recorder, a live page.
+    """A recorder sink: it is notified of every played shot and every event, such as the recorder or a live page.
 
-    Called in the loop's thread: it must neither wait nor raise.
+    It is called in the loop's thread and must neither wait nor raise.
     """
 
     def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
-        """A shot was played until `ended` s on the rig's clock; the recording is as the rig gave it."""
+        """Record a played shot.
+
+        Parameters
+        ----------
+        shot : Shot
+        recording : Recording or None
+            As the rig returned it.
+        ended : float, in s
+            When the shot ended, on the rig's clock.
+        """
 
     def happened(self, event: Event) -> None:
-        """Something changed what is believed, or was done to the flight."""
+        """Record an event.
+
+        Parameters
+        ----------
+        event : Event
+        """

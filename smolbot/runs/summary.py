@@ -18,11 +18,23 @@ from smolbot.runs.trace import Moment, Trace, compared
 
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
-    """Figures of a run, in the units that their names carry; those that need the truth only where it is known.
+    """Compute the figures of merit of a run.
 
-    Tracking error is the true robot's horizontal distance to the path as a curve, from the path's
-    start on (the approach is left out). Localization error is the located pose minus truth, in
-    three dimensions, of every pose that was trusted; `tracked_error_mm` is the same of the tracked one.
+    Those that need the ground truth are present only where it is known. Tracking error is the true robot's
+    horizontal distance to the path as a curve, from the path's start on (the approach is left out). Localization
+    error is the located pose minus the truth, in three dimensions, of every trusted pose; `tracked_error_mm` is the
+    same for the tracked pose.
+
+    Parameters
+    ----------
+    mission : Mission
+    run : Run
+    trace : Trace
+
+    Returns
+    -------
+    dict
+        Units are in the keys.
     """
     out = common_figures(mission, run)
     out["coil_energy_j"] = coil_energy(mission, run)
@@ -40,7 +52,18 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
 
 
 def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
-    """What is said of every run, whether it steered or only looked."""
+    """Compute the figures that steering missions and observations have in common.
+
+    Parameters
+    ----------
+    mission : MissionBase
+    run : Run
+
+    Returns
+    -------
+    dict
+        Units are in the keys.
+    """
     cycles = run.cycles
     played = sum(c.shot.duration for c in cycles)
     duration = run.duration
@@ -68,7 +91,22 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
 
 
 def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
-    """``passed`` or ``failed``, and every reason for a failure."""
+    """Evaluate a run against the limits of its mission file.
+
+    Parameters
+    ----------
+    mission : Mission
+    run : Run
+    figures : dict
+        See `summarise`.
+
+    Returns
+    -------
+    str
+        ``passed`` or ``failed``.
+    list of str
+        Every reason for a failure.
+    """
     wanted = mission.sections.verdict
     reasons = [] if run.status == "completed" else [run.stop_reason or run.status]
     for name, limit in (("tracking", wanted.mean_tracking_mm), ("localization", wanted.mean_localization_mm)):
@@ -79,7 +117,17 @@ def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, l
 
 
 def label_of(figures: Mapping[str, Any]) -> str:
-    """What must stand beside figures wherever they are shown: that mismatches were off, or the plant a reduced one.
+    """Format the label to show beside figures: mismatches switched off, or a reduced plant.
+
+    Parameters
+    ----------
+    figures : mapping
+        See `summarise`.
+
+    Returns
+    -------
+    str
+        Empty for a normal run.
 
     Examples
     --------
@@ -93,7 +141,19 @@ def label_of(figures: Mapping[str, Any]) -> str:
 
 
 def coil_energy(mission: Mission, run: Run) -> float:
-    """Heat in the actuation coils, in J, from the commanded currents and the coils' resistance."""
+    """Compute the heat in the actuation coils from the commanded currents.
+
+        E = sum R I² t
+
+    Parameters
+    ----------
+    mission : Mission
+    run : Run
+
+    Returns
+    -------
+    float, in J
+    """
     resistance = mission.rig.coil_resistances
     return float(
         sum(
@@ -106,13 +166,34 @@ def coil_energy(mission: Mission, run: Run) -> float:
 
 
 def path_time(trace: Trace) -> float | None:
-    """Time in s from the path's start to its end, or as far as it was followed; None where it was not."""
+    """Compute the time from the path's start to its end, or as far as it was followed.
+
+    Parameters
+    ----------
+    trace : Trace
+
+    Returns
+    -------
+    float, in s, or None
+        None if the path was not followed.
+    """
     following = trace.following
     return following[-1].cycle.shot.end - following[0].cycle.shot.end if following else None
 
 
 def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:
-    """Errors of the trusted poses among `moments`; empty where no witness knew the truth."""
+    """Compute the errors of trusted poses against the ground truth.
+
+    Parameters
+    ----------
+    mission : MissionBase
+    moments : list of Moment
+
+    Returns
+    -------
+    dict
+        Units are in the keys; empty if no ground truth is known.
+    """
     along = mission.robot.device.along_cantilever
     known = compared(moments)
     tracked = [(m.cycle.tracked, m.truth) for m in moments if m.cycle.shot.listen is not None]
@@ -131,7 +212,17 @@ def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]
 
 
 def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
-    """Distance (n,) of the true robot to the path, in m, at pose times and shot ends."""
+    """Compute the distance of the true robot to the path, at pose times and shot ends.
+
+    Parameters
+    ----------
+    mission : Mission
+    moments : list of Moment
+
+    Returns
+    -------
+    ndarray, shape (n,), in m
+    """
     truths = np.vstack([np.zeros((0, 3)), *(m.positions for m in moments)])
     if not len(truths):
         return np.zeros(0)
@@ -139,13 +230,25 @@ def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
 
 
 def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
-    """Angle between two orientations, in rad; to the nearer twin where a half turn about the moment changes nothing."""
+    """Compute the angle between two orientations.
+
+    Parameters
+    ----------
+    pose, truth : Pose
+    along_cantilever : bool
+        The moment lies along the cantilever, so that a half turn about it changes nothing: the nearer of the two
+        equivalent orientations is used.
+
+    Returns
+    -------
+    float, in rad
+    """
     estimate = nearer_twin(pose.orientation, truth.orientation) if along_cantilever else pose.orientation
     return float(np.linalg.norm(rotation_error(estimate, truth.orientation)))
 
 
 def _screwed(run: Run) -> dict[str, Any]:
-    """How much the magnet turned, and how often and how the helix was lost."""
+    """Count turns of the magnet, pauses and step-outs."""
     turned = [[w for w in c.shot.windows if isinstance(w, Rotate)] for c in run.cycles]
     return {
         "turns": float(sum(w.turns for windows in turned for w in windows)),
@@ -155,10 +258,10 @@ def _screwed(run: Run) -> dict[str, Any]:
 
 
 def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
-    """Angles between the propulsion axis as estimated and as it is: of every pose, and as tracked when a pause ends.
+    """Compute angles between estimated and true propulsion axis, of every pose and as tracked when a pause ends.
 
-    ``axis_to_path_deg`` is the angle, seen from above, between the true axis and the path where the magnet is fetched:
-    a screw that bends, drifts and is late goes not quite where it points.
+    ``axis_to_path_deg`` is the horizontal angle between the true axis and the path when a pause ends. It differs
+    from zero because a helix in a bend, with drift and delay, does not move exactly where it points.
     """
     ends = [m for m in trace.moments if m.cycle.command.mechanical and m.cycle.tracked and m.truth]
     out = {}
@@ -180,7 +283,16 @@ def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
 
 
 def axis_angle(pose: Pose, truth: Pose) -> float:
-    """Angle between two propulsion axes (body z), in rad."""
+    """Compute the angle between the propulsion axes (body z) of two poses.
+
+    Parameters
+    ----------
+    pose, truth : Pose
+
+    Returns
+    -------
+    float, in rad
+    """
     return float(np.arccos(np.clip(pose.body_axis("z") @ truth.body_axis("z"), -1.0, 1.0)))
 
 
@@ -192,7 +304,19 @@ def _compute(run: Run) -> dict[str, float | None]:
 
 
 def statistics(values: FloatArray, *names: str) -> dict[str, float]:
-    """Some of mean, std, rms, p95 and max."""
+    """Compute some of mean, std, rms, p95 and max.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    *names : str
+        Which of them.
+
+    Returns
+    -------
+    dict of str to float
+        In the unit of `values`.
+    """
     functions: dict[str, Callable[[FloatArray], Any]] = {
         "mean": np.mean,
         "std": np.std,

@@ -1,4 +1,4 @@
-"""A run as arrays: what was planned, heard, believed, commanded and (with a witness) true."""
+"""A run as arrays: planned, located, tracked, commanded and (with a witness) true values."""
 
 from __future__ import annotations
 
@@ -23,9 +23,17 @@ RESTING = 1e-5
 
 @dataclass(frozen=True)
 class Moment:
-    """One cycle with the truth at its pose's time and at its end, where a witness knows it.
+    """One cycle, with the ground truth where a witness knows it.
 
-    `way` (n, 3), in m, is where the robot went during a shot that nothing listened to.
+    Attributes
+    ----------
+    cycle : CycleRecord
+    truth : Pose or None
+        At the time of the pose.
+    truth_at_end : Pose or None
+        At the end of the shot.
+    way : ndarray, shape (n, 3), in m
+        True positions in the world frame during a shot without listening.
     """
 
     cycle: CycleRecord
@@ -35,28 +43,52 @@ class Moment:
 
     @property
     def positions(self) -> FloatArray:
-        """Where the robot truly was (n, 3), in m: on its way, when it was heard, and at the end of the shot."""
+        """True positions (n, 3) in m: during the shot, at the time of the pose, at the end of the shot."""
         known = [p.position for p in (self.truth, self.truth_at_end) if p is not None]
         return np.vstack([self.way, np.array(known).reshape(-1, 3)])
 
 
 def located(moments: Iterable[Moment]) -> list[Pose]:
-    """Trusted poses of some cycles, in order."""
+    """Return the trusted poses of some cycles, in order.
+
+    Parameters
+    ----------
+    moments : iterable of Moment
+
+    Returns
+    -------
+    list of Pose
+    """
     return trusted_poses(m.cycle for m in moments)
 
 
 def compared(moments: Iterable[Moment]) -> list[tuple[Pose, Pose]]:
-    """The same, each with where the device truly was at its time; none where no witness knew."""
+    """Pair the trusted poses of some cycles with the ground truth at their times.
+
+    Parameters
+    ----------
+    moments : iterable of Moment
+
+    Returns
+    -------
+    list of tuple of Pose
+        Pose and truth; empty if no ground truth is known.
+    """
     return [(pose, m.truth) for m in moments if (pose := m.cycle.trusted) is not None and m.truth is not None]
 
 
 class Trace:
-    """Collects every cycle of a run; the only holder of the truth besides record and report.
+    """Collect every cycle of a run; besides record and report, nothing else has the ground truth.
+
+    Parameters
+    ----------
+    witness : Witness or None
 
     Attributes
     ----------
     knows_truth : bool
         True with a witness, and for a run that was recorded with one.
+    moments : list of Moment
     """
 
     def __init__(self, witness: Witness | None) -> None:
@@ -65,6 +97,12 @@ class Trace:
         self.moments: list[Moment] = []
 
     def __call__(self, record: CycleRecord) -> None:
+        """Append one cycle, with the ground truth where a witness knows it.
+
+        Parameters
+        ----------
+        record : CycleRecord
+        """
         truth = end = None
         way = np.zeros((0, 3))
         if self._witness is not None:
@@ -76,7 +114,7 @@ class Trace:
 
     @staticmethod
     def _way(witness: Witness, start: float, end: float) -> FloatArray:
-        """Positions at equal times, those left out in which the robot rested."""
+        """Return positions at equal time steps, without those at which the robot rested."""
         times = np.arange(start, end, WAY_STEP)
         places = np.array([witness.truth(float(time)).position for time in times]).reshape(-1, 3)
         if len(places) < 2:
@@ -91,7 +129,18 @@ class Trace:
         return [] if begun is None else self.moments[begun:]
 
     def currents(self, n_coils: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Starts (n,) and durations (n,) of the actuation windows in s, and their currents (n, n_coils) in A."""
+        """Collect the actuation windows of the run.
+
+        Parameters
+        ----------
+        n_coils : int
+
+        Returns
+        -------
+        starts : ndarray, shape (n,), in s
+        durations : ndarray, shape (n,), in s
+        currents : ndarray, shape (n, n_coils), in A
+        """
         found = [
             (m.cycle.shot.start + at, window.duration, window.currents)
             for m in self.moments
@@ -104,7 +153,13 @@ class Trace:
         return np.array(starts), np.array(durations), np.array(currents)
 
     def true_positions(self) -> FloatArray:
-        """True positions at pose times and shot ends, in order, shape (n, 3), in m."""
+        """Collect the true positions at pose times and shot ends, in order.
+
+        Returns
+        -------
+        ndarray, shape (n, 3), in m
+            In the world frame.
+        """
         return np.vstack([np.zeros((0, 3)), *(m.positions for m in self.moments)])
 
 
@@ -113,7 +168,19 @@ def _begun(moment: Moment) -> bool:
 
 
 def row(number: int, moment: Moment) -> dict[str, Any]:
-    """One line of ``cycles.csv``: SI values with the unit in the name, empty where there is none."""
+    """Build one row of ``cycles.csv``.
+
+    Parameters
+    ----------
+    number : int
+        Number of the cycle.
+    moment : Moment
+
+    Returns
+    -------
+    dict
+        SI values with the unit in the key; None where there is no value.
+    """
     cycle = moment.cycle
     pose, tracked, truth = cycle.pose, cycle.tracked, moment.truth
     actuate = next((w for w in cycle.shot.windows if isinstance(w, Actuate)), None)

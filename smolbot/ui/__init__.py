@@ -1,1 +1,1 @@
-"""A person's ways in: command line, and a page in the browser."""
+"""User interfaces: command line, and a page in the browser."""

@@ -1,1 +1,1 @@
-"""What holds a device and moves it: a liquid, a gel, a hand."""
+"""Carriers that hold and move a device: a liquid, a gel, an operator."""

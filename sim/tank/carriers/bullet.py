@@ -1,7 +1,7 @@
 """The rigid bodies: Bullet moves the robot and keeps it inside the container.
 
-Bullet is made for objects of 0.05 to 10 m, so its world is scaled: a millimetre counts as a metre and a milligram as a
-kilogram, seconds stay. All conversions are in this file; everything outside it is SI.
+Bullet is made for objects of 0.05 to 10 m, so its world is scaled: a millimetre counts as a metre and a milligram
+as a kilogram; seconds stay. All conversions are in this file; everything outside it is SI.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Quadruple = tuple[float, float, float, float]
 
 
 class Bodies:
-    """Container and robot in one Bullet world. The robot's frame is the middle of its housing.
+    """Container and robot in one Bullet world. The origin of the robot's frame is the middle of its housing.
 
     Parameters
     ----------
@@ -35,9 +35,16 @@ class Bodies:
     orientation : ndarray, shape (4,)
         Unit quaternion, scalar first.
     friction : float
-        Between robot and walls.
+        Coefficient between robot and walls.
     gui : bool
         Show Bullet's own window.
+
+    Raises
+    ------
+    InputError
+        If the window is requested and there is no display.
+    RigError
+        If Bullet cannot open a world.
     """
 
     def __init__(
@@ -87,14 +94,32 @@ class Bodies:
         self._step = 0.0
 
     def state(self) -> tuple[Triple, Quadruple, Triple, Triple]:
-        """Position (m), orientation (scalar first), velocity (m/s) and spin (rad/s) of the housing, world frame."""
+        """Return the state of the housing's middle, world frame.
+
+        Returns
+        -------
+        position : tuple of 3, in m
+        orientation : tuple of 4
+            Unit quaternion, scalar first.
+        velocity : tuple of 3, in m/s
+        spin : tuple of 3, in rad/s
+        """
         bullet, robot, client = self._bullet, self._robot, self._client
         (x, y, z), (i, j, k, w) = bullet.getBasePositionAndOrientation(robot, client)
         (u, v, t), spin = bullet.getBaseVelocity(robot, client)
         return (x * 1e-3, y * 1e-3, z * 1e-3), (w, i, j, k), (u * 1e-3, v * 1e-3, t * 1e-3), spin
 
     def move(self, velocity: Triple, spin: Triple, duration: float) -> None:
-        """Let the robot move on at `velocity` (m/s) and `spin` (rad/s) for one step, unless a wall is in the way."""
+        """Move the robot for one step, unless a wall is in the way.
+
+        Parameters
+        ----------
+        velocity : tuple of 3, in m/s
+            World frame.
+        spin : tuple of 3, in rad/s
+            World frame.
+        duration : float, in s
+        """
         bullet = self._bullet
         if duration != self._step:
             bullet.setTimeStep(duration, self._client)
@@ -104,7 +129,15 @@ class Bodies:
         bullet.stepSimulation(self._client)
 
     def place(self, position: FloatArray, orientation: FloatArray) -> None:
-        """Put the robot down at rest: middle of the housing (3,) in m, quaternion (4,), scalar first."""
+        """Set the robot's pose, at rest.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            Middle of the housing, world frame.
+        orientation : ndarray, shape (4,)
+            Unit quaternion, scalar first.
+        """
         w, x, y, z = (float(v) for v in orientation)
         self._bullet.resetBasePositionAndOrientation(
             self._robot, [float(v) * LENGTH for v in position], [x, y, z, w], self._client
@@ -112,7 +145,7 @@ class Bodies:
         self._bullet.resetBaseVelocity(self._robot, (0, 0, 0), (0, 0, 0), self._client)
 
     def close(self) -> None:
-        """Let go of the Bullet world; harmless when repeated."""
+        """Release the Bullet world; harmless when repeated."""
         if self._client >= 0:
             self._bullet.disconnect(self._client)
             self._client = -1
@@ -136,13 +169,36 @@ class Bodies:
 
 
 def box_inertia(robot: RobotConfig) -> FloatArray:
-    """Principal moments of inertia (3,) of the housing as a solid box, in kg·m²."""
+    """Compute the principal moments of inertia of the housing as a solid box.
+
+    Parameters
+    ----------
+    robot : RobotConfig
+
+    Returns
+    -------
+    ndarray, shape (3,), in kg·m²
+    """
     squares = np.square(robot.size)
     return robot.mass / 12.0 * (np.sum(squares) - squares)
 
 
 def urdf_path(robot: RobotConfig) -> Path:
-    """The robot's URDF: beside the robot file, or shipped with the tank."""
+    """Find the robot's URDF, beside the robot file or among those shipped with the tank.
+
+    Parameters
+    ----------
+    robot : RobotConfig
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    RigError
+        If it is in neither folder.
+    """
     name = robot.body.urdf or ""
     beside, ours = robot.document.folder(("body", "urdf")) / name, Path(__file__).parent / "urdf" / name
     for path in (beside, ours):

@@ -1,4 +1,4 @@
-"""What holds the housing of a device and moves it: a liquid, a gel, a hand. The tank's clock and magnet do not mind."""
+"""Protocols of the carriers that hold and move a device's housing: a liquid, a gel, an operator."""
 
 from __future__ import annotations
 
@@ -20,38 +20,95 @@ class Carrier(Protocol):
     """Moves the housing through every physics step of a window."""
 
     def state(self) -> State:
-        """Where the housing is now."""
+        """Return the present state of the housing.
+
+        Returns
+        -------
+        State
+        """
 
     def begin(self, window: Window, time: float) -> None:
-        """A window begins at `time` s; the coils' part in it is not this one's business."""
+        """Begin a window; the tank itself applies the coils' commands.
+
+        Parameters
+        ----------
+        window : Window
+        time : float, in s
+        """
 
     def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
-        """One step of `step` s from `time` s on, from the state just read, under what the fields do to the robot."""
+        """Advance by one physics step.
+
+        Parameters
+        ----------
+        state : State
+            As just read.
+        magnetic : tuple of 6
+            Mean force (N) and torque about the housing's middle (N·m), body frame.
+        time : float, in s
+            At the start of the step.
+        step : float, in s
+        """
 
     def close(self) -> None:
-        """Let go of everything; harmless when repeated."""
+        """Release all resources; harmless when repeated."""
 
 
 @runtime_checkable
 class Turned(Carrier, Protocol):
-    """Moved by a rotating magnet as well: takes mechanical windows in long strides, since nothing listens to them."""
+    """A carrier that a rotating magnet moves too.
+
+    Mechanical windows are played in long steps, since nothing is recorded.
+
+    Attributes
+    ----------
+    longest_step : float, in s
+        Upper limit of a step in a mechanical window.
+    """
 
     longest_step: float
     """Of a stride, in s."""
 
     def lasting(self, window: Window) -> float:
-        """How long a mechanical window truly lasts, in s; asked once for each."""
+        """Return the true duration of a mechanical window; called once for each.
+
+        Parameters
+        ----------
+        window : Window
+
+        Returns
+        -------
+        float, in s
+        """
 
     def turn(self, step: float, poses: FloatArray) -> None:
-        """As many steps of `step` s as `poses` (n, 7) has rows, which receive rotation centre (m) and orientation."""
+        """Advance by as many steps as `poses` has rows.
+
+        Parameters
+        ----------
+        step : float, in s
+        poses : ndarray, shape (n, 7)
+            Receives rotation centre (m) and orientation (scalar first), world frame.
+        """
 
     def end(self, window: Window) -> None:
-        """A mechanical window is over, or was cut short."""
+        """End a mechanical window, complete or cut short.
+
+        Parameters
+        ----------
+        window : Window
+        """
 
 
 @runtime_checkable
 class Magnetised(Carrier, Protocol):
-    """Brings a magnetism of its own along, which the device feels and the sensors hear."""
+    """A carrier with a magnetisation of its own, which acts on the device and on the sensors.
+
+    Attributes
+    ----------
+    field_at_magnet : ndarray, shape (3,), in T
+        Body frame.
+    """
 
     field_at_magnet: FloatArray
     """Shape (3,), in T, body frame."""
@@ -59,12 +116,34 @@ class Magnetised(Carrier, Protocol):
     def heard(
         self, clock: float, n: int, rate: float, delay: float, positions: FloatArray, axes: FloatArray
     ) -> FloatArray:
-        """Its field (n_sensors, n) in T along the sensors' axes, `n` samples from `clock` s on, `delay` s late."""
+        """Compute the carrier's field along the sensors' axes.
+
+        Parameters
+        ----------
+        clock : float, in s
+            Time of the first sample.
+        n : int
+            Number of samples.
+        rate : float, in Hz
+        delay : float, in s
+            Of the sensors' low pass.
+        positions, axes : ndarray, shape (n_sensors, 3)
+            Positions (m) and sensitive directions, world frame.
+
+        Returns
+        -------
+        ndarray, shape (n_sensors, n), in T
+        """
 
 
 @runtime_checkable
 class Drawn(Carrier, Protocol):
-    """Was drawn from the seed, and can say how: for a run's provenance."""
+    """A carrier with sampled mismatches."""
 
     def as_dict(self) -> dict[str, Any]:
-        """What was drawn, as plain lists and numbers."""
+        """Return all sampled values as plain lists and numbers, for a run's provenance.
+
+        Returns
+        -------
+        dict
+        """

@@ -1,4 +1,4 @@
-"""Which carrier a robot needs."""
+"""Choose the carrier for a robot."""
 
 from __future__ import annotations
 
@@ -15,7 +15,25 @@ def make_carrier(
     rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
     *, gui: bool, ideal: bool,
 ) -> Carrier:  # fmt: skip
-    """The carrier that a kind of robot asks for.
+    """Make the carrier for a kind of robot.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    settings : TankSettings
+    truth : Truth
+    start : ndarray, shape (2,), in m
+        Requested start position (x, y), world frame.
+    seed : int
+    gui : bool
+        Show Bullet's window.
+    ideal : bool
+        Sample no mismatch.
+
+    Returns
+    -------
+    Carrier
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A hand that leads a flexible endoscope's tip: in along a route, out again, in along the next."""
+"""Model of an operator who guides a flexible endoscope's tip: in along a route, out again, in along the next."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ STREAM = 4  # random stream of a seed for the operator; the tank uses 0 to 3
 
 @dataclass(frozen=True, eq=False)
 class Led:
-    """What was drawn of one hand and the organ that it works in.
+    """Sampled parameters of one operator and of the organ.
 
     Attributes
     ----------
     shifts : tuple of ndarray, shape (n_points, 3), in m
-        Of each route's points; none for the first, where the tip lies at the start.
+        Displacements of each route's points, world frame; zero for the first, where the tip starts.
     pace : float
         Factor on speed and turn rate.
     roll : float, in rad
@@ -49,7 +49,17 @@ class Led:
 
     @classmethod
     def draw(cls, section: HandSection, seed: int) -> Led:
-        """Draw a hand; it is one more of the world's own, at every scale of the mismatches."""
+        """Sample an operator; not affected by the mismatches' scale.
+
+        Parameters
+        ----------
+        section : HandSection
+        seed : int
+
+        Returns
+        -------
+        Led
+        """
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, STREAM])))
         shifts = []
         for route in section.routes:
@@ -66,17 +76,19 @@ class Led:
 
 
 class Hand:
-    """Where a led device is at any time.
+    """Pose of an externally guided device over time.
 
     Parameters
     ----------
     section : HandSection
     led : Led
+        Sampled parameters.
 
     Attributes
     ----------
+    routes : tuple of Route
     begins, ends : float, in s
-        Before and after, the tip lies still.
+        The tip is at rest before and after.
     """
 
     def __init__(self, section: HandSection, led: Led) -> None:
@@ -89,11 +101,33 @@ class Hand:
         self._poses = self._planned(ticks)
 
     def poses(self, times: FloatArray) -> FloatArray:
-        """Rotation centre (m) and orientation (scalar first), shape (n, 7), at times (n,) in s on the tank's clock."""
+        """Return the device's poses at given times.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,), in s
+            On the tank's clock.
+
+        Returns
+        -------
+        ndarray, shape (n, 7)
+            Rotation centre (m) and orientation (scalar first), world frame.
+        """
         return np.array([self.pose(float(t)) for t in times])
 
     def pose(self, time: float) -> FloatArray:
-        """The same (7,) at one time; asked a thousand times a second."""
+        """Return the device's pose at one time; fast, for a thousand calls per second.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the tank's clock.
+
+        Returns
+        -------
+        ndarray, shape (7,)
+            Rotation centre (m) and orientation (scalar first), world frame.
+        """
         ticks = min(max((time - self.begins) / TICK, 0.0), len(self._poses) - LAST_STEP)
         first = int(ticks)
         share = ticks - first
@@ -102,7 +136,20 @@ class Hand:
         return found
 
     def behind(self, times: FloatArray, distances: FloatArray) -> FloatArray:
-        """Places (n, k, 3) in m of the shaft's axis at `distances` (k,) m behind the tip: it lies along the route."""
+        """Return positions on the shaft's axis, which lies along the route behind the tip.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,), in s
+            On the tank's clock.
+        distances : ndarray, shape (k,), in m
+            Behind the tip.
+
+        Returns
+        -------
+        ndarray, shape (n, k, 3), in m
+            World frame.
+        """
         leg, arc = self._where(times)
         out = np.empty((len(times), len(distances), 3))
         for index, route in enumerate(self.routes):
@@ -128,7 +175,7 @@ class Hand:
         return np.concatenate([places + shaken, quaternions], axis=1)
 
     def _where(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Index (n,) of the route and arc length (n,) in m on it."""
+        """Return the route's index (n,) and the arc length (n,) in m on it."""
         left = np.clip(times - self.begins, 0.0, self.ends - self.begins)
         leg, arc = np.zeros(len(times)), np.zeros(len(times))
         begun = 0.0
@@ -140,7 +187,7 @@ class Hand:
         return leg, arc
 
     def _times(self, route: Route, dwell: float) -> tuple[FloatArray, FloatArray]:
-        """Times (n,) in s and arc lengths (n,) in m of one way in, the stay at its end, and the way out."""
+        """Return times (n,) in s and arc lengths (n,) in m of one motion: in, dwell at the end, and out."""
         n = max(int(np.ceil(route.length / SPACING)), 2)
         step = route.length / n
         middle = (np.arange(n) + 0.5) * step
@@ -156,12 +203,12 @@ class Hand:
         return np.concatenate([way, back]), np.concatenate([arc, arc[::-1]])
 
     def _grip(self, times: FloatArray) -> FloatArray:
-        """From 0 where the tip lies still to 1 where the hand holds it."""
+        """Return the scale (n,) of tremor and torsion: 0 while the tip is at rest, 1 while the operator holds it."""
         near = np.minimum(times - self.begins, self.ends - times) / GRIP
         return np.asarray(np.sin(0.5 * np.pi * np.clip(near, 0.0, 1.0)) ** 2)
 
     def _tremor(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Displacement (n, 3) in m and rotation vector (n, 3) in rad, world frame."""
+        """Return the tremor's displacement (n, 3) in m and rotation vector (n, 3) in rad, world frame."""
         waves = 2 * np.pi * self._section.tremor_hz * np.multiply.outer(times, TREMOR)
         each = np.sin(waves[:, None, :] + self._led.phases).sum(axis=2) * self._grip(times)[:, None]
         share = np.sqrt(2.0 / 3.0) / np.sqrt(len(TREMOR))  # root mean square of the sum is 1
@@ -169,7 +216,18 @@ class Hand:
 
 
 def routes_of(section: HandSection, led: Led | None = None) -> tuple[Route, ...]:
-    """The routes of a hand, as they stand in the file, or as they were drawn. All begin in one direction."""
+    """Build an operator's routes. All begin in one direction.
+
+    Parameters
+    ----------
+    section : HandSection
+    led : Led, optional
+        Sampled displacements; without them the routes are those of the rig file.
+
+    Returns
+    -------
+    tuple of Route
+    """
     points = [route.points for route in section.routes]
     first = np.mean([p[1] - p[0] for p in points], axis=0)
     if led is not None:
@@ -178,7 +236,7 @@ def routes_of(section: HandSection, led: Led | None = None) -> tuple[Route, ...]
 
 
 def _rolls(angles: FloatArray) -> FloatArray:
-    """Rotation matrices (n, 3, 3) about z."""
+    """Return rotation matrices (n, 3, 3) about z."""
     out = np.zeros((len(angles), 3, 3))
     out[:, 0, 0] = out[:, 1, 1] = np.cos(angles)
     out[:, 1, 0] = np.sin(angles)
@@ -188,7 +246,7 @@ def _rolls(angles: FloatArray) -> FloatArray:
 
 
 def _turns(vectors: FloatArray) -> FloatArray:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) in rad (Rodrigues)."""
+    """Return the rotation matrices (n, 3, 3) of rotation vectors (n, 3) in rad (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     cross = np.zeros((len(vectors), 3, 3))
     x, y, z = vectors.T

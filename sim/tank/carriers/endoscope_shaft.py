@@ -1,4 +1,4 @@
-"""The endoscope's own magnetism: a chain of magnetic poles along the shaft behind the tip."""
+"""The endoscope's own magnetisation: a chain of magnetic poles along the shaft behind the tip."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STREAM = 5  # random stream of a seed for the shaft
 
 @dataclass(frozen=True, eq=False)
 class Shaft:
-    """Straight pieces magnetised along their length, each of its own strength: what is left of them are poles.
+    """Straight pieces, each magnetised along its length with its own strength: equivalent to poles at their ends.
 
         B(r) = mu_0 / (4 pi) * sum_k q_k (r - r_k) / |r - r_k|³,   sum_k q_k = 0
 
@@ -39,9 +39,21 @@ class Shaft:
 
     @classmethod
     def draw(cls, section: ShaftSection, seed: int, l0: float) -> Shaft:
-        """Draw a shaft: the strongest pole makes `surface_ut` at its surface, the tip's `tip_ut` at the magnet.
+        """Sample a shaft.
 
-        `l0`, in m, is from the cantilever's rotation centre to the magnet.
+        The strongest pole makes the section's `surface_ut` at the shaft's surface, the tip's pole `tip_ut` at the
+        magnet.
+
+        Parameters
+        ----------
+        section : ShaftSection
+        seed : int
+        l0 : float, in m
+            From the cantilever's rotation centre to the magnet.
+
+        Returns
+        -------
+        Shaft
         """
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, STREAM])))
         away = float(rng.uniform(-np.pi, np.pi))
@@ -61,12 +73,37 @@ class Shaft:
         return cls(poles, distances, side)
 
     def at_magnet(self, l0: float) -> FloatArray:
-        """Field (3,) in T at the magnet, body frame: of the tip's pole, which is nearest by far."""
+        """Compute the field at the magnet, from the tip's pole only, which is by far the nearest.
+
+        Parameters
+        ----------
+        l0 : float, in m
+            From the cantilever's rotation centre to the magnet.
+
+        Returns
+        -------
+        ndarray, shape (3,), in T
+            Body frame.
+        """
         away = np.array([0.0, 0.0, l0]) - self.side
         return np.asarray(MU_0_OVER_4_PI * self.poles[0] * away / np.linalg.norm(away) ** 3)
 
     def field(self, hand: Hand, times: FloatArray, points: FloatArray) -> FloatArray:
-        """Field (m, n, 3) in T at points (m, 3) in m and times (n,) in s on the tank's clock, world frame."""
+        """Compute the shaft's field.
+
+        Parameters
+        ----------
+        hand : Hand
+        times : ndarray, shape (n,), in s
+            On the tank's clock.
+        points : ndarray, shape (m, 3), in m
+            World frame.
+
+        Returns
+        -------
+        ndarray, shape (m, n, 3), in T
+            World frame.
+        """
         places = hand.behind(times, self.distances)
         away = points[:, None, None, :] - places
         return np.asarray(
@@ -76,9 +113,24 @@ class Shaft:
     def heard(
         self, hand: Hand, clock: float, n: int, rate: float, delay: float, points: FloatArray, axes: FloatArray
     ) -> FloatArray:
-        """Readings (m, n) in T of sensors at `points` (m, 3) in m along `axes` (m, 3), from `clock` s on.
+        """Compute the shaft's field along the sensors' axes.
 
-        `delay`, in s, is the time constant of their low pass, which does no more to so slow a field.
+        Parameters
+        ----------
+        hand : Hand
+        clock : float, in s
+            Time of the first sample.
+        n : int
+            Number of samples.
+        rate : float, in Hz
+        delay : float, in s
+            Time constant of the sensors' low pass; so slow a field is only delayed by it.
+        points, axes : ndarray, shape (m, 3)
+            Positions (m) and sensitive directions of the sensors, world frame.
+
+        Returns
+        -------
+        ndarray, shape (m, n), in T
         """
         span = (n - 1) / rate
         grid = np.linspace(clock, clock + span, max(int(np.ceil(span / GRID)), 1) + 1)

@@ -1,4 +1,4 @@
-"""A robot afloat: Bullet moves its housing, the liquid brakes and carries it."""
+"""A floating robot: Bullet moves its housing under weight, buoyancy and drag."""
 
 from __future__ import annotations
 
@@ -20,7 +20,19 @@ from smolbot.errors import InputError
 
 
 class Floating:
-    """The carrier of a gradient-pulled robot; keeps the promise of `sim.tank.carriers.carrier.Carrier`."""
+    """The carrier of a gradient-pulled robot; implements `sim.tank.carriers.carrier.Carrier`.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    settings : TankSettings
+    truth : Truth
+    start : ndarray, shape (2,), in m
+        Requested start position (x, y), world frame.
+    gui : bool
+        Show Bullet's window.
+    """
 
     def __init__(
         self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray,
@@ -32,10 +44,26 @@ class Floating:
         self.state = self.bodies.state  # called 1000 times per second of flight: no layer between
 
     def begin(self, window: Window, time: float) -> None:
-        """Nothing but the coils moves this robot."""
+        """Do nothing: only the coils move this robot.
+
+        Parameters
+        ----------
+        window : Window
+        time : float, in s
+        """
 
     def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
-        """One step under the mean force and torque `magnetic`."""
+        """Advance by one step under the mean magnetic force and torque.
+
+        Parameters
+        ----------
+        state : State
+            As just read.
+        magnetic : tuple of 6
+            Force (N) and torque about the housing's middle (N·m), body frame.
+        time : float, in s
+        step : float, in s
+        """
         position, quaternion, velocity, spin = state
         hull = self.hull
         velocity, spin = float_step(
@@ -44,14 +72,36 @@ class Floating:
         self.bodies.move(velocity, spin, step)
 
     def close(self) -> None:
-        """Let go of Bullet's world."""
+        """Release Bullet's world."""
         self.bodies.close()
 
 
 def put_down(
     rig: RigConfig, robot: RobotConfig, truth: Truth, hull: Hull, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Middle (3,) in m and orientation (4,) of the housing: afloat, level, near `start` (m), its heading drawn."""
+    """Compute the start pose of the housing: floating, level, near `start`, with a sampled heading.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    truth : Truth
+    hull : Hull
+    start : ndarray, shape (2,), in m
+        Requested start position (x, y), world frame.
+
+    Returns
+    -------
+    position : ndarray, shape (3,), in m
+        Middle of the housing, world frame.
+    orientation : ndarray, shape (4,)
+        Unit quaternion, scalar first.
+
+    Raises
+    ------
+    InputError
+        If the robot does not fit into the container there.
+    """
     wanted = np.asarray(start, dtype=np.float64)[:2]
     away = np.abs(wanted - rig.container.center)
     room = 0.5 * rig.container.size - np.hypot(robot.size[0], robot.size[2]) / 2

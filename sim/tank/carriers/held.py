@@ -1,4 +1,4 @@
-"""A device that does not move by itself: led by a hand, or left where it was implanted. Keeps the carriers' promise."""
+"""Carriers of a device that does not move by itself: guided by an operator, or fixed where it was implanted."""
 
 from __future__ import annotations
 
@@ -26,12 +26,23 @@ STREAM = 4  # random stream of a seed for the place; the tank uses 0 to 3
 
 
 def held(rig: RigConfig, robot: RobotConfig, settings: TankSettings, seed: int) -> Carrier:
-    """What holds a bare device in this tank.
+    """Make the carrier of a bare device in this tank.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    settings : TankSettings
+    seed : int
+
+    Returns
+    -------
+    Carrier
 
     Raises
     ------
     InputError
-        If the rig file says of no hand and no place.
+        If the rig file has neither ``[tank.hand]`` nor ``[tank.place]``.
     """
     if settings.hand is not None:
         return Leading(settings.hand, seed, robot.device.l0)
@@ -44,7 +55,15 @@ def held(rig: RigConfig, robot: RobotConfig, settings: TankSettings, seed: int) 
 
 
 class Leading:
-    """Brings the device wherever the hand leads it; with an endoscope's shaft, its magnetism too."""
+    """Moves the device as the operator guides it; an endoscope's shaft adds its magnetisation.
+
+    Parameters
+    ----------
+    section : HandSection
+    seed : int
+    l0 : float, in m
+        From the cantilever's rotation centre to the magnet.
+    """
 
     def __init__(self, section: HandSection, seed: int, l0: float) -> None:
         self.led = Led.draw(section, seed)
@@ -54,38 +73,90 @@ class Leading:
         self._time = 0.0
 
     def state(self) -> State:
-        """Where the track says that the device is now."""
+        """Return the pose on the operator's track at the present time, with zero velocities.
+
+        Returns
+        -------
+        State
+        """
         x, y, z, w, i, j, k = self.hand.pose(self._time).tolist()
         return (x, y, z), (w, i, j, k), STILL, STILL
 
     def begin(self, window: Window, time: float) -> None:
-        """The hand minds no window."""
+        """Do nothing: the operator's motion does not depend on the windows.
+
+        Parameters
+        ----------
+        window : Window
+        time : float, in s
+        """
 
     def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
-        """The hand is stronger than any field."""
+        """Advance along the track; magnetic forces are negligible against the operator's.
+
+        Parameters
+        ----------
+        state : State
+            Not used.
+        magnetic : tuple of 6
+            Not used.
+        time : float, in s
+            At the start of the step.
+        step : float, in s
+        """
         self._time = time + step
 
     def heard(
         self, clock: float, n: int, rate: float, delay: float, positions: FloatArray, axes: FloatArray
     ) -> FloatArray:
-        """What the shaft puts into the sensors."""
+        """Compute the shaft's field along the sensors' axes.
+
+        Parameters
+        ----------
+        clock : float, in s
+            Time of the first sample.
+        n : int
+            Number of samples.
+        rate : float, in Hz
+        delay : float, in s
+            Of the sensors' low pass.
+        positions, axes : ndarray, shape (n_sensors, 3)
+            Positions (m) and sensitive directions, world frame.
+
+        Returns
+        -------
+        ndarray, shape (n_sensors, n), in T
+        """
         if self.shaft is None:
             return np.zeros((len(positions), n))
         return self.shaft.heard(self.hand, clock, n, rate, delay, positions, axes)
 
     def as_dict(self) -> dict[str, Any]:
-        """The drawn hand and shaft."""
+        """Return the sampled parameters of operator and shaft.
+
+        Returns
+        -------
+        dict
+            Plain lists and numbers.
+        """
         drawn = {"hand": asdict(self.led)}
         if self.shaft is not None:
             drawn["shaft"] = asdict(self.shaft)
         return _plain(drawn)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: there is no resource to release."""
 
 
 class Implanted:
-    """Stays where it was put: near a place, heading anywhere, not quite level."""
+    """Keeps the device at a fixed pose: near the requested position, with sampled heading, pitch and roll.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    section : PlaceSection
+    seed : int
+    """
 
     def __init__(self, rig: RigConfig, section: PlaceSection, seed: int) -> None:
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, STREAM])))
@@ -104,21 +175,46 @@ class Implanted:
         self._state: State = (x, y, z), (w, i, j, k), STILL, STILL
 
     def state(self) -> State:
-        """Where it was put."""
+        """Return the fixed pose, with zero velocities.
+
+        Returns
+        -------
+        State
+        """
         return self._state
 
     def begin(self, window: Window, time: float) -> None:
-        """Tissue minds no window."""
+        """Do nothing: the pose is fixed.
+
+        Parameters
+        ----------
+        window : Window
+        time : float, in s
+        """
 
     def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
-        """Tissue is stiffer than any field is strong."""
+        """Do nothing: tissue withstands the magnetic forces.
+
+        Parameters
+        ----------
+        state : State
+        magnetic : tuple of 6
+        time : float, in s
+        step : float, in s
+        """
 
     def as_dict(self) -> dict[str, Any]:
-        """The drawn place."""
+        """Return the sampled pose.
+
+        Returns
+        -------
+        dict
+            Plain lists and numbers.
+        """
         return _plain({"place": {"position": self.position, "orientation": self.orientation}})
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: there is no resource to release."""
 
 
 def _plain(value: Any) -> Any:

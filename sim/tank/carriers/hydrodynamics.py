@@ -1,4 +1,4 @@
-"""What the liquid does to the floating robot: weight, buoyancy, the surface's hold, and implicit Stokes drag."""
+"""Forces of the liquid on the floating robot: weight, buoyancy, surface tension, and implicit Stokes drag."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ class Hull:
     Attributes
     ----------
     values : ndarray, shape (17,)
-        Mass, inertia (3), drag along (3) and about (3) the body axes, weight, buoyancy of the whole box, height of the
-        box, height of the surface, stiffness of the meniscus (N/m), righting stiffness about body x and z (N·m/rad).
+        Mass, inertia (3), drag along (3) and about (3) the body axes, weight, buoyancy of the complete box, height
+        of the box, height of the surface, stiffness of the meniscus (N/m), righting stiffness about body x and z
+        (N·m/rad).
     float_height : float, in m
         Height of the housing's middle, world frame, where it floats (or rests on the floor, if too heavy).
     """
@@ -39,11 +40,22 @@ class Hull:
 
     @classmethod
     def build(cls, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth) -> Hull:
-        """The hull of a robot in a rig's liquid, as it truly is.
+        """Build the true hull of a robot in a rig's liquid.
 
-        Drag is that of a sphere, ``6 pi mu r`` and ``8 pi mu r³``, times what was drawn for each axis. A floating body
-        rights itself by ``rho g (I_waterplane + V (z_B - z_G))``; around its waterline the pinned meniscus adds a
-        spring of ``sqrt(sigma rho g)`` for each metre of line.
+        Drag is that of a sphere, ``6 pi mu r`` and ``8 pi mu r³``, times a sampled factor for each axis. A floating
+        body rights itself by ``rho g (I_waterplane + V (z_B - z_G))``; around its waterline the pinned meniscus
+        adds a spring of ``sqrt(sigma rho g)`` for each metre of line.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        robot : RobotConfig
+        settings : TankSettings
+        truth : Truth
+
+        Returns
+        -------
+        Hull
         """
         x, y, z = robot.size
         density = rig.sections.medium.density_kg_m3 * truth.density
@@ -84,26 +96,36 @@ def float_step(
     float_height: float,
     step: float,
 ) -> tuple[Triple, Triple]:
-    """Velocity and spin after one step, with drag taken at its end (implicit Euler).
+    """Compute velocity and spin after one step, with drag taken at its end (implicit Euler).
 
         v' = (v + F dt / m) / (1 + gamma dt / m)   along each body axis, and likewise for the spin
 
-    The terminal velocity ``F / gamma`` is exact at any step, however short the time in which momentum dies.
+    The terminal velocity ``F / gamma`` is exact at any step, even one much longer than the decay of momentum.
 
     Parameters
     ----------
-    position, quaternion, velocity, spin : tuple of 3, 4, 3, 3
-        Middle of the housing in m, orientation (scalar first), m/s and rad/s, world frame.
+    position : tuple of 3, in m
+        Middle of the housing, world frame.
+    quaternion : tuple of 4
+        Orientation, scalar first.
+    velocity : tuple of 3, in m/s
+        World frame.
+    spin : tuple of 3, in rad/s
+        World frame.
     magnetic : tuple of 6
         Force (N) and torque (N·m), body frame, as `sim.tank.magnetics.cantilever.swing` returns them.
-    hull, float_height
-        As `Hull` holds them.
+    hull : ndarray, shape (17,)
+        `Hull.values`.
+    float_height : float, in m
+        `Hull.float_height`.
     step : float, in s
 
     Returns
     -------
-    tuple of 3, tuple of 3
-        Velocity in m/s and spin in rad/s, world frame.
+    velocity : tuple of 3, in m/s
+        World frame.
+    spin : tuple of 3, in rad/s
+        World frame.
     """
     w, x, y, z = quaternion
     xx, xy, xz = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)

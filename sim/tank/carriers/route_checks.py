@@ -1,4 +1,4 @@
-"""Whether a hand's routes, or a place, lie in the container: checked as the rig file is read."""
+"""Check that an operator's routes, or a device's position, lie in the container; run when the rig file is read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,18 @@ STEPS = 200  # points of a route that are checked
 
 
 def holding_faults(settings: TankSettings, container: Any) -> list[Fault]:
-    """Every reason why what holds a bare device does not go with the `[container]` section."""
+    """Check ``[tank.hand]`` and ``[tank.place]`` against the ``[container]`` section.
+
+    Parameters
+    ----------
+    settings : TankSettings
+    container : Any
+        The section as read, unchecked.
+
+    Returns
+    -------
+    list of Fault
+    """
     if settings.hand is not None and settings.place is not None:
         return [Fault(("tank", "place"), "a device is guided by [tank.hand] or rests at [tank.place], not both.")]
     box = _box(container)
@@ -54,7 +65,7 @@ def _outside(places: FloatArray, low: FloatArray, high: FloatArray, room: Any, k
 
 
 def _box(container: Any) -> tuple[FloatArray, FloatArray] | None:
-    """Corners (3,) and (3,) in mm."""
+    """Return the container's corners (3,) and (3,) in mm, or None if its section is invalid."""
     try:
         center, size = np.array(container["center_mm"], dtype=float), np.array(container["size_mm"], dtype=float)
         floor, surface = float(container["floor_z_mm"]), float(container["surface_z_mm"])

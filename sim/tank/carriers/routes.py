@@ -1,4 +1,4 @@
-"""A route of a flexible tip: a smooth curve in space, and a frame that is carried along it without needless roll."""
+"""A route of a flexible tip: a smooth curve in space, with a frame that follows it without rolling."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ STEEP = 0.9  # vertical part of a direction from which x, not up, defines the fi
 
 
 class Route:
-    """A cubic spline through points, by its length, from the first to the last.
+    """A cubic spline through points, parametrised by arc length.
 
-    The frame's z axis is the curve's direction. Its x axis is carried along without rolling about z (double reflection,
-    Wang et al. 2008), from the upward direction at the start.
+    The frame's z axis is the curve's direction. Its x axis follows without rolling about z (double reflection,
+    Wang et al. 2008), starting from the upward direction.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3), in m
-        At least two, no two in a row the same.
+        World frame. At least two, no two in a row the same.
     direction : ndarray, shape (3,)
         Of the curve at its start.
 
@@ -45,12 +45,34 @@ class Route:
         self.length = float(self._arc[-1])
 
     def at(self, arc: FloatArray) -> FloatArray:
-        """Places (n, 3) in m at arc lengths (n,) in m; before the start the curve goes on straight."""
+        """Return positions on the curve; before the start it continues straight.
+
+        Parameters
+        ----------
+        arc : ndarray, shape (n,), in m
+            Arc lengths.
+
+        Returns
+        -------
+        ndarray, shape (n, 3), in m
+            World frame.
+        """
         inside = _interpolated(arc, self._arc, self._places)
         return inside + np.minimum(arc, 0.0)[:, None] * self._tangents[0]
 
     def frames(self, arc: FloatArray) -> FloatArray:
-        """Rotation matrices (n, 3, 3), from the tip's body to the world, at arc lengths (n,) in m."""
+        """Return the rotations of the frame that follows the curve.
+
+        Parameters
+        ----------
+        arc : ndarray, shape (n,), in m
+            Arc lengths.
+
+        Returns
+        -------
+        ndarray, shape (n, 3, 3)
+            From the tip's body frame to the world frame.
+        """
         z = _interpolated(arc, self._arc, self._tangents)
         z /= np.linalg.norm(z, axis=1)[:, None]
         x = _interpolated(arc, self._arc, self._sides)
@@ -60,7 +82,7 @@ class Route:
 
     @property
     def bends(self) -> tuple[FloatArray, FloatArray]:
-        """Arc lengths (n,) in m, and the curvature (n,) in 1/m there."""
+        """Arc lengths (n,) in m, and the curvature (n,) in 1/m at each."""
         turn = np.arccos(np.clip(np.sum(self._tangents[1:] * self._tangents[:-1], axis=1), -1.0, 1.0))
         steps = np.diff(self._arc)
         return 0.5 * (self._arc[1:] + self._arc[:-1]), turn / steps
@@ -71,7 +93,7 @@ def _interpolated(arc: FloatArray, known: FloatArray, values: FloatArray) -> Flo
 
 
 def _carried(places: FloatArray, tangents: FloatArray) -> FloatArray:
-    """Side vectors (n, 3) that turn with the tangents and do not roll about them."""
+    """Return side vectors (n, 3) that follow the tangents without rolling about them."""
     up = np.array([0.0, 0.0, 1.0])
     if abs(tangents[0, 2]) > STEEP:
         up = np.array([1.0, 0.0, 0.0])

@@ -1,1 +1,1 @@
-"""True fields, the swinging magnet, and what sensors make of them."""
+"""True fields of coils and magnet, the oscillating cantilever, and the sensors' readings."""

@@ -1,7 +1,7 @@
-"""Kernels of one physics step: true coil fields at the magnet, coil currents, and the swinging cantilever.
+"""Kernels of one physics step: true coil fields at the magnet, coil currents, and the oscillating cantilever.
 
-They call each other and so share this file (numba's cache does not see a change in another one). All work in the body
-frame: x sideways, y the axis of oscillation, z along the cantilever.
+They call each other and so share this file (numba's cache does not see a change in another one). All work in the
+body frame: x sideways, y the axis of oscillation, z along the cantilever.
 """
 
 from __future__ import annotations
@@ -45,8 +45,10 @@ SILENT = 1e-12  # A: below it no sensor measures its field
 
 @njit(cache=True, error_model="numpy")
 def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad, Quad]:
-    """First coefficient of the cell that holds x (beyond the table the outermost cell), the four cubic B-spline weights
-    and their derivatives."""
+    """Return the first coefficient of the cell that holds x, the four cubic B-spline weights and their derivatives.
+
+    Beyond the table the outermost cell is used.
+    """
     # weights of four cubic B-splines, and of their derivatives
     u = (x - origin) * scale
     i = max(1, min(math.floor(u), count - 3))
@@ -61,7 +63,7 @@ def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad,
 def _round_field(
     x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray
 ) -> None:
-    """Field (3,) and gradient (3, 3) of a round coil at a point in its own frame, T per A and T per (A m)."""
+    """Compute field (T per A) and gradient (T per (A·m)) of a round coil at a point, both in the coil's own frame."""
     radius = math.sqrt(x * x + y * y)
     n_heights = int(row[COUNTS + 1])
     i, wr, dr = _cell(radius, row[ORIGIN], row[SCALE], int(row[COUNTS]))
@@ -96,7 +98,7 @@ def _round_field(
 
 @njit(cache=True, error_model="numpy")
 def _flat_field(x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray) -> None:
-    """Field (3,) and gradient (3, 3) of a flat coil at a point in its own frame, T per A and T per (A m)."""
+    """Compute field (T per A) and gradient (T per (A·m)) of a flat coil at a point, both in the coil's own frame."""
     ny, nz = int(row[COUNTS + 1]), int(row[COUNTS + 2])
     i, wx, dx = _cell(x, row[ORIGIN], row[SCALE], int(row[COUNTS]))
     j, wy, dy = _cell(y, row[ORIGIN + 1], row[SCALE], ny)
@@ -129,21 +131,26 @@ def coil_field(
     g: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Field and gradient of one coil at a world point, seen in the frame whose axes are the columns of `rotation`.
+    """Compute field and gradient of one coil at a world point.
+
+    The result is in the frame whose axes are the columns of `rotation`.
 
     Parameters
     ----------
     point : ndarray, shape (3,), in m
-    row, table
-        As `sim.tank.magnetics.coil_fields.CoilSet` packs them.
+        World frame.
+    row : ndarray, shape (22,)
+        The coil's row of `sim.tank.magnetics.coil_fields.CoilSet`.
+    table : ndarray
+        The coefficients of `sim.tank.magnetics.coil_fields.CoilSet`.
     rotation : ndarray, shape (3, 3)
-        Takes vectors of the wanted frame to world vectors; the identity for a result in the world frame.
+        From the result's frame to the world frame; the identity for a result in the world frame.
     b : ndarray, shape (3,), in T per A
         Receives the field.
     g : ndarray, shape (3, 3), in T per (A·m)
         Receives the gradient, ``g[i, j] = dB_i / dx_j``.
     work : ndarray, shape (4, 3, 3)
-        Scratch: an allocation costs as much as a field.
+        Scratch memory: an allocation costs as much as a field.
     """
     turn, half, own_g, own_b = work[0], work[1], work[2], work[3, 0]
     dx, dy, dz = point[0] - row[PLACE], point[1] - row[PLACE + 1], point[2] - row[PLACE + 2]
@@ -169,7 +176,20 @@ def coil_field(
 
 @njit(cache=True, error_model="numpy")
 def fields_at(points: FloatArray, rows: FloatArray, table: FloatArray) -> FloatArray:
-    """Field (n_coils, n, 3) in T per A of every coil at world points (n, 3) in m, world frame."""
+    """Compute the field of every coil at world points.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), in m
+        World frame.
+    rows, table : ndarray
+        Of `sim.tank.magnetics.coil_fields.CoilSet`.
+
+    Returns
+    -------
+    ndarray, shape (n_coils, n, 3), in T per A
+        World frame.
+    """
     out = np.empty((len(rows), len(points), 3))
     g, world, work = np.empty((3, 3)), np.eye(3), np.empty((4, 3, 3))
     for c in range(len(rows)):
@@ -197,32 +217,38 @@ def swing(
     commands: FloatArray,
     at: int,
 ) -> tuple[float, float, float, float, float, float]:
-    """Advance currents and cantilever by one physics step and return what the field does to the robot.
+    """Advance coil currents and cantilever by one physics step and return the mean load on the robot.
 
         theta'' = -2 eta theta' - friction sign(theta') - omega0² theta + Q / I
         Q = m B . (y x m_dir) + F . (y x r),   F = grad(m . B),   I = m_mag l0²
 
-    The field is expanded to first order around the magnet's place at the start of the step.
+    The field is expanded to first order around the magnet's position at the start of the step.
 
     Parameters
     ----------
-    position, quaternion : tuple of 3 (m) and 4
-        Middle of the housing and its orientation (scalar first), world frame.
-    device, state, circuits : ndarray
-        As laid out at the top of this file; `state` and the currents are advanced in place.
+    position : tuple of 3, in m
+        Middle of the housing, world frame.
+    quaternion : tuple of 4
+        Orientation of the housing, scalar first.
+    device : ndarray
+        As laid out at the top of this file.
     earth : ndarray, shape (3,), in T
         Uniform field, world frame.
-    rows, table
-        As `sim.tank.magnetics.coil_fields.CoilSet` packs them; as many rows as `circuits`.
+    rows, table : ndarray
+        Of `sim.tank.magnetics.coil_fields.CoilSet`; as many rows as `circuits`.
+    circuits, state : ndarray
+        As laid out at the top of this file; `state` and the currents are advanced in place.
     poses : ndarray, shape (k, 7)
-        Row `index` receives the rotation centre (m) and the orientation at the start of the step.
+        Row `index` receives the rotation centre (m) and the orientation at the start of the step, world frame.
+    index : int
     trace : ndarray, shape (l, 1 + n_coils)
-        Rows from `used` on receive deflection and currents at the end of each substep.
+        Rows from `used` on receive deflection (rad) and currents (A) at the end of each substep.
+    used : int
     step : float, in s
     substeps : int
     commands : ndarray, shape (m, n), in A
-        Sampled commands of the first n coils, a row for each substep from row `at` on; no rows where the commands of
-        `circuits` count.
+        Sampled commands of the first n coils, one row per substep from row `at` on; empty if the commands of
+        `circuits` apply.
     at : int
 
     Returns

@@ -1,7 +1,8 @@
-"""The coils as they truly are: one fine table per coil shape in the coil's own frame, moved, tilted and scaled.
+"""The true coils: one fine table per coil shape in the coil's own frame, displaced, tilted and scaled.
 
-The controller interpolates one table of all nominal coils on the rig's mesh. Here each shape is tabulated once in its
-own frame (radius and height for round coils, three axes for flat ones), and each coil is an erroneous copy of it.
+The controller interpolates one table of all nominal coils on the rig's mesh. Here each shape is tabulated once in
+its own frame (radius and height for round coils, three axes for flat ones), and each coil is an erroneous copy of
+it.
 """
 
 from __future__ import annotations
@@ -54,15 +55,20 @@ class ShapeTable:
 
 
 def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, spacing: float) -> ShapeTable:
-    """Tabulate a coil that stands at the origin along z, from corner `low` to `high` in its own frame; cached on disk.
+    """Tabulate a coil shape at the origin, with its axis along z; cached on disk.
 
     Parameters
     ----------
     coil : RoundCoil or FlatCoil
         Its centre, axis and width direction are not used.
     low, high : ndarray, shape (3,), in m
-        Rounded outward to whole cells, so that neighbouring wishes share a table.
+        Corners of the table in the coil's own frame, rounded outward to whole cells so that similar requests share
+        a table.
     spacing : float, in m
+
+    Returns
+    -------
+    ShapeTable
     """
     up, ahead = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     standing: RoundCoil | FlatCoil
@@ -86,7 +92,17 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
 
 
 def coil_frame(coil: RoundCoil | FlatCoil) -> FloatArray:
-    """Rows (3, 3): the coil's own axes in the world, the last along its axis."""
+    """Compute a coil's own axes in the world frame.
+
+    Parameters
+    ----------
+    coil : RoundCoil or FlatCoil
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        One axis per row, the last along the coil's axis: a rotation from world to coil frame.
+    """
     axis = np.asarray(coil.axis) / np.linalg.norm(coil.axis)
     width = coil.width_direction if isinstance(coil, FlatCoil) else np.eye(3)[int(np.argmin(np.abs(axis)))]
     width = width - (width @ axis) * axis
@@ -101,7 +117,8 @@ class CoilSet:
     Attributes
     ----------
     rows : ndarray, shape (n_coils, 22)
-    coefficients : ndarray, shape (total,)
+        One coil per row, as laid out at the top of this file.
+    coefficients : ndarray, shape (total,), in T per A
     """
 
     rows: FloatArray
@@ -117,18 +134,24 @@ def pack(
     high: FloatArray,
     spacing: float = 5e-4,
 ) -> CoilSet:
-    """Pack nominal coils with their errors into arrays that the kernels evaluate.
+    """Pack nominal coils with their errors into arrays for the kernels.
 
     Parameters
     ----------
     coils : tuple of RoundCoil or FlatCoil
-    places, tilts : ndarray, shape (n_coils, 3)
-        Displacement (m) and rotation vector (rad) of each.
+    places : ndarray, shape (n_coils, 3), in m
+        Displacements, world frame.
+    tilts : ndarray, shape (n_coils, 3), in rad
+        Rotation vectors, world frame.
     gains : ndarray, shape (n_coils,)
     low, high : ndarray, shape (3,), in m
-        Corners of the world volume in which the field is wanted.
+        Corners of the volume in which the field is needed, world frame.
     spacing : float, in m
-        Of round coils' tables; flat ones, smooth above their bobbins, take twice as much.
+        Of round coils' tables; flat coils, whose field is smooth above their bobbins, use twice as much.
+
+    Returns
+    -------
+    CoilSet
     """
     corners = np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
     frames = [
@@ -189,7 +212,7 @@ def _coefficients(values: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=8)
 def _kept(path: Path) -> FloatArray:
-    """Coefficients from the cache on disk, read once in a process that flies many tanks; not to be changed."""
+    """Read coefficients from the cache on disk, once per process; the array is read-only."""
     coefficients: FloatArray = np.load(path)
     coefficients.setflags(write=False)
     used(path)

@@ -1,4 +1,4 @@
-"""All coils around one tank: actuation, excitation, and the one that cancels the earth's field."""
+"""All coils around one tank: actuation, excitation, and the compensation coil for the earth's field."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ class TankCoils:
     circuits : ndarray, shape (n_coils, 4)
         Columns as `sim.tank.magnetics.cantilever.swing` takes them.
     coupling : ndarray, shape (n_coils, n_sensors), in T/A
-        Zero for the compensation coil: what it does to the sensors was nulled by hand.
+        Zero for the compensation coil: its effect on the sensors was nulled manually.
     earth : ndarray, shape (3,), in T
+        World frame.
     n_actuation, n_excitation : int
     """
 
@@ -46,7 +47,20 @@ class TankCoils:
     def build(
         cls, rig: RigConfig, settings: TankSettings, truth: Truth, positions: FloatArray, axes: FloatArray
     ) -> TankCoils:
-        """Place every coil with its drawn errors; `positions` and `axes` (n_sensors, 3) are the true sensors."""
+        """Place every coil with its sampled errors.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        settings : TankSettings
+        truth : Truth
+        positions, axes : ndarray, shape (n_sensors, 3)
+            True sensor positions (m) and sensitive directions, world frame.
+
+        Returns
+        -------
+        TankCoils
+        """
         from lookup_tables import FlatCoil, RoundCoil
 
         driven: tuple[RoundCoil | FlatCoil, ...] = (*rig.round_coils(), *rig.flat_coils())
@@ -82,14 +96,29 @@ class TankCoils:
 
 
 def volume(rig: RigConfig) -> tuple[FloatArray, FloatArray]:
-    """Corners (3,) and (3,) in m, world frame, of the space in which the magnet can be."""
+    """Return the corners of the space in which the magnet can be.
+
+    Parameters
+    ----------
+    rig : RigConfig
+
+    Returns
+    -------
+    low, high : ndarray, shape (3,), in m
+        World frame.
+    """
     box = rig.container
     top_mm = max(box.surface_z_mm, box.floor_z_mm + MIN_DEPTH_MM) + ABOVE_SURFACE_MM  # the mesh's last digit needs mm
     return box.low - MARGIN, np.array([*box.high[:2], 1e-3 * top_mm]) + MARGIN
 
 
 class NominalExcitation:
-    """Field of the excitation coils as they are believed to stand; fast inside the container's volume."""
+    """Field of the excitation coils at their nominal positions; fast inside the container's volume.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    """
 
     def __init__(self, rig: RigConfig) -> None:
         self._coils = rig.flat_coils()
@@ -98,7 +127,18 @@ class NominalExcitation:
         self._fields = pack(self._coils, np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), self._low, self._high)
 
     def at(self, position: FloatArray) -> FloatArray:
-        """Field (n_exc, 3) in T per A at `position` (3,) in m, world frame."""
+        """Compute the field of each excitation coil at a point.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            World frame.
+
+        Returns
+        -------
+        ndarray, shape (n_exc, 3), in T per A
+            World frame.
+        """
         from sim.tank.magnetics.cantilever import fields_at
 
         point = np.array(position, dtype=np.float64)[None]

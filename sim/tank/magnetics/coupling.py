@@ -1,4 +1,7 @@
-"""What each coil's current puts into each sensor: only residual currents matter, so straight wires are exact enough."""
+"""Coupling of each coil's current into each sensor.
+
+Only residual currents matter, so straight wires are exact enough.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +28,19 @@ def coil_to_sensor(
     positions: FloatArray,
     axes: FloatArray,
 ) -> FloatArray:
-    """Reading of each sensor per ampere in each coil.
+    """Compute the reading of each sensor per ampere in each coil.
 
     Parameters
     ----------
     coils : tuple of RoundCoil or FlatCoil
         Nominal coils.
     places : ndarray, shape (n_coils, 3), in m
-        Displacement of each.
+        Displacement of each, world frame.
     rotations : ndarray, shape (n_coils, 3, 3)
         Tilt of each.
     gains : ndarray, shape (n_coils,)
     positions, axes : ndarray, shape (n_sensors, 3)
-        True places (m) and sensitive directions, gain included.
+        True positions (m) and sensitive directions with the gain as length, world frame.
 
     Returns
     -------
@@ -53,11 +56,23 @@ def coil_to_sensor(
 
 
 def wire_field(points: FloatArray, start: FloatArray, end: FloatArray, current: FloatArray) -> FloatArray:
-    """Field (n, 3), in T, of straight wires from `start` to `end` (m, 3) in m that carry `current` (m,) in A.
+    """Compute the field of straight wires that carry a current.
 
         B = mu_0 I / (4 pi) * (a x b) (|a| + |b|) / (|a| |b| (|a| |b| + a . b))
 
     with a and b from the wire's ends to the point.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), in m
+    start, end : ndarray, shape (m, 3), in m
+        Ends of the wires, in the frame of `points`.
+    current : ndarray, shape (m,), in A
+
+    Returns
+    -------
+    ndarray, shape (n, 3), in T
+        Sum over all wires, in the frame of `points`.
     """
     # Biot-Savart for straight wires: mu_0 I / 4 pi * (|a| + |b|) / (|a| |b| (|a| |b| + a . b)) * a x b
     a, b = points[:, None] - start, points[:, None] - end
@@ -69,7 +84,7 @@ def wire_field(points: FloatArray, start: FloatArray, end: FloatArray, current: 
 
 
 def _wires(coil: RoundCoil | FlatCoil) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Starts, ends and ampere-turns of the wires of a coil that stands at the origin along z."""
+    """Return starts, ends and ampere-turns of the wires of a coil at the origin with its axis along z."""
     from lookup_tables import FlatCoil
 
     loops: list[tuple[FloatArray, float, float]] = []

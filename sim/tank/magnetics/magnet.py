@@ -1,4 +1,4 @@
-"""The magnet on its cantilever as it truly is, packed for the kernel that swings it."""
+"""The true magnet on its cantilever, packed for the kernel that moves it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,18 @@ MAGNET_MASS = MAGNET_DENSITY * math.pi * MAGNET_RADIUS**2 * MAGNET_LENGTH  # kg
 
 
 def true_device(robot: RobotConfig, settings: TankSettings, truth: Truth) -> FloatArray:
-    """The `device` array of `sim.tank.magnetics.cantilever.swing` for a robot with the drawn errors."""
+    """Pack the `device` array of `sim.tank.magnetics.cantilever.swing` for a robot with the sampled errors.
+
+    Parameters
+    ----------
+    robot : RobotConfig
+    settings : TankSettings
+    truth : Truth
+
+    Returns
+    -------
+    ndarray
+    """
     device = robot.device
     return pack_device(
         device.moment * truth.moment,
@@ -43,11 +54,35 @@ def pack_device(
     center: tuple[float, float, float],
     magnet_mass: float = MAGNET_MASS,
 ) -> FloatArray:
-    """The `device` array of `swing`, from SI values.
+    """Pack the `device` array of `sim.tank.magnetics.cantilever.swing`.
 
-    Linear damping (Eq. S3) is what dry friction does: the amplitude falls by ``eta theta_max`` each second, so the
+    Linear damping (Eq. S3) models dry friction: the amplitude falls by ``eta theta_max`` each second, so the
     friction is ``eta theta_max omega² / (4 f)``. Exponential damping (Eq. S4) is viscous; omega0 is
     such that the damped oscillation has the given frequency.
+
+    Parameters
+    ----------
+    moment : float, in A·m²
+    direction : ndarray, shape (3,)
+        Of the moment at rest, body frame; without y component.
+    l0 : float, in m
+        From the rotation centre to the magnet.
+    theta_max : float, in rad
+        Deflection at the stops.
+    frequency : float, in Hz
+    damping : float, in 1/s
+        eta.
+    damping_model : str
+        ``linear`` or ``exponential``.
+    restitution : float
+        Of the stops.
+    center : tuple of 3, in m
+        Middle of the housing, from the rotation centre, body frame.
+    magnet_mass : float, in kg
+
+    Returns
+    -------
+    ndarray
     """
     omega = 2.0 * math.pi * frequency
     linear = damping_model == "linear"

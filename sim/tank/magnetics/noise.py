@@ -24,20 +24,25 @@ class FieldNoise:
 
         B(r, t) = sum_k Re[(B_k e^{i a_k} + G_k r e^{i b_k}) e^{2 pi i f_k t}]
 
-    Directions of B_k, symmetric traceless gradients G_k and phases are drawn. `mains_nt` is the peak of |B| at 50 Hz,
-    `mains_gradient_nt_per_m` the peak of its change per metre, root mean square over directions (G's Frobenius norm
-    over sqrt 3); harmonics have both in the same proportion. The drift is a sum of slow lines with the given rms slope.
+    Directions of B_k, symmetric traceless gradients G_k and phases are sampled. `mains_nt` is the peak of |B| at 50
+    Hz, `mains_gradient_nt_per_m` the peak of its change per metre, root mean square over directions (G's Frobenius
+    norm over sqrt 3); harmonics have both in the same proportion. The drift is a sum of slow lines with the given
+    rms slope.
 
     Parameters
     ----------
     section : NoiseSection
     positions, axes : ndarray, shape (n_sensors, 3)
-        True places (m) and sensitive directions, gain included.
+        True positions (m) and sensitive directions with the gain as length, world frame.
     bandwidth : float, in Hz
         Of the sensors' first-order low pass, which the lines pass through.
     level, mains_frequency : float
-        Drawn factors.
+        Sampled factors.
     rng : numpy.random.Generator
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n_lines,), in Hz
     """
 
     def __init__(
@@ -73,22 +78,41 @@ class FieldNoise:
 
     @property
     def amplitudes(self) -> npt.NDArray[np.complex128]:
-        """Peak phasors (n_lines, n_sensors) in T at clock 0, as the sensors hear them."""
+        """Peak phasors (n_lines, n_sensors) in T at clock 0, after the sensors' low pass."""
         return self._amplitudes
 
     def add(self, signal: FloatArray, clock: float, sample_rate: float) -> None:
-        """Add the noise heard from `clock` s on to `signal`, shape (n_sensors, n), in T."""
+        """Add the ambient noise to readings, in place.
+
+        Parameters
+        ----------
+        signal : ndarray, shape (n_sensors, n), in T
+        clock : float, in s
+            Time of the first sample.
+        sample_rate : float, in Hz
+        """
         cycles = np.fmod(self.frequencies * clock, 1.0)
         turned = self._amplitudes * np.exp(2j * math.pi * cycles)[:, None]
         _add_lines(signal, turned.real.copy(), turned.imag.copy(), 2 * math.pi * self.frequencies / sample_rate)
 
 
 class SensorNoise:
-    """Each sensor's own noise: ``floor² + (at_1hz² - floor²) / f`` in power, band-limited like the sensor.
+    """Each sensor's own noise.
 
+    Its power spectral density is ``floor² + (at_1hz² - floor²) / f`` up to the bandwidth.
     The floor is one first-order process with the sensor's bandwidth as its corner; the 1/f part is a sum of such
-    processes of equal variance with corners spaced evenly in log f. They live on between
+    processes of equal variance with corners spaced evenly in log f. The processes continue between
     recordings: a gap is bridged exactly.
+
+    Parameters
+    ----------
+    section : NoiseSection
+    n_sensors : int
+    bandwidth : float, in Hz
+    sample_rate : float, in Hz
+    level : float
+        Sampled factor on the noise amplitude.
+    rng : numpy.random.Generator
     """
 
     def __init__(
@@ -115,11 +139,18 @@ class SensorNoise:
 
     @property
     def processes(self) -> tuple[FloatArray, FloatArray]:
-        """Corners in Hz and standard deviations in T of the first-order processes that each sensor's noise is."""
+        """Corners in Hz and standard deviations in T of the first-order processes that make up each sensor's noise."""
         return self._corners, self._deviations
 
     def add(self, signal: FloatArray, clock: float) -> None:
-        """Add the noise heard from `clock` s on to `signal`, shape (n_sensors, n), in T."""
+        """Add the sensors' own noise to readings, in place.
+
+        Parameters
+        ----------
+        signal : ndarray, shape (n_sensors, n), in T
+        clock : float, in s
+            Time of the first sample.
+        """
         n = signal.shape[1]
         rates = 2 * math.pi * self._corners
         kept = np.exp(-rates * max(clock - self._clock, 0.0))[:, None]
@@ -130,7 +161,7 @@ class SensorNoise:
         self._clock = clock + n / self._rate
 
     def _steps(self, n: int) -> tuple[npt.NDArray[np.int64], int, FloatArray]:
-        """Knots of each process in a window of `n` samples, how many in all, and the decay from one to the next."""
+        """Return each process's number of knots in a window of `n` samples, their sum, and the decay between knots."""
         if n not in self._known:
             rates = 2 * math.pi * self._corners
             knots = np.ceil(n * rates * STEPS_PER_TIME_CONSTANT / self._rate).astype(np.int64)
@@ -142,7 +173,7 @@ class SensorNoise:
 
 @njit(cache=True, error_model="numpy")
 def _add_lines(signal: FloatArray, real: FloatArray, imaginary: FloatArray, turn: FloatArray) -> None:
-    """Add lines with complex amplitudes (n_lines, n_sensors) that turn by `turn` rad a sample."""
+    """Add lines with complex amplitudes (n_lines, n_sensors) whose phases advance by `turn` rad per sample."""
     n = signal.shape[1]
     cosine, sine = np.empty(n), np.empty(n)
     for k in range(len(turn)):
@@ -164,7 +195,7 @@ def _add_processes(
     decay: FloatArray,
     draws: npt.NDArray[np.float32],
 ) -> None:
-    """Add first-order processes: stepped exactly from knot to knot, straight between; `state` moves on in place."""
+    """Add first-order processes, exact at the knots and linear between them; `state` is advanced in place."""
     n = signal.shape[1]
     at = 0
     for i in range(len(signal)):

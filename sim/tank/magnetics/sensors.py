@@ -1,4 +1,4 @@
-"""The true sensors: what the moving magnet and dying coils put into them, and what their electronics make of it."""
+"""The true sensors: the field of the moving magnet and of decaying coil currents, and the sensors' electronics."""
 
 from __future__ import annotations
 
@@ -19,14 +19,26 @@ MU_0_OVER_4_PI = 1e-7  # T·m/A
 
 
 class TrueSensors:
-    """Ten (or any number of) sensors where they truly stand.
+    """The sensors with their true positions, axes, gains and noise.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    truth : Truth
+    field_rng, sensor_rng, constant_rng : numpy.random.Generator
+        Of the ambient field, of the sensors' own noise and of each channel's constant.
 
     Attributes
     ----------
-    positions, axes : ndarray, shape (n, 3)
-        True places in m and sensitive directions; the axes carry each sensor's gain.
+    positions : ndarray, shape (n, 3), in m
+        True positions, world frame.
+    axes : ndarray, shape (n, 3)
+        True sensitive directions, world frame, with each sensor's gain as length.
+    rate : float, in Hz
     lead : float, in s
-        How much of the past a recording needs.
+        Time before the first sample that a recording needs to know.
+    field_noise : FieldNoise
+    sensor_noise : SensorNoise
     """
 
     def __init__(
@@ -60,12 +72,12 @@ class TrueSensors:
 
     @property
     def time_constant(self) -> float:
-        """Of their low pass, in s."""
+        """Time constant of the sensors' low pass, in s."""
         return self._tau
 
     @property
     def converter_step(self) -> float:
-        """Least step of the converter, in T."""
+        """Smallest step of the analog-to-digital converter, in T."""
         return self._step
 
     def hear(
@@ -79,19 +91,22 @@ class TrueSensors:
         pose_times: FloatArray,
         poses: FloatArray,
     ) -> tuple[FloatArray, BoolArray]:
-        """Record `n` samples from `clock` s on.
+        """Record `n` samples, with noise and conversion.
 
         Parameters
         ----------
         clock : float, in s
+            Time of the first sample.
         n : int
         device : ndarray
             As `sim.tank.magnetics.cantilever.swing` takes it.
         coupling : ndarray, shape (n_coils, n_sensors), in T/A
-        trace_times, trace : ndarray, shapes (k,) in s and (k, 1 + n_coils)
+        trace_times : ndarray, shape (k,), in s
+        trace : ndarray, shape (k, 1 + n_coils)
             Deflection (rad) and currents (A).
-        pose_times, poses : ndarray, shapes (p,) in s and (p, 7)
-            Rotation centre (m) and orientation (scalar first).
+        pose_times : ndarray, shape (p,), in s
+        poses : ndarray, shape (p, 7)
+            Rotation centre (m) and orientation (scalar first), world frame.
 
         Returns
         -------
@@ -102,13 +117,24 @@ class TrueSensors:
         return field, self.measure(field, clock)
 
     def draw_constants(self) -> FloatArray:
-        """What hand-nulling leaves in each channel (n_sensors,), in T, for one recording."""
+        """Sample each channel's residual offset after manual nulling, for one recording.
+
+        Returns
+        -------
+        ndarray, shape (n_sensors,), in T
+        """
         return self._constant * self._constants.standard_normal(len(self.positions))
 
     def measure(self, field: FloatArray, clock: float, constants: FloatArray | None = None) -> BoolArray:
-        """Make readings of a clean `field` (n_sensors, n) in T, in place: noise, constants, range, converter.
+        """Turn noiseless readings into measured ones, in place: noise, constants, sensor range, converter.
 
-        `constants` (n_sensors,) in T are those of a recording that this is a piece of; without them it is a new one.
+        Parameters
+        ----------
+        field : ndarray, shape (n_sensors, n), in T
+        clock : float, in s
+            Time of the first sample.
+        constants : ndarray, shape (n_sensors,), in T, optional
+            Of the recording that this is a part of; sampled anew if not given.
 
         Returns
         -------
@@ -131,7 +157,27 @@ class TrueSensors:
         pose_times: FloatArray,
         poses: FloatArray,
     ) -> FloatArray:
-        """What noiseless sensors with the same low pass would read; arguments as for `hear`."""
+        """Compute the readings of noiseless sensors with the same low pass.
+
+        Parameters
+        ----------
+        clock : float, in s
+            Time of the first sample.
+        n : int
+        device : ndarray
+            As `sim.tank.magnetics.cantilever.swing` takes it.
+        coupling : ndarray, shape (n_coils, n_sensors), in T/A
+        trace_times : ndarray, shape (k,), in s
+        trace : ndarray, shape (k, 1 + n_coils)
+            Deflection (rad) and currents (A).
+        pose_times : ndarray, shape (p,), in s
+        poses : ndarray, shape (p, 7)
+            Rotation centre (m) and orientation (scalar first), world frame.
+
+        Returns
+        -------
+        ndarray, shape (n_sensors, n), in T
+        """
         lead = math.ceil(self.lead * self.rate)
         pace = 1.0 / (self.rate * self._tau) if self._tau else np.inf
         keep = math.exp(-pace)
@@ -162,7 +208,7 @@ def _listen(
     pose_times: FloatArray,
     poses: FloatArray,
 ) -> None:
-    """Low-passed field along each sensor's axis; the dipole is Eq. S5, its motion Eqs. S6 to S8."""
+    """Compute the low-passed field along each sensor's axis; the dipole is Eq. S5, its motion Eqs. S6 to S8."""
     moment, rest_x, rest_z, l0 = magnet
     keep, before, now = low_pass
     n_sensors, n_coils = len(positions), trace.shape[1] - 1

@@ -1,1 +1,1 @@
-"""Measures device and sensors before the first mission."""
+"""Calibration of device and sensors before the first mission."""

@@ -1,20 +1,20 @@
 """Calibrates a device on a rig: resonance, damping and the largest free amplitude (the paper's Calibration protocol).
 
-What a robot file believes about a device changes with liquid, temperature and glue. Before a series of
-measurements the device is put at a known height and driven; nothing but what the sensors hear is used,
-so the same procedure runs on the bench and in the simulated tank.
+The device parameters of a robot file change with liquid, temperature and glue. Before a series of measurements the
+device is placed at a known height and excited. Only the sensors' recordings are used, so that the same procedure
+runs on the bench and in the simulated tank.
 
-1. *Search*: each excitation direction in turn, until one is heard well; a first pose.
-2. *Sweep*: bursts at a range of frequencies. However it is driven, a free device rings at its own
-   frequency; how strongly, shows its resonance.
+1. *Search*: each excitation direction in turn, until the signal-to-noise ratio suffices; a first pose.
+2. *Sweep*: bursts at a range of frequencies. After any burst, a free device oscillates at its own frequency; the
+   amplitude shows its resonance.
 3. *Damping*: repeated strong shots, fitted with the full model at the known height, with linear and with
-   exponential damping; the data say which.
-4. *Stops*: the drive is raised until the amplitude follows no longer, then searched finely there. Driving
-   beyond loses amplitude (docs/decisions/0004), so theta_max is the largest amplitude of the sweep.
+   exponential damping; the likelier model is kept.
+4. *Stops*: the drive is raised until the amplitude no longer grows, then swept finely there. Driving beyond reduces
+   the amplitude (docs/decisions/0004), so theta_max is the largest amplitude of the sweep.
 
-What the figures mean. theta_max is the free amplitude carried back to the end of the drive, which is what a
-localizer needs; the envelope there lies about 1 % above the mechanical stop, since the last peak came before.
-It is heard as moment times angle: with a moment that is 2 % less than believed, it comes out 2 % low, and poses
+Meaning of the results. theta_max is the free amplitude extrapolated back to the end of the drive, which is what a
+localizer needs; the envelope there lies about 1 % above the mechanical stop, since the last peak came before. It is
+measured as moment times angle: if the moment is assumed 2 % too large, it comes out 2 % too small, and poses
 located with both are right. The frequency is that in the field at this place and heading: 3 uT along the magnet
 shift it by 0.02 Hz, which the scatter over repeats does not show.
 """
@@ -46,17 +46,29 @@ DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
 """Excitation mixes (x, y) tried in turn while the orientation is unknown."""
 
 HEARD = 20.0
-"""Signal to noise above which an oscillation can be measured."""
+"""Signal-to-noise ratio above which an oscillation can be measured."""
 
 FOLLOWS = 0.93
-"""Below this share of proportional growth the amplitude no longer follows the drive: the stops are reached."""
+"""Amplitude over the proportionally extrapolated one below which the stops are reached."""
 
 MODELS: tuple[DampingModel, DampingModel] = ("linear", "exponential")
 
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """One burst of the frequency sweep: Hz driven, Hz heard and its standard deviation, T heard."""
+    """One burst of the frequency sweep.
+
+    Attributes
+    ----------
+    driven : float, in Hz
+        Frequency of the excitation.
+    heard : float, in Hz
+        Measured frequency of the free oscillation.
+    heard_std : float, in Hz
+        Its standard deviation.
+    strength : float, in T
+        Measured amplitude.
+    """
 
     driven: float
     heard: float
@@ -66,7 +78,17 @@ class SweepPoint:
 
 @dataclass(frozen=True)
 class DrivePoint:
-    """One burst of the drive sweep: largest coil current in A, amplitude at the end of the drive in rad."""
+    """One burst of the drive sweep.
+
+    Attributes
+    ----------
+    current : float, in A
+        Peak current of the coil with the largest share.
+    amplitude : float, in rad
+        At the end of the drive.
+    amplitude_std : float, in rad
+        Its standard deviation.
+    """
 
     current: float
     amplitude: float
@@ -75,23 +97,24 @@ class DrivePoint:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a calibration is played. SI units.
+    """Settings of a calibration.
 
     Attributes
     ----------
     cycles : int
         Length of a burst, in periods.
     ring_down : float, in s
-        Between drive and listening; at least what the rig asks for.
+        Between drive and listening; at least what the rig requires.
     sweep_span : float, in Hz
-        The sweep reaches so far to both sides of the believed frequency.
+        Half width of the sweep about the assumed frequency.
     sweep_points : int
+        Number of frequencies of the sweep.
     repeats : int
-        Shots from which damping comes; each current near the stops is played half as often, at least twice.
+        Number of shots for the damping; each current near the stops is played half as often, at least twice.
     max_current : float, in A, optional
-        Most that an excitation coil gets; the rig's limit if not given.
+        Highest current of an excitation coil; the rig's limit if not given.
     height_std : float, in m
-        Uncertainty of the known height.
+        Standard deviation of the known height.
     """
 
     cycles: int = 5
@@ -176,21 +199,27 @@ def calibrate(
     ----------
     rig : Rig
     device : Device
-        As believed; moment, its direction and l0 are kept.
+        As assumed; moment, its direction and l0 are kept.
     height : float, in m
         Known z of the cantilever's rotation centre above the sensors.
     plan : Plan, optional
     hum : Hum, optional
         Mains lines expected in the room.
     progress : callable, optional
-        Told what is being done, a sentence at a time.
+        Called with a sentence on each step.
+
+    Returns
+    -------
+    Calibration
 
     Raises
     ------
     SignalLostError
-        If no excitation direction makes the device ring loudly enough.
-    InputError, InterlockError, RigError
-        For a height or a sweep of no use; as the rig raises them.
+        If no excitation direction makes the device oscillate strongly enough.
+    InputError
+        If the height or the sweep's span is out of range.
+    InterlockError, RigError
+        As the rig raises them.
     """
     if not 0.005 < height < 1.0:
         raise InputError(f"height must be the known z of the device above the sensors, in m; got {height:g}.")
@@ -204,7 +233,7 @@ def calibrate(
 
 
 class _Calibrator:
-    """The four steps; `device` and `pose` get better from one to the next."""
+    """The four steps of a calibration; the estimates of `device` and pose improve from step to step."""
 
     def __init__(
         self, rig: Rig, device: Device, height: float, plan: Plan, hum: Hum | None, tell: Callable[[str], None]
@@ -237,7 +266,7 @@ class _Calibrator:
         )
 
     def search(self) -> None:
-        """Find a direction that makes the device ring; measure frequency and damping roughly, and the pose."""
+        """Find an excitation direction with a sufficient signal; estimate frequency, damping and pose roughly."""
         self.tell("searching for the signal")
         best: tuple[float, Recording, RingDownFit] | None = None
         for current in (0.3 * self.max_current, self.max_current):
@@ -265,7 +294,7 @@ class _Calibrator:
         self.take(self.fit(heard))
 
     def sweep_frequency(self) -> list[SweepPoint]:
-        """Drive at a range of frequencies; the free oscillation keeps its own."""
+        """Excite at a range of frequencies, and measure the frequency of the free oscillation after each."""
         points = []
         for offset in np.linspace(-self.plan.sweep_span, self.plan.sweep_span, self.plan.sweep_points):
             driven = self.believed.frequency + float(offset)
@@ -281,7 +310,7 @@ class _Calibrator:
         return points
 
     def measure_damping(self) -> tuple[list[DeviceFit], float]:
-        """Repeated shots, fitted with both kinds of damping at the known height; keep the likelier kind."""
+        """Fit repeated shots with both damping models at the known height; keep the likelier model."""
         heard = []
         for i in range(self.plan.repeats):
             self.tell(f"listening to the decay, {i + 1} of {self.plan.repeats}")
@@ -300,7 +329,7 @@ class _Calibrator:
         return fits[chosen], evidence
 
     def sweep_drive(self) -> tuple[list[DrivePoint], bool]:
-        """Amplitude against current: coarsely up to where it follows no longer, then finely around there."""
+        """Measure amplitude against current: coarsely until it no longer grows, then finely around there."""
         current = 0.25 * self.gentle()
         coarse = [self.drive_point(current, 1)]
         while current < self.max_current * (1.0 - 1e-9):
@@ -319,7 +348,7 @@ class _Calibrator:
         return coarse[:1] + fine, True
 
     def drive_point(self, current: float, repeats: int) -> DrivePoint:
-        """Mean amplitude at the end of bursts of `current`, with frequency and damping known."""
+        """Measure the mean amplitude at the end of bursts of `current` A, with frequency and damping known."""
         self.tell(f"driving with {current:.2f} A")
         amplitudes = []
         for _ in range(repeats):
@@ -330,7 +359,7 @@ class _Calibrator:
         return DrivePoint(float(current), float(np.mean(amplitudes)), max(scatter, fit.std["amplitude"] / repeats**0.5))
 
     def play(self, currents: FloatArray, frequency: float) -> Recording:
-        """One burst and a long window, long enough for the decay and for the mains to be told from it."""
+        """Play one burst, with a window that is long enough to separate decay and mains."""
         listen = float(np.clip(4.0 / max(self.device.damping, 1e-3), 1.0, self.rig.limits.max_listen))
         half_periods = max(int(listen * 2.0 * self.device.frequency), 1)
         cycles = max(min(self.plan.cycles, int(self.rig.limits.max_excitation * frequency)), 1)
@@ -360,11 +389,11 @@ class _Calibrator:
         )  # fmt: skip
 
     def take(self, fit: DeviceFit) -> None:
-        """Believe a fit's pose from now on; a free device turns and drifts a little between shots."""
+        """Use the pose of a fit from now on; a free device turns and drifts a little between shots."""
         self.position, self.orientation = fit.position, fit.orientation
 
     def locate(self, heard: Recording) -> Pose:
-        """First pose, cold: from the first periods of the window, with an amplitude that may exceed the belief."""
+        """Locate without a prior in the first periods of a recording, allowing larger amplitudes than assumed."""
         from smolbot.localization.localizer import Localizer
 
         loose = replace(self.device, theta_max=min(1.6 * self.device.theta_max, 1.0))
@@ -379,7 +408,10 @@ class _Calibrator:
         return pose
 
     def mix(self) -> FloatArray:
-        """Excitation mix for the believed orientation: the largest coil has 1 (Eq. S1: only the torque about y)."""
+        """Compute the excitation mix for the estimated orientation; the largest share is 1.
+
+        By Eq. S1, only the torque about y excites the device.
+        """
         from smolbot.core.rotations import matrix_from_quaternion
 
         fields = self.rig.excitation_field(self.position)
@@ -394,7 +426,7 @@ class _Calibrator:
         return mixed
 
     def gentle(self) -> float:
-        """Current in A that should leave about two thirds of the believed stop: strong, and free of impacts."""
+        """Compute the current in A that should reach two thirds of the assumed stop, without impacts."""
         from smolbot.core.drive import amplitude_after
         from smolbot.core.rotations import matrix_from_quaternion
         from smolbot.motion.robot import magnet_inertia
@@ -408,16 +440,36 @@ class _Calibrator:
 
 
 def proportional(points: Sequence[DrivePoint], current: float) -> float:
-    """Amplitude at `current` if it grew as at the lower half of the points so far, in rad."""
+    """Extrapolate the amplitude to a current, as proportional to the lower half of the points so far.
+
+    Parameters
+    ----------
+    points : sequence of DrivePoint
+    current : float, in A
+
+    Returns
+    -------
+    float, in rad
+    """
     lower = points[: max(2, len(points) // 2)]
     slope = sum(p.amplitude * p.current for p in lower) / sum(p.current**2 for p in lower)
     return slope * current
 
 
 def weighted_mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean of (value, standard deviation) pairs weighed by precision, and its standard deviation.
+    """Compute the mean weighted by inverse variance, and its standard deviation.
 
-    The deviation is that of the weights, or of the scatter where the values scatter more than they claim.
+    The standard deviation is enlarged if the values scatter more than their own deviations explain.
+
+    Parameters
+    ----------
+    values : sequence of (float, float)
+        Each a value with its standard deviation.
+
+    Returns
+    -------
+    mean : float
+    std : float
 
     Examples
     --------

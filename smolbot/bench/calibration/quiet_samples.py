@@ -1,4 +1,4 @@
-"""Quiet samples of a lab: the noise that they teach, and the channels that they say are broken."""
+"""Background noise recordings of a lab: the noise model learned from them, and channels that are broken."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Quiet:
-    """What quiet samples say.
+    """Noise model and broken channels from background noise recordings.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Quiet:
     broken : ndarray of bool, shape (n_sensors,)
         Channels that were saturated, dead or stuck in every shot.
     told : str
-        What must be said of it: the file, and what was left out.
+        Note for the report: the file, and what was left out.
     """
 
     noise: NoiseModel
@@ -37,7 +37,16 @@ class Quiet:
     told: str
 
     def taken_from(self, shots: Shots) -> Shots:
-        """The shots without the broken channels; each says so."""
+        """Leave the broken channels out of some shots, with a note in each.
+
+        Parameters
+        ----------
+        shots : Shots
+
+        Returns
+        -------
+        Shots
+        """
         if not self.broken.any():
             return shots
         note = f"left out: {_named(self.broken)}, of no use in the quiet samples"
@@ -46,14 +55,25 @@ class Quiet:
 
 
 def learn_quiet(path: Path, rig: RigConfig, rate: float) -> Quiet:
-    """Learn the noise from a file of quiet samples, for recordings of `rate` Hz.
+    """Learn the noise from a file of background noise recordings.
 
-    Shots in which a channel fails that works in others are left out; a channel that fails in all of them is broken.
+    Shots are left out if a channel fails in them that works in others. A channel that fails in all is broken.
+
+    Parameters
+    ----------
+    path : path
+    rig : RigConfig
+    rate : float, in Hz
+        Sample rate of the recordings for which the noise model is used.
+
+    Returns
+    -------
+    Quiet
 
     Raises
     ------
     InputError
-        As for the samples themselves, or if too little is left to learn from.
+        If the samples cannot be read, are too slow, or too few of them are usable.
     """
     held = read_samples(path, quiet=True)
     shots = recordings_from(held, rig)

@@ -1,4 +1,4 @@
-"""Recordings of a device at known poses: a lab's own files, or those of the stage that a rig's world has."""
+"""Recordings of a device at known poses: from a lab's own files, or from a stage in the rig's world."""
 
 from __future__ import annotations
 
@@ -20,18 +20,28 @@ if TYPE_CHECKING:
     from smolbot.localization.device.thinning import Hum
 
 HALF_PERIODS = 20
-"""Length of a recording on a rig's own stage."""
+"""Length of a recording on a rig's own stage, in half-periods."""
 
 SPAN = 3.0
-"""The resonance is looked for so far, in Hz, to both sides of the believed frequency."""
+"""Half width, in Hz, of the search for the resonance about the assumed frequency."""
 
 LEAST = 11
-"""Recordings without which there is too little to learn from and to check with."""
+"""Smallest number of recordings for calibration and held-out check together."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """One recording of the track: where it comes from, what was heard, the known pose, what must be said of it."""
+    """One recording at a known pose.
+
+    Attributes
+    ----------
+    name : str
+        Where it comes from.
+    recording : Recording
+    pose : Pose
+    note : str
+        Remark for the report; empty if there is none.
+    """
 
     name: str
     recording: Recording
@@ -40,12 +50,24 @@ class Known:
 
 
 def from_files(track: Path, samples: Path | None, rig: RigConfig) -> list[Known]:
-    """A lab's own recordings: rows of the track that name one file take its shots in order.
+    """Read a lab's own recordings; rows of the track that name the same file take its shots in order.
+
+    Parameters
+    ----------
+    track : Path
+        File of known poses.
+    samples : Path or None
+        Recordings of the rows that name no file.
+    rig : RigConfig
+
+    Returns
+    -------
+    list of Known
 
     Raises
     ------
     InputError
-        If a row has no samples, or a file has another number of shots than rows; as track and samples are read.
+        If track or samples cannot be read, a row has no samples, or a file has another number of shots than rows.
     """
     known = read_track(track)
     rows: dict[Path, list[Pose]] = {}
@@ -67,7 +89,22 @@ def from_files(track: Path, samples: Path | None, rig: RigConfig) -> list[Known]
 
 
 def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path | None) -> list[Known]:
-    """Recordings on the stage that the rig's world has; `keep` names a new folder for track and samples.
+    """Record on the stage of the rig's world.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    device : Device
+    count : int
+        Number of poses.
+    seed : int
+        Of a simulated stage.
+    keep : Path or None
+        New folder in which to save track and samples; None to save nothing.
+
+    Returns
+    -------
+    list of Known
 
     Raises
     ------
@@ -94,7 +131,7 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
 
 
 def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfig) -> None:
-    """Write track and samples as a lab would have them."""
+    """Write track and samples in the format of a lab's own files."""
     scale = rig.sections.sensors.volts_per_tesla
     with writing(f"--keep {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -109,9 +146,26 @@ def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfi
 
 
 def ringing(shots: list[Known], rig: RigConfig, device: Device, hum: Hum) -> tuple[list[Known], Device, list[str]]:
-    """Recordings in which the device rings, the device as heard in them, and which were left out, with the reason.
+    """Select the recordings in which the device oscillates, and estimate its resonance and damping.
 
-    Resonance and damping are those of the device as it is held and stands in the room now.
+    Both are those of the device as it is mounted, in the field of the room now.
+
+    Parameters
+    ----------
+    shots : list of Known
+    rig : RigConfig
+    device : Device
+        As assumed.
+    hum : Hum
+        Mains lines expected in the room.
+
+    Returns
+    -------
+    used : list of Known
+    device : Device
+        With the estimated frequency and damping.
+    left_out : list of str
+        A sentence for each recording that was left out.
 
     Raises
     ------

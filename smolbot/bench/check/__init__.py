@@ -1,1 +1,1 @@
-"""Is a rig fit to be used? Measures on its recordings, verdicts against its rig file, and how both are got."""
+"""Check of a rig before it is used: measurements, predictions from its rig file, and verdicts."""

@@ -1,4 +1,4 @@
-"""What no recording can tell: things that only a person at the bench can see, hear or feel."""
+"""Checks that only a person at the bench can do."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ if TYPE_CHECKING:
 
 
 def by_hand(rig: RigConfig) -> list[str]:
-    """A sentence for each thing to verify on this rig, in the order in which one would."""
+    """List what a person must verify on a rig.
+
+    Parameters
+    ----------
+    rig : RigConfig
+
+    Returns
+    -------
+    list of str
+        A sentence each, in a sensible order.
+    """
     sections = rig.sections
     wires = rig.raw_section("bench")
     if wires and not wires.get("operator", {}).get("stop_line"):

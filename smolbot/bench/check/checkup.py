@@ -1,4 +1,4 @@
-"""Plays what does no harm on an open rig, measures it, and holds it against the rig file."""
+"""Check of an open rig: harmless shots are played, and the measurements compared with the rig file."""
 
 from __future__ import annotations
 
@@ -22,18 +22,39 @@ if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
 
 FLOOR_TIMES, SLOW_TIMES, HUM_TIMES = 1.5, 3.0, 2.0
-"""Times what the rig file expects: noise floor; noise at 1 Hz, which varies by a third in a few recordings; mains."""
+"""Highest allowed ratio to the rig file's values: noise floor; noise at 1 Hz, which varies by a third in a few
+recordings; mains."""
 
 QUIET_SHARE = 0.2
-"""A sensor with less than this share of the floor that it should have is dead."""
+"""A sensor whose noise floor is below this share of the expected one is dead."""
 
 OFFSET_SHARE = 0.5
-"""Share of the range that a standing field may take: what is left is for the signals."""
+"""Highest allowed share of the range for a static field; the rest is for the signals."""
 
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """One sensor, in SI units, and what is wrong with it."""
+    """Measurements of one sensor without excitation, and its faults.
+
+    Attributes
+    ----------
+    name : str
+    offset : float, in T
+        Mean.
+    rms : float, in T
+        Of the noise, without mains and trend.
+    slow : float, in T/√Hz
+        Noise density around 1 Hz.
+    floor : float, in T/√Hz
+        Noise density above 1/f noise.
+    mains : float, in T
+        Peak at the mains frequency.
+    harmonics : float, in T
+        Peak at all its multiples together.
+    gain : float or None
+        Measured response to the coils over the predicted one; None if it was not measured.
+    faults : tuple of str
+    """
 
     name: str
     offset: float
@@ -48,7 +69,21 @@ class SensorCheck:
 
 @dataclass(frozen=True)
 class Expected:
-    """What the rig file leads to expect of a sensor, in SI units; the limits are multiples of it."""
+    """Values that the rig file predicts for a sensor; the limits are multiples of them.
+
+    Attributes
+    ----------
+    slow : float, in T/√Hz
+        Noise density around 1 Hz.
+    floor : float, in T/√Hz
+        Noise density above 1/f noise.
+    mains : float, in T
+        Peak at the mains frequency.
+    harmonics : float, in T
+        Peak at all its multiples together.
+    range : float, in T
+        Half width of the measuring range.
+    """
 
     slow: float
     floor: float
@@ -59,20 +94,22 @@ class Expected:
 
 @dataclass(frozen=True)
 class Checkup:
-    """Everything that was found.
+    """Result of a check.
 
     Attributes
     ----------
     devices : tuple of CheckItem
     sensors : tuple of SensorCheck
     coils : tuple of CoilCheck
-        Empty where the rig cannot hear its own coils.
+        Empty if the rig cannot measure its own coils.
     expected : Expected
     mains_frequency : float, in Hz
     by_hand : tuple of str
         What only a person can verify.
     simulated : bool
-        Whether somebody knows the truth, so that there is nothing for a person to do.
+        Whether the world is simulated, so that a person has nothing to verify.
+    notes : tuple of str
+        What was not checked, and why.
     """
 
     devices: tuple[CheckItem, ...]
@@ -86,7 +123,7 @@ class Checkup:
 
     @property
     def faults(self) -> list[str]:
-        """Everything that is wrong, a line each."""
+        """Every fault, a line each."""
         found = [
             f"{d.device}: {d.what} is {d.found}" + (f", not {d.limit}" if d.limit else "")
             for d in self.devices
@@ -97,26 +134,31 @@ class Checkup:
 
     @property
     def ok(self) -> bool:
+        """True if there is no fault."""
         return not self.faults
 
 
 def check_rig(rig: Rig, config: RigConfig, quiet: float = 12.0, say: Callable[[str], None] = lambda _: None) -> Checkup:
-    """Check an open rig; it is left as it was.
+    """Check an open rig, and leave it as it was.
 
     Parameters
     ----------
     rig : Rig
     config : RigConfig
-        What is believed of it.
+        The rig file that it is compared with.
     quiet : float, in s
-        How long to listen to nothing, in all.
+        How long to record background noise, in all.
     say : callable
-        Told what is going on.
+        Called with a sentence on each step.
+
+    Returns
+    -------
+    Checkup
 
     Raises
     ------
     InputError
-        If the time to listen is too short, or less than a second can be listened at once.
+        If the time to record is too short, or if the rig's limits allow less than a second at once.
     InterlockError, RigError
         As `Rig.play`.
     """

@@ -1,4 +1,4 @@
-"""Drives every coil faintly, one after the other, and tells which it is, which way round, and when its relay works."""
+"""Check of the coils, each driven weakly in turn: identity, polarity, strength, and timing of the relay."""
 
 from __future__ import annotations
 
@@ -19,21 +19,45 @@ if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
 
 FEWEST = 3
-"""Sensors without which a pattern says nothing."""
+"""Smallest number of sensors by which the field patterns of coils can be distinguished."""
 
 PROBE_SHARE = 0.6
-"""Share of the range that a probe fills in the sensor that hears it best."""
+"""Share of the range that a probe reaches in the sensor with the largest signal."""
 
 LATE = 0.5e-3
-"""Seconds by which a relay may be later than the rig file says; edges are found to some 0.02 ms."""
+"""Seconds by which a relay may be later than the rig file specifies; edges are timed to about 0.02 ms."""
 
 SLOW_TOLERANCE = 0.3
-"""Of a coil's time constant."""
+"""Relative tolerance of a coil's time constant."""
 
 
 @dataclass(frozen=True)
 class CoilCheck:
-    """One coil as the sensors hear it, in SI units, and what is wrong with it."""
+    """Measurements of one coil, and its faults.
+
+    Attributes
+    ----------
+    name : str
+    current : float, in A
+        Current of the probe.
+    gain : float
+        Measured field over the predicted one.
+    unexplained : float
+        Share of the field that its predicted pattern does not explain.
+    closes : float or None, in s
+        Delay until the field appears after the relay is told to close; None if it never does.
+    opens : float or None, in s
+        Delay until the field vanishes after the relay is told to open; None if it never does.
+    rise : float or None, in s
+        Measured time constant.
+    time_constant : float, in s
+        By the rig file.
+    close_limit : float, in s
+        Longest delay by the rig file.
+    open_limit : float, in s
+        Longest delay by the rig file.
+    faults : tuple of str
+    """
 
     name: str
     current: float
@@ -51,9 +75,24 @@ class CoilCheck:
 def check_coils(
     rig: Prober, config: RigConfig, usable: BoolArray, full: float, say: Callable[[str], None]
 ) -> tuple[tuple[CoilCheck, ...], list[Likeness]]:
-    """Probe every coil; the coils, and what each sensor says of them.
+    """Probe every coil in turn.
 
-    `usable` (n_sensors,) are the sensors to rely on, `full` is their range in T.
+    Parameters
+    ----------
+    rig : Prober
+    config : RigConfig
+    usable : ndarray of bool, shape (n_sensors,)
+        Sensors that work.
+    full : float, in T
+        Measuring range of the sensors.
+    say : callable
+        Called with a sentence on each step.
+
+    Returns
+    -------
+    coils : tuple of CoilCheck
+    sensors : list of Likeness
+        Response of each sensor to all coils, compared with its prediction.
     """
     prediction = predict(config)
     lag = 1.0 / (2 * math.pi * config.sensors.bandwidth) if np.isfinite(config.sensors.bandwidth) else 0.0

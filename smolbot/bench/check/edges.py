@@ -1,4 +1,4 @@
-"""When a coil's field comes and goes, and what each sensor says of it, from a recording of both."""
+"""When a coil's field appears and vanishes, and the response of each sensor to it, from one recording."""
 
 from __future__ import annotations
 
@@ -11,29 +11,33 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.coil_probe import Probe
 
 LEVELS = (0.3, 0.8)
-"""Shares of its full size at which a field that comes or goes is timed."""
+"""Shares of the full field at which its rise or fall is timed."""
 
 AUDIBLE = 8.0
-"""A field is heard if it is this many times as large as what the sensors say before it."""
+"""Ratio of a field to the noise before it above which the field counts as detected."""
 
 SETTLED = 0.02
-"""Seconds before the coil goes, over which its field is averaged: a period of the mains."""
+"""Seconds before switch-off over which the field is averaged: a period of the mains."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """What a coil's probe says.
+    """Measurements of a coil's probe.
 
     Attributes
     ----------
     response : ndarray, shape (n_sensors,), in T/A
-        Field along each sensor's axis per ampere that was asked for.
+        Field along each sensor's axis per ampere of requested current.
     heard : bool
-        Whether there was a field at all.
-    closes, opens : float or None, in s
-        From being told to, to the start of a rise or fall; None if it never came.
-    rise, fall : float or None, in s
-        Time constants.
+        Whether a field was detected.
+    closes : float or None, in s
+        Delay from the command to close until the field begins to rise; None if it never does.
+    opens : float or None, in s
+        Delay from the command to open until the field begins to fall; None if it never does.
+    rise : float or None, in s
+        Time constant.
+    fall : float or None, in s
+        Time constant.
     """
 
     response: FloatArray
@@ -45,16 +49,21 @@ class Edges:
 
 
 def find_edges(probe: Probe, current: float, lag: float = 0.0, used: np.ndarray | None = None) -> Edges:
-    """Measure a probe.
+    """Measure delays, time constants and sensor responses in the recording of a probe.
 
     Parameters
     ----------
+    probe : Probe
     current : float, in A
-        That was asked for.
+        Requested current.
     lag : float, in s
         Time constant of the sensors' low pass.
-    used : ndarray of bool, shape (n_sensors,)
-        Sensors that may be relied on; all without it.
+    used : ndarray of bool, shape (n_sensors,), optional
+        Sensors to use; all unless given.
+
+    Returns
+    -------
+    Edges
     """
     recording = probe.recording
     rate, field = recording.sample_rate, np.asarray(recording.field)
@@ -75,7 +84,7 @@ def find_edges(probe: Probe, current: float, lag: float = 0.0, used: np.ndarray 
 
 
 def _edge(share: FloatArray, rate: float, lag: float) -> tuple[float | None, float | None]:
-    """Start and time constant of 1 - exp(-(t - start) / constant), seen through a low pass of `lag` s."""
+    """Fit start and time constant of 1 - exp(-(t - start) / constant), measured through a low pass of `lag` s."""
     low, high = (_crossing(share, level) for level in LEVELS)
     if low is None or high is None:
         return None, None
@@ -91,7 +100,7 @@ def _edge(share: FloatArray, rate: float, lag: float) -> tuple[float | None, flo
 
 
 def _crossing(share: FloatArray, level: float) -> float | None:
-    """First place, in samples, from which on a rising curve stays above `level`; None if it does not."""
+    """Find the sample from which on a rising curve stays above `level`; None if it does not."""
     below = np.flatnonzero(share < level)
     if len(below) == 0:
         return 0.0

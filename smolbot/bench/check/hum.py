@@ -12,41 +12,43 @@ from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
 
 BLOCK_RATE = 5000.0
-"""Rate, in Hz, to which recordings are averaged down before they are looked at."""
+"""Rate, in Hz, to which recordings are averaged down first."""
 
 ORDERS = 8
-"""Harmonics of the mains that are taken out, the first one included."""
+"""Number of mains harmonics that are removed, the fundamental included."""
 
 MAINS_SPREAD = 0.01
-"""Grids stay within half of this, relative to their frequency; a generator may not."""
+"""Relative width of the search for the mains frequency; grids stay within it, a generator may not."""
 
 SLOW_BAND = (0.7, 1.7)
-"""Hz: what counts as noise at 1 Hz."""
+"""Band, in Hz, over which noise at 1 Hz is measured."""
 
 FLOOR_BAND = (0.16, 0.42)
-"""Times the sensors' bandwidth: what counts as the floor, above 1/f noise and below their corner."""
+"""Band of the noise floor, as shares of the sensors' bandwidth: above 1/f noise and below the corner."""
 
 FLOOR_SEGMENT = 0.2
-"""Length in s of the pieces that the floor is averaged over."""
+"""Length, in s, of the segments that are averaged for the noise floor."""
 
 SHORTEST = 1.0
-"""Seconds that a recording must last, to say something of 1 Hz."""
+"""Shortest recording, in s, in which noise at 1 Hz can be measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hum:
-    """What each sensor hears where nothing is driven; arrays of shape (n_sensors,).
+    """Background noise of each sensor; arrays of shape (n_sensors,).
 
     Attributes
     ----------
     offset : ndarray, in T
         Mean.
     rms : ndarray, in T
-        What is left without mean, trend, mains and harmonics.
-    slow, floor : ndarray, in T/√Hz
-        Noise density around 1 Hz, and above 1/f noise; the sensors' low pass is made good.
+        Of the residual without mean, trend, mains and harmonics.
+    slow : ndarray, in T/√Hz
+        Noise density around 1 Hz.
+    floor : ndarray, in T/√Hz
+        Noise density above 1/f noise, corrected for the sensors' low pass.
     mains : ndarray, in T
-        Peak at the mains' frequency.
+        Peak at the mains frequency.
     harmonics : ndarray, shape (n_sensors, ORDERS - 1), in T
         Peaks at its multiples, from twice on.
     mains_frequency : float, in Hz
@@ -67,21 +69,25 @@ class Hum:
 
 
 def measure_hum(quiet: Sequence[Recording], mains: float, bandwidth: float = np.inf) -> Hum:
-    """Measure recordings in which nothing was driven.
+    """Measure mains, harmonics and noise in recordings without excitation.
 
     Parameters
     ----------
     quiet : sequence of Recording
         Of one sample rate and one set of sensors, each at least a second long.
     mains : float, in Hz
-        Nominal.
+        Nominal mains frequency.
     bandwidth : float, in Hz
         Corner of the sensors' first-order low pass.
+
+    Returns
+    -------
+    Hum
 
     Raises
     ------
     InputError
-        If there is none, or one is too short.
+        If there is no recording, or if one is too short.
     """
     if not quiet:
         raise InputError("measure_hum needs at least one quiet recording; got none.")
@@ -118,7 +124,7 @@ def _averaged(field: FloatArray, size: int) -> FloatArray:
 
 
 def _design(count: int, rate: float, frequency: float) -> FloatArray:
-    """Columns: cosines and sines of every order, a constant, a trend."""
+    """Build the design matrix; its columns are cosines and sines of every order, a constant and a trend."""
     time = np.arange(count) / rate
     orders = np.arange(1, ORDERS + 1)
     angle = 2 * np.pi * frequency * np.outer(time, orders[orders * frequency < 0.45 * rate])
@@ -127,7 +133,7 @@ def _design(count: int, rate: float, frequency: float) -> FloatArray:
 
 
 def _without_lines(piece: FloatArray, rate: float, frequency: float) -> tuple[np.ndarray, FloatArray]:
-    """Peak phasors (ORDERS, n_sensors) and what is left (n_sensors, n) of one recording."""
+    """Fit one recording; return peak phasors (ORDERS, n_sensors) and residual (n_sensors, n)."""
     design = _design(piece.shape[1], rate, frequency)
     solution = np.linalg.solve(design.T @ design, design.T @ piece.T)
     n = (design.shape[1] - 2) // 2
@@ -137,7 +143,7 @@ def _without_lines(piece: FloatArray, rate: float, frequency: float) -> tuple[np
 
 
 def _mains_frequency(pieces: list[FloatArray], rate: float, nominal: float) -> float:
-    """The frequency near `nominal` at which the first harmonic takes most power out, summed over all."""
+    """Find the frequency near `nominal` at which the recordings together have the most power."""
     from scipy.optimize import minimize_scalar
 
     centred = [(p - p.mean(axis=1, keepdims=True)) * np.hanning(p.shape[1]) for p in pieces]
@@ -159,9 +165,9 @@ def _mains_frequency(pieces: list[FloatArray], rate: float, nominal: float) -> f
 def _density(
     pieces: list[FloatArray], rate: float, segment: float, band: tuple[float, float], mean: object
 ) -> tuple[FloatArray, FloatArray]:
-    """Noise density (n_sensors,) in a band, by half-overlapping Hann segments; and the frequencies that were used.
+    """Compute the noise density (n_sensors,) in a band by half-overlapping Hann segments, and its frequencies.
 
-    The mean over the band, or, without one, a median that minds no unknown line.
+    The density is the mean over the band if `mean` is given, otherwise a median, which unknown lines hardly affect.
     """
     from scipy.signal import welch
 

@@ -1,4 +1,4 @@
-"""What each sensor should hear of each coil, by the rig file's geometry, and how sure that is."""
+"""Predicted response of each sensor to each coil by the rig file's geometry, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -15,12 +15,23 @@ if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
 
 STEP = 0.5e-3
-"""m, between the points of which a coil's gradient is a difference."""
+"""Step, in m, of the finite differences of a coil's field."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """All coils by the rig file's geometry: names, responses and their spread (n_coils, n_sensors) in T/A, seconds."""
+    """Predictions for all coils by the rig file's geometry.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the coils.
+    response : ndarray, shape (n_coils, n_sensors), in T/A
+    spread : ndarray, shape (n_coils, n_sensors), in T/A
+        Standard deviation of the response.
+    constants : list of float, in s
+        Time constants of the coils.
+    """
 
     names: tuple[str, ...]
     response: FloatArray
@@ -29,7 +40,16 @@ class Prediction:
 
 
 def predict(config: RigConfig) -> Prediction:
-    """What the believed sensors should hear of the nominal coils."""
+    """Predict the response of each sensor to each coil.
+
+    Parameters
+    ----------
+    config : RigConfig
+
+    Returns
+    -------
+    Prediction
+    """
     sensors = config.sensors
     flat = config.flat_coils()
     coils: list[RoundCoil | FlatCoil] = [*config.round_coils(), *flat]

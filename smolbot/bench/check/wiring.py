@@ -1,4 +1,4 @@
-"""Which coil is which, and which way round: responses of all sensors to all coils against what geometry predicts."""
+"""Check of wiring and polarity: responses of all sensors to all coils compared with the predicted ones."""
 
 from __future__ import annotations
 
@@ -9,36 +9,37 @@ import numpy as np
 from smolbot.core.arrays import BoolArray, FloatArray
 
 GAIN_TOLERANCE = 0.15
-"""Of a coil: turns, amplifier and place, and the step of an output that gives a few mA."""
+"""Relative tolerance of a coil's field: turns, amplifier, position, and the resolution of an output at a few mA."""
 
 SENSOR_TOLERANCE = 0.10
-"""Of a sensor's scale factor. What places and axes that are slightly off do to a sensor comes on top, twice."""
+"""Relative tolerance of a sensor's scale factor; twice the effect of position and axis errors is added to it."""
 
 PLACE, TILT = 0.5e-3, 0.009
-"""How well sensor and coil stand to each other: m, from a ruler and a printed frame, and rad (half a degree)."""
+"""Standard deviation of a sensor's position and angle relative to a coil: m (ruler, printed frame) and rad (half a
+degree)."""
 
 LIKENESS = 0.15
-"""Share of a response that its own pattern may leave unexplained."""
+"""Highest share of a response that its predicted pattern may leave unexplained."""
 
 DEAF = 0.2
-"""A sensor that says less than this share of what it should hears no coil."""
+"""A sensor whose response is below this share of the predicted one measures no coil."""
 
 PASSES = 3
-"""How often coils and sensors are judged in turn: what is wrong with one must not be blamed on the other."""
+"""Number of alternating checks of coils and sensors, so that a fault of one is not attributed to the other."""
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """A coil or a sensor against the prediction of itself.
+    """A coil or a sensor compared with its prediction.
 
     Attributes
     ----------
     gain : float
-        What is measured over what is predicted.
+        Measured response over the predicted one.
     unexplained : float
-        Share of the response that its own pattern does not explain.
+        Share of the response that the predicted pattern does not explain.
     fault : str
-        Empty if it is as it should be.
+        Empty if there is none.
     """
 
     gain: float
@@ -53,21 +54,24 @@ def match(
     usable: BoolArray,
     spread: FloatArray | None = None,
 ) -> tuple[list[Likeness], list[Likeness]]:
-    """Judge coils and sensors.
+    """Compare the measured responses of coils and sensors with the predicted ones.
 
     Parameters
     ----------
-    measured, predicted : ndarray, shape (n_coils, n_sensors), in T/A
-        A row of zeros in `measured` is a coil that was not heard.
+    measured : ndarray, shape (n_coils, n_sensors), in T/A
+        A row of zeros is a coil without a detected field.
+    predicted : ndarray, shape (n_coils, n_sensors), in T/A
     coils : tuple of str
+        Names of the coils.
     usable : ndarray of bool, shape (n_sensors,)
         Sensors that are not dead or saturated.
-    spread : ndarray, shape (n_coils, n_sensors), in T/A
-        Standard deviation of the prediction where coils and sensors stand slightly off; zero without it.
+    spread : ndarray, shape (n_coils, n_sensors), in T/A, optional
+        Standard deviation of the prediction if coils and sensors are slightly misplaced; zero unless given.
 
     Returns
     -------
-    list of Likeness for the coils, and one for the sensors
+    coils : list of Likeness
+    sensors : list of Likeness
     """
     spread = np.zeros_like(predicted) if spread is None else spread
     live, heard = usable.copy(), np.any(measured != 0.0, axis=1)
@@ -92,14 +96,20 @@ def match(
 
 
 def spread_of(fields: FloatArray, gradients: FloatArray, axes: FloatArray) -> FloatArray:
-    """What `PLACE` and `TILT` leave uncertain of each response, shape (n_coils, n_sensors), in T/A.
+    """Compute the standard deviation of each response for the errors `PLACE` and `TILT` of position and angle.
 
     Parameters
     ----------
     fields : ndarray, shape (n_coils, n_sensors, 3), in T/A
+        In the world frame.
     gradients : ndarray, shape (n_coils, n_sensors, 3, 3), in T/(A m)
         ``[..., i, j]`` is dB_i / dx_j.
     axes : ndarray, shape (n_sensors, 3)
+        Sensitive directions in the world frame.
+
+    Returns
+    -------
+    ndarray, shape (n_coils, n_sensors), in T/A
     """
     along = np.linalg.norm(np.einsum("csij,si->csj", gradients, axes), axis=2)
     across = np.linalg.norm(np.cross(fields, axes), axis=2)
@@ -107,7 +117,7 @@ def spread_of(fields: FloatArray, gradients: FloatArray, axes: FloatArray) -> Fl
 
 
 def _robust(row: FloatArray, pattern: FloatArray) -> tuple[float, float]:
-    """As `_fit`, with the least sum of sizes: one sensor that is wrong does not drag the rest along."""
+    """Fit as `_fit`, but with the least sum of absolute residuals: one faulty sensor does not spoil the fit."""
     weight, total = np.abs(pattern), float(np.abs(row).sum())
     order = np.argsort(np.divide(row, pattern, out=np.zeros_like(row), where=weight > 0))
     share = np.cumsum(weight[order])
@@ -119,7 +129,7 @@ def _robust(row: FloatArray, pattern: FloatArray) -> tuple[float, float]:
 
 
 def _fit(row: FloatArray, pattern: FloatArray) -> tuple[float, float]:
-    """Gain of `pattern` in `row`, and the share of the amplitude that it leaves."""
+    """Fit the gain of `pattern` in `row`; return it with the unexplained share of the amplitude."""
     power = float(pattern @ pattern)
     if power == 0.0:
         return 0.0, 1.0
@@ -145,7 +155,7 @@ def _judge_coil(row: FloatArray, predicted: FloatArray, k: int, coils: tuple[str
 
 
 def _sources(measured: FloatArray, predicted: FloatArray, live: BoolArray, heard: BoolArray) -> FloatArray:
-    """What each sensor should hear of the coils as they truly are wired: (n_coils, n_sensors)."""
+    """Predict the response of each sensor to the coils as they are actually wired: (n_coils, n_sensors)."""
     found = np.zeros_like(predicted)
     for k in np.flatnonzero(heard):
         fits = [_robust(measured[k, live], pattern[live]) for pattern in predicted]

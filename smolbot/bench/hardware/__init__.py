@@ -1,1 +1,1 @@
-"""Real devices: the converter card, the magnet stage and the power supply of a bench."""
+"""Drivers of real devices: data acquisition card, magnet stage and power supply of a bench."""

@@ -1,4 +1,4 @@
-"""The converter card: tasks that live as long as the bench, and shots played on them."""
+"""The data acquisition card: its tasks, which are made once, and the shots that are played with them."""
 
 from __future__ import annotations
 
@@ -19,41 +19,41 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import RigError
 
 PATIENCE = 0.06
-"""Seconds that samples may be late before their window counts as lost; meanwhile what plays goes on."""
+"""Seconds that samples may be late before their window counts as lost; outputs go on meanwhile."""
 
 PROBE = 100
-"""Samples of a recording that only shows whether the inputs work."""
+"""Number of samples of a recording that only tests the inputs."""
 
 LONGEST_PIECE = 0.03
-"""Seconds of samples in one read: a stop is noticed that soon, and no message grows large."""
+"""Seconds of samples in one read: a stop takes effect within it, and no message grows large."""
 
 
 LAST_PIECE = 4e-3
-"""Seconds of the last one, which the loop waits for."""
+"""Seconds of samples in the last read, for which the loop waits."""
 
 
 class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window that can be done without
-    """What was to be heard is lost; the card is at zero and fit for the next shot."""
+    """A listening window was lost; the outputs are at zero, and the card is ready for the next shot."""
 
 
 class Guarding(Protocol):
-    """Watches over what is driven."""
+    """Protocol of the watchdog that protects whatever is driven."""
 
     def arm(self) -> None:
-        """Something is about to be driven."""
+        """Start the watchdog, before something is driven."""
 
     def disarm(self) -> None:
-        """Nothing is driven any more."""
+        """Stop the watchdog, once nothing is driven any more."""
 
     def abandon(self) -> None:
-        """Something may still be driven: let the watchdog expire."""
+        """Let the watchdog expire, since something may still be driven."""
 
     def must_be_open(self) -> None:
         """Raise `RigError` unless every relay is open."""
 
 
 class Card:
-    """Plays waveforms. Every task is made once; a shot only fills and starts them.
+    """Plays waveforms on the card. Every task is made once; a shot only fills and starts them.
 
     Parameters
     ----------
@@ -63,10 +63,17 @@ class Card:
     driver : Driver
         The client library, on this machine's driver or on a device server.
 
+    Attributes
+    ----------
+    product : str
+        Product type that the driver reports.
+    serial : str
+        Serial number, hexadecimal.
+
     Raises
     ------
     RigError
-        If the card is not there, is another product, or a channel cannot be had; nothing was energised.
+        If the card is missing, is another product, or a channel is not available; nothing was energised.
     """
 
     def __init__(self, section: BenchSection, sample_rate: float, driver: Driver) -> None:
@@ -128,20 +135,24 @@ class Card:
         self._write_zeros()
 
     def play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
-        """Play one shot; what was heard in its listening window and the start of its first sample.
+        """Play one shot. The `guard` is armed while anything is driven.
 
-        The `guard` is armed while anything is driven.
+        Parameters
+        ----------
+        waveform : Waveform
+        guard : Guarding
 
         Returns
         -------
         volts : ndarray, shape (n_inputs, n), in V, or None
+            Samples of the listening window.
         began : float, in s
-            On the monotonic clock.
+            Start of the first sample on the monotonic clock.
 
         Raises
         ------
         LostWindow
-            If what was to be heard did not come; outputs are at zero.
+            If the samples did not arrive; outputs are at zero.
         RigError
             For every other failure.
         """
@@ -185,7 +196,10 @@ class Card:
         return heard[:, first : first + count], began
 
     def _pieces(self, waveform: Waveform) -> Iterator[tuple[int, int]]:
-        """Spans of samples to read one after the other; one ends where the relays are open, and the last is short."""
+        """Split the samples into spans that are read one after the other.
+
+        One span ends where the relays are open, and the last one is short.
+        """
         last = waveform.samples - max(round(LAST_PIECE * self._rate), 1)
         marks = sorted({0, waveform.settled, max(last, waveform.settled), waveform.samples})
         longest = max(int(LONGEST_PIECE * self._rate), 1)
@@ -204,12 +218,12 @@ class Card:
         heard[:, first:end] = piece
 
     def probe(self) -> None:
-        """Listen for a moment, nothing driven.
+        """Record for a moment with nothing driven, to test the inputs.
 
         Raises
         ------
         LostWindow
-            If no samples come now either.
+            If no samples arrive.
         RigError
             For every other failure.
         """
@@ -220,17 +234,25 @@ class Card:
             self.inputs.stop()
 
     def stop(self) -> bool:
-        """As `silence`, and for good: this card plays nothing any more."""
-        self._stopped.set()
-        return self.silence()
-
-    def silence(self) -> bool:
-        """Abort what plays; outputs to zero, amplifiers off, relays open. Safe from any thread, never raises.
+        """Set all outputs to zero for good: this card plays nothing any more.
 
         Returns
         -------
         bool
-            Whether the card did so; if not, its watchdog is what opens the relays.
+            As `silence`.
+        """
+        self._stopped.set()
+        return self.silence()
+
+    def silence(self) -> bool:
+        """Abort what is playing; set outputs to zero, disable the amplifiers, open the relays.
+
+        Safe from any thread; never raises.
+
+        Returns
+        -------
+        bool
+            Whether the card did so; if not, its watchdog opens the relays.
         """
         from nidaqmx.constants import TaskMode
 
@@ -240,7 +262,7 @@ class Card:
         return self._write_zeros()
 
     def _write_zeros(self) -> bool:
-        """Relays first, for that is what stops a current; then the outputs behind them. Whether both went well."""
+        """Open the relays, which stops every current, then zero the outputs; return whether both succeeded."""
 
         def lines() -> None:
             self._zero_line_writer.write_one_sample_port_uint32(0, timeout=PATIENCE)
@@ -254,7 +276,7 @@ class Card:
         return self._driver.attempt(outputs) and done
 
     def close(self) -> None:
-        """Let go of every task; outputs are as they were left, so silence first."""
+        """Close every task. Outputs keep their values, so call `silence` first."""
         for task in self._tasks:
             self._driver.attempt(task.close)
         self._tasks.clear()
@@ -265,7 +287,7 @@ class Card:
         return task
 
     def _clock(self, which: str, count: int) -> None:
-        """Give a task its sample clock and length, unless it has them."""
+        """Set sample clock and length of a task, unless they are set already."""
         if self._lengths.get(which) == count:
             return
         rate = self._rate if which == "inputs" else self._section.outputs.rate_hz
@@ -275,7 +297,7 @@ class Card:
 
     @contextlib.contextmanager
     def _naming(self, action: str) -> Iterator[None]:
-        """Errors of the client library as ours, with device and action; a lost read as a lost window."""
+        """Convert errors of the client library to ours, with device and action, and a lost read to `LostWindow`."""
         name = self._section.device
         try:
             yield

@@ -1,4 +1,4 @@
-"""A channel to a device server on which no call waits for ever."""
+"""A gRPC channel to a device server with a deadline for every call."""
 
 from __future__ import annotations
 
@@ -9,9 +9,21 @@ START_UP = 3.0  # s, to find the server
 
 
 def open_channel(address: str, timeout: float) -> tuple[Any, Any]:
-    """A gRPC channel to `address` (host:port) whose every call ends in time, and the bare one beneath, to be closed.
+    """Open a gRPC channel to a device server on which every call has a deadline.
 
-    A call may take `timeout` s, and as long as it asks for itself.
+    Parameters
+    ----------
+    address : str
+        As host:port.
+    timeout : float, in s
+        Deadline of a call, in addition to the timeout of the request itself.
+
+    Returns
+    -------
+    channel : grpc.Channel
+        With deadlines.
+    bare : grpc.Channel
+        The channel beneath, which is to be closed.
 
     Raises
     ------
@@ -43,6 +55,18 @@ def open_channel(address: str, timeout: float) -> tuple[Any, Any]:
 
     class Deadline(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc,unused-ignore]
         def intercept_unary_unary(self, continuation: Any, details: Any, request: Any) -> Any:
+            """Give a call its deadline.
+
+            Parameters
+            ----------
+            continuation : callable
+            details : grpc.ClientCallDetails
+            request : object
+
+            Returns
+            -------
+            grpc.Call
+            """
             own = getattr(request, "timeout", 0.0)
             allowed = timeout + (own if isinstance(own, float | int) and own > 0.0 else 0.0)
             return continuation(Details(details, allowed), request)

@@ -1,4 +1,4 @@
-"""The card's client library, on the driver of this machine or on a device server; and what its errors mean."""
+"""The card's client library, on this machine's driver or on a device server, and the meaning of its errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from smolbot.errors import RigError
 TWIN_HINT = "Without hardware, start the twin (`smolbot twin`) and use --rig twin."
 
 LOST_READS = {-200284: "read time-out", -200279: "overrun", -200361: "overrun"}
-"""Errors after which only what was to be heard is lost: samples that came too late, or were overwritten."""
+"""Errors after which only the recording is lost: samples came too late, or were overwritten."""
 
 DEVICE_GONE = -201003
 
@@ -34,9 +34,16 @@ class Driver:
     Parameters
     ----------
     server : str
-        Address (host:port) of a device server; empty for the driver of this machine.
+        Address (host:port) of a device server; empty for this machine's driver.
     timeout : float, in s
-        Deadline of every call to a server, beyond what the call itself asks for.
+        Deadline of every call to a server, in addition to the timeout of the request itself.
+
+    Attributes
+    ----------
+    errors : tuple of type
+        Exceptions of the client library.
+    answers : bool
+        False once card or server no longer answer.
 
     Raises
     ------
@@ -69,7 +76,17 @@ class Driver:
         self._options, self._urgent = (GrpcSessionOptions(channel, session_name="") for channel, _ in channels)
 
     def task(self, *, urgent: bool = False) -> Any:
-        """A task without a name; an `urgent` one has a connection that no long recording keeps busy."""
+        """Make a task without a name.
+
+        Parameters
+        ----------
+        urgent : bool
+            Use a connection of its own, which no long recording keeps busy.
+
+        Returns
+        -------
+        nidaqmx.Task
+        """
         import nidaqmx
 
         options = self._urgent if urgent else self._options
@@ -77,14 +94,35 @@ class Driver:
             return nidaqmx.Task(grpc_options=options) if options else nidaqmx.Task()
 
     def device(self, name: str) -> Any:
-        """A device by its name in the driver."""
+        """Return a device by its name in the driver.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        nidaqmx.system.Device
+        """
         from nidaqmx.system import Device
 
         with self._found():
             return Device(name, grpc_options=self._options) if self._options else Device(name)
 
     def watchdog(self, name: str, timeout: float) -> Any:
-        """The watchdog of a device, not yet started."""
+        """Make the watchdog task of a device; it is not started.
+
+        Parameters
+        ----------
+        name : str
+            Name of the device.
+        timeout : float, in s
+            After which it expires.
+
+        Returns
+        -------
+        nidaqmx.system.watchdog.WatchdogTask
+        """
         from nidaqmx.system.watchdog import WatchdogTask
 
         with self._found():
@@ -100,11 +138,29 @@ class Driver:
             raise RigError(f"The NI-DAQmx driver is not installed on this machine. {TWIN_HINT}") from error
 
     def is_lost_read(self, error: BaseException) -> bool:
-        """Whether only samples were lost by an error."""
+        """Return whether an error means that only samples were lost.
+
+        Parameters
+        ----------
+        error : BaseException
+
+        Returns
+        -------
+        bool
+        """
         return code_of(error) in LOST_READS
 
     def explain(self, error: BaseException) -> str:
-        """First line of an error's message, with its code."""
+        """Format the first line of an error's message, with its code.
+
+        Parameters
+        ----------
+        error : BaseException
+
+        Returns
+        -------
+        str
+        """
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         code, rpc = code_of(error), getattr(error, "rpc_code", None)
         if code is not None:
@@ -117,7 +173,16 @@ class Driver:
         return f"{first.rstrip('.')}."
 
     def remedy(self, error: BaseException) -> str:
-        """What a person can do about an error."""
+        """Return what a person can do about an error.
+
+        Parameters
+        ----------
+        error : BaseException
+
+        Returns
+        -------
+        str
+        """
         code, rpc = code_of(error), getattr(error, "rpc_code", None)
         if code in _REMEDIES:
             return _REMEDIES[code]
@@ -126,13 +191,29 @@ class Driver:
         return "See the driver's description of this error."
 
     def note(self, error: BaseException) -> None:
-        """Remember from an error that nobody answers any more: then nothing is to be waited for."""
+        """Remember if an error means that card or server no longer answer; nothing waits for them from then on.
+
+        Parameters
+        ----------
+        error : BaseException
+        """
         name = str(getattr(getattr(error, "rpc_code", None), "name", ""))
         if name in ("DEADLINE_EXCEEDED", "UNAVAILABLE") or code_of(error) == DEVICE_GONE:
             self.answers = False
 
     def attempt(self, action: Callable[[], object]) -> bool:
-        """Do what brings the card to rest, if it answers; whether it did. An error changes nothing else."""
+        """Try an action that brings the card to rest; errors of the client library are not raised.
+
+        Parameters
+        ----------
+        action : callable
+            Takes no arguments.
+
+        Returns
+        -------
+        bool
+            Whether it succeeded; False without a try if the card no longer answers.
+        """
         if not self.answers:
             return False
         try:
@@ -143,12 +224,22 @@ class Driver:
         return True
 
     def close(self) -> None:
-        """Let go of the server."""
+        """Close the connections to the server."""
         while self._bare:
             self._bare.pop().close()
 
 
 def code_of(error: BaseException) -> int | None:
-    """Number of a card's error; None for one of the connection."""
+    """Return the error code of the card.
+
+    Parameters
+    ----------
+    error : BaseException
+
+    Returns
+    -------
+    int or None
+        None for an error of the connection.
+    """
     code = getattr(error, "error_code", None)
     return code if isinstance(code, int) else None

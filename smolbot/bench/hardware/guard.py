@@ -1,4 +1,4 @@
-"""Feeds the card's watchdog and watches the operator's button, in a thread of its own."""
+"""The guard: a thread that feeds the card's watchdog and monitors the operator's button."""
 
 from __future__ import annotations
 
@@ -19,14 +19,19 @@ from smolbot.errors import OperatorStopError, RigError
 class Guard:
     """Runs the watchdog while anything is driven: if this program dies or hangs then, it opens every relay.
 
-    Between two drives nothing is energised, and computing may take what it takes. The button is looked at always.
+    Between two drives nothing is energised, and computing may take any time. The button is always monitored.
 
     Parameters
     ----------
     section : BenchSection
     driver : Driver
     trip : callable
-        Called once, from the guard's thread, with an error that says why, when the button is pressed or the card fails.
+        Called once with the error, from the guard's thread, when the button is pressed or the card fails.
+
+    Attributes
+    ----------
+    lines : dict of bool
+        Level of each wired input line when it was last read.
     """
 
     def __init__(self, section: BenchSection, driver: Driver, trip: Callable[[RigError], None]) -> None:
@@ -41,7 +46,7 @@ class Guard:
         self._watchdog: Any = None
 
     def open(self) -> None:
-        """Set the watchdog up, read the lines once, and start feeding.
+        """Set up the watchdog, read the lines once, and start the thread.
 
         Raises
         ------
@@ -74,14 +79,14 @@ class Guard:
         self._thread.start()
 
     def arm(self) -> None:
-        """Start the watchdog: something is about to be driven."""
+        """Start the watchdog, before something is driven."""
         gc.disable()  # a look through all of the program's memory takes as long as the watchdog waits
         with self._armed:
             self._watchdog.start()
             self._feeding = True
 
     def disarm(self) -> None:
-        """Stop it: nothing is driven any more."""
+        """Stop the watchdog, once nothing is driven any more."""
         gc.enable()
         with self._armed:
             if self._feeding:
@@ -89,12 +94,18 @@ class Guard:
                 self._driver.attempt(self._watchdog.stop)
 
     def abandon(self) -> None:
-        """Feed it no more: something may still be driven, and it is what opens the relays."""
+        """Stop feeding the watchdog: something may still be driven, and its expiry opens the relays."""
         gc.enable()
         self._feeding = False
 
     def pressed(self) -> str | None:
-        """Why the operator's button says no; None while it does not."""
+        """Return why the run must stop, if the operator's button is pressed.
+
+        Returns
+        -------
+        str or None
+            None if it is not pressed, or not wired to the card.
+        """
         line = self._section.operator.stop_line
         if line is None or self.lines.get(line, True):
             return None
@@ -103,7 +114,7 @@ class Guard:
         )
 
     def must_be_open(self) -> None:
-        """Look whether the relays' contacts say that all are open; nothing is known where they are not wired.
+        """Check by the relays' auxiliary contacts that all relays are open; does nothing if these are not wired.
 
         Raises
         ------
@@ -122,7 +133,17 @@ class Guard:
             )
 
     def checks(self, card: str) -> Iterator[CheckItem]:
-        """The lines as they are read, and a watchdog that starts, is fed and stops; nothing is driven."""
+        """Check that the watchdog can be started, fed and stopped, and read the lines; nothing is driven.
+
+        Parameters
+        ----------
+        card : str
+            Name of the card in the check items.
+
+        Yields
+        ------
+        CheckItem
+        """
         section = self._section
         try:
             self.arm()
@@ -179,7 +200,7 @@ class Guard:
             self._end.wait(max(due - time.monotonic(), 0.0))
 
     def close(self) -> None:
-        """Stop feeding and let go; the watchdog is stopped, not left to expire."""
+        """End the thread, then stop and close the watchdog; it does not expire."""
         self._end.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(2.0)

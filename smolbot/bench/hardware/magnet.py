@@ -1,4 +1,4 @@
-"""The rotating magnet on its stage: mechanical shots, with a person who brings it near and takes it away."""
+"""The rotating magnet on its stage: mechanical shots, with an operator who brings it near and takes it away."""
 
 from __future__ import annotations
 
@@ -18,23 +18,31 @@ if TYPE_CHECKING:
     from smolbot.core.operator import Operator
 
 LOOK = 0.05
-"""Seconds between two looks at the switches, or at whether to stop."""
+"""Seconds between two checks of the switches, or of whether to stop."""
 
 GRACE = 2.0
-"""Seconds that a move may take longer than planned, for its ramps."""
+"""Seconds that a move may take longer than planned, because of its ramps."""
 
 
 class Magnet:
     """Plays mechanical shots.
+
+    Parameters
+    ----------
+    magnet : MagnetSection
+    section : StageSection
+    patience : OperatorSection
+        How long to wait for the operator.
+    operator : Operator
 
     Attributes
     ----------
     near : bool
         Where the magnet is, as far as is known.
     switched : bool
-        Whether switches at the stage say so.
+        Whether switches at the stage detect where it is.
     identity : str
-        What the firmware calls itself.
+        Name and version of the firmware.
 
     Raises
     ------
@@ -67,7 +75,19 @@ class Magnet:
             raise
 
     def play(self, shot: Shot, proceed: Callable[[], None]) -> None:
-        """Play a mechanical shot; `proceed` raises when it is to end."""
+        """Play a mechanical shot.
+
+        Parameters
+        ----------
+        shot : Shot
+        proceed : callable
+            Called again and again; raises if the shot is to end.
+
+        Raises
+        ------
+        RigError
+            If the stage fails, the operator aborts, or the magnet is not moved in time.
+        """
         for number, window in enumerate(shot.windows):
             proceed()
             if isinstance(window, MoveMagnet):
@@ -81,7 +101,7 @@ class Magnet:
                 self._pause(window.duration, proceed)
 
     def _steer_ahead(self, shot: Shot, number: int, proceed: Callable[[], None]) -> None:
-        """Set the axis of the first turn while the magnet is away, where it moves nothing."""
+        """Steer to the axis of the first turn while the magnet is away, so that it does not move the robot."""
         first = next((w for w in shot.windows[number:] if isinstance(w, Rotate)), None)
         if first is not None and not self.near:
             self._stage.steer(math.atan2(first.axis[1], first.axis[0]))
@@ -135,18 +155,35 @@ class Magnet:
             time.sleep(min(left, LOOK))
 
     def checks(self) -> Iterator[CheckItem]:
-        """Firmware and switches; nothing moves."""
+        """Read firmware and switches; nothing moves.
+
+        Yields
+        ------
+        CheckItem
+        """
         yield CheckItem("magnet stage", "firmware", self.identity)
         if self.switched:
             place = self._stage.at or "neither near nor away"
             yield CheckItem("magnet stage", "magnet", place, place == "away", "away")
 
     def must_rest(self) -> None:
-        """Raise `RigError` unless the motors stand still and the firmware reports no fault."""
+        """Check that the motors stand still and the firmware reports no fault.
+
+        Raises
+        ------
+        RigError
+            If a motor turns, or the stage has failed.
+        """
         self._stage.must_rest()
 
     def take_recovered(self) -> Counter[str]:
-        """What the serial line made good since the last call, by name."""
+        """Return, and reset, the count of errors of the serial line that were recovered from.
+
+        Returns
+        -------
+        Counter
+            Since the last call, by name.
+        """
         return self._stage.take_recovered()
 
     def stop(self) -> None:
@@ -154,5 +191,5 @@ class Magnet:
         self._stage.stop()
 
     def close(self) -> None:
-        """Stop, then let go of the port."""
+        """Stop the motors, then close the port."""
         self._stage.close()

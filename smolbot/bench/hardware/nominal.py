@@ -1,4 +1,4 @@
-"""Field of the excitation coils as the rig file describes them, tabulated once."""
+"""Nominal field of the excitation coils by the rig file, tabulated once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ MARGIN = 3.0  # mm beyond the container
 
 
 class NominalExcitation:
-    """Interpolates inside the container and a little beyond; computes outside it."""
+    """Interpolates the field inside the container and a little beyond; computes it directly elsewhere.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    """
 
     def __init__(self, rig: RigConfig) -> None:
         from lookup_tables import cached_table
@@ -27,7 +32,18 @@ class NominalExcitation:
         self._table = cached_table(self._coils, *axes)
 
     def at(self, position: FloatArray) -> FloatArray:
-        """Field (n_exc, 3) in T per A at `position` (3,) in m, world frame."""
+        """Compute the field of each excitation coil.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            In the world frame.
+
+        Returns
+        -------
+        ndarray, shape (n_exc, 3), in T per A
+            In the world frame.
+        """
         point = np.array(position, dtype=np.float64)[None]
         if np.all(point >= self._low) and np.all(point <= self._high):
             return np.asarray(self._table.field(point)[:, 0])

@@ -1,4 +1,4 @@
-"""A little more of the machine for what must answer in time."""
+"""A higher scheduling priority for the process that must answer in time."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ import contextlib
 import os
 
 WANTED = -10
-"""Niceness: above all that people usually run, below what the machine itself needs."""
+"""Niceness: above usual programs, below what the machine itself needs."""
 
 
 def ask_for_priority() -> bool:
-    """Let this process go first where that is allowed; say whether it is.
+    """Raise the scheduling priority of this process, where that is allowed.
 
-    Without the right to (on Linux: ``CAP_SYS_NICE``, or a limit for ``nice``) nothing changes.
+    Without permission (on Linux: ``CAP_SYS_NICE``, or a limit for ``nice``) nothing changes.
+
+    Returns
+    -------
+    bool
+        Whether it was raised.
     """
     if not hasattr(os, "setpriority"):
         return False

@@ -1,4 +1,4 @@
-"""What the converter cards that we know can do: their channels, ranges and clocked lines."""
+"""Capabilities of the supported data acquisition cards: channels, ranges and clocked lines."""
 
 from __future__ import annotations
 
@@ -13,14 +13,20 @@ class Product:
     ----------
     outputs : tuple of str
         Analog outputs.
-    inputs : mapping-like tuple of (terminal, channels)
-        Analog inputs that exist with each way of wiring them.
-    input_ranges, output_ranges : tuple of float, in V
+    inputs : tuple of (str, tuple of str)
+        Each a terminal configuration with the analog inputs that it has.
+    input_ranges : tuple of float, in V
         Half widths.
-    clocked_lines, lines : tuple of str
-        Digital lines that can follow a sample clock, and all of them.
-    max_output_rate, max_input_rate : float, in Hz
-        With all outputs in use; all inputs together.
+    output_ranges : tuple of float, in V
+        Half widths.
+    clocked_lines : tuple of str
+        Digital lines that can follow a sample clock.
+    lines : tuple of str
+        All digital lines.
+    max_output_rate : float, in Hz
+        With all outputs in use.
+    max_input_rate : float, in Hz
+        Of all inputs together.
     """
 
     outputs: tuple[str, ...]
@@ -33,7 +39,17 @@ class Product:
     max_input_rate: float
 
     def inputs_of(self, terminal: str) -> tuple[str, ...]:
-        """Inputs that exist with a way of wiring; empty for an unknown one."""
+        """Return the inputs of a terminal configuration.
+
+        Parameters
+        ----------
+        terminal : str
+
+        Returns
+        -------
+        tuple of str
+            Empty if the configuration is unknown.
+        """
         return dict(self.inputs).get(terminal, ())
 
 
@@ -60,4 +76,4 @@ PCIE_6363 = Product(
 )
 
 PRODUCTS = {"PCIe-6363": PCIE_6363, "PXIe-6363": PCIE_6363, "USB-6363": PCIE_6363}
-"""By the product type that the driver reads back."""
+"""Capabilities by the product type that the driver reports."""

@@ -1,4 +1,4 @@
-"""One coil driven faintly and switched by its relay, so that the sensors hear when the contacts close and open."""
+"""Waveform that drives one coil weakly through its relay, to time when the contacts close and open."""
 
 from __future__ import annotations
 
@@ -12,23 +12,40 @@ from smolbot.core.coil_probe import AFTER, BEFORE, HELD
 from smolbot.errors import InputError
 
 LATEST = 3.0
-"""How many times its opening time a relay may take before the output is taken to zero behind it."""
+"""Longest time that a relay may take to open, as a multiple of its opening time, before the output is set to zero."""
 
 SPARE = 3e-3
-"""Seconds on top of that."""
+"""Seconds on top of `LATEST`."""
 
 
 def relay_probe(section: BenchSection, coil: str, current: float, input_rate: float) -> tuple[Waveform, float, float]:
-    """The waveform of a probe, and when its relay is told to close and to open, in s from the first sample.
+    """Build the waveform of a relay probe.
 
-    The output stands at the current from the moment the relay is told to close until well after it should have opened:
-    what begins and ends the field is the relay alone. Until the contacts close, the amplifier drives nothing
-    and may stand at its rail, which is why a probe asks for some ten mA only.
+    The output holds its level from the moment the relay is told to close until well after it should have opened,
+    so that the relay alone starts and ends the field. Until the contacts close, the amplifier has no load and may
+    be at its rail, which is why a probe uses only some ten mA.
+
+    Parameters
+    ----------
+    section : BenchSection
+    coil : str
+        Name of the load: a coil, or ``excitation x``.
+    current : float, in A
+    input_rate : float, in Hz
+        Sample rate of each input.
+
+    Returns
+    -------
+    waveform : Waveform
+    on : float, in s
+        When the relay is told to close, from the first sample on.
+    off : float, in s
+        When it is told to open.
 
     Raises
     ------
     InputError
-        For a coil that is not wired, or a current beyond its output's range.
+        If the coil is not wired, or the current is beyond its output's range.
     """
     names = [load.name for load in section.loads]
     if coil not in names:

@@ -1,4 +1,4 @@
-"""The truth of a twin, as it arrives from another process of this machine. For recorder and report alone."""
+"""Ground truth of a twin, received from another process of this machine. For recorder and report only."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from smolbot.errors import InputError, RigError
 
 ROW = np.dtype("<f8")
 COLUMNS = 8
-"""A row is the time on the monotonic clock in s, position (3) in m, and orientation (4), scalar first."""
+"""A row holds the time on the monotonic clock in s, position (3) in m, and orientation (4), scalar first."""
 
 PATIENCE = 0.5
-"""Seconds to wait for a row that is on its way."""
+"""Seconds to wait for a row that is due."""
 
 REMEMBERED = 900.0
-"""Seconds of truth that are kept."""
+"""Seconds of ground truth that are kept."""
 
 
 class RemoteWitness:
-    """Keeps the promise of `smolbot.core.rig.Witness` with rows that a twin sends.
+    """A `smolbot.core.rig.Witness` that receives the ground truth of a twin.
 
     Parameters
     ----------
     address : str
-        host:port of the twin's truth.
+        As host:port.
     epoch : float, in s
         Zero of the rig's clock, on the monotonic clock that all processes of one machine share.
 
@@ -58,16 +58,30 @@ class RemoteWitness:
         self._thread.start()
 
     def provenance(self) -> dict[str, Any]:
-        """What the twin was drawn as."""
+        """Return the parameters that the twin has sampled.
+
+        Returns
+        -------
+        dict
+        """
         return dict(self._drawn)
 
     def truth(self, time: float) -> Pose:
-        """True pose at `time` s on the rig's clock, without covariance.
+        """Return the true pose, without covariance.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the rig's clock.
+
+        Returns
+        -------
+        Pose
 
         Raises
         ------
         InputError
-            For a time that is forgotten, or has not come yet.
+            If the time is too old, or not played yet.
         RigError
             If the twin is gone.
         """
@@ -121,14 +135,14 @@ class RemoteWitness:
         self._count += len(rows)
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         with contextlib.suppress(OSError):  # it may have ended already
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
 
 def _line(connection: socket.socket) -> str:
-    """The first line that arrives; rows follow it at once, so it is read byte by byte."""
+    """Read the first line byte by byte, since rows follow it at once."""
     text = bytearray()
     while not text.endswith(b"\n"):
         byte = connection.recv(1)
@@ -139,7 +153,7 @@ def _line(connection: socket.socket) -> str:
 
 
 def _between(low: FloatArray, high: FloatArray, at: float, time: float) -> Pose:
-    """Pose between two rows, straight."""
+    """Interpolate linearly between two rows."""
     span = high[0] - low[0]
     share = min(max((at - low[0]) / span, 0.0), 1.0) if span > 0 else 0.0
     if low[4:] @ high[4:] < 0.0:  # q and -q are the same turn

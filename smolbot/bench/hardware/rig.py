@@ -1,4 +1,4 @@
-"""The bench: keeps the promise of `smolbot.core.rig.Rig` with a converter card, relays and a magnet stage."""
+"""The bench: a `smolbot.core.rig.Rig` with a data acquisition card, relays and a magnet stage."""
 
 from __future__ import annotations
 
@@ -35,21 +35,27 @@ if TYPE_CHECKING:
     from smolbot.core.operator import Operator
 
 LOST_IN_A_ROW = 2
-"""Windows lost one after the other that are no accident any more: a card that fails twice fails for good."""
+"""Number of lost windows in a row that ends the run: a card that fails twice has failed for good."""
 
 
 class BenchRig(Closing):
-    """A rig whose world is real, or a twin that speaks the same protocols.
+    """A rig of real devices, or of a twin that speaks the same protocols.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    section : BenchSection
+    operator : Operator
 
     Attributes
     ----------
     sensors : SensorArray
-        As they are believed to stand.
+        As the rig file describes them.
     limits : Limits
     witness : Witness or None
-        None on a bench; a twin on the same machine may tell the truth.
+        Ground truth of a twin on the same machine; None on a real bench.
     recovered : Counter
-        What went wrong and was made good, by name.
+        Number of faults by name that it has recovered from.
 
     Raises
     ------
@@ -120,13 +126,25 @@ class BenchRig(Closing):
             self._supply.on()
 
     def now(self) -> float:
-        """Time in s since the bench was opened; a shot that is asked for now starts some milliseconds later."""
+        """Return the time since the bench was opened. A shot that is played now starts some milliseconds later.
+
+        Returns
+        -------
+        float, in s
+        """
         return time.monotonic() - self._epoch
 
     def play(self, shot: Shot) -> Recording | None:
-        """Play the windows of one shot in order; return what was heard, or None if it listened to nothing.
+        """Play the windows of one shot in order.
 
-        None also where what it listened to was lost; `recovered` counts that.
+        Parameters
+        ----------
+        shot : Shot
+
+        Returns
+        -------
+        Recording or None
+            None if the shot does not listen, or if its window was lost; `recovered` counts the latter.
 
         Raises
         ------
@@ -153,14 +171,25 @@ class BenchRig(Closing):
                 self._magnet.near = magnet_near_after(shot, near=near)
 
     def probe(self, coil: str, current: float) -> Probe:
-        """What the sensors hear while the relay of one coil (``+x``, ``excitation x``) lets `current` A through.
+        """Record the sensors while the relay of one coil closes and opens again.
+
+        Parameters
+        ----------
+        coil : str
+            Such as ``+x`` or ``excitation x``.
+        current : float, in A
+
+        Returns
+        -------
+        Probe
 
         Raises
         ------
         InterlockError
             Before anything is driven, if the current breaks a limit.
         RigError
-            If a device fails, a sample is lost, or the bench was stopped; every output is at zero and every relay open.
+            If a device fails, a sample is lost, or the bench was stopped; every output is at zero and every relay
+            open.
         """
         self._refuse_if_stopped()
         near = self._magnet is not None and self._magnet.near
@@ -186,15 +215,26 @@ class BenchRig(Closing):
         return Probe(heard, on, off, relays.closing, relays.opening)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
-        """Nominal field (n_exc, 3) of the excitation coils at `position` (3,) in m, in T per A, world frame."""
+        """Compute the nominal field of each excitation coil.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+            In the world frame.
+
+        Returns
+        -------
+        ndarray, shape (n_exc, 3), in T per A
+            In the world frame.
+        """
         return self._excitation.at(as_floats(position, (3,), "excitation_field position"))
 
     def stop(self) -> None:
-        """Bring every output to zero now and play nothing more. Safe from any thread, any number of times."""
+        """Bring every output to zero now, for good. Safe from any thread, any number of times."""
         self._halt(RigError("This bench was stopped; open it anew. Every output is at zero."))
 
     def close(self) -> None:
-        """Stop, then let go of every device; harmless when repeated."""
+        """Stop, then close every device; harmless when repeated."""
         if not self._open:
             return
         self._open = False
@@ -206,11 +246,16 @@ class BenchRig(Closing):
 
     @property
     def status_line(self) -> str:
-        """What was made good so far, in a few words."""
+        """The faults that it has recovered from so far, in a few words."""
         return ", ".join(f"{count} {what}" for what, count in sorted(self.recovered.items()))
 
     def checks(self) -> Iterator[CheckItem]:
-        """Read back every device, nothing driven."""
+        """Read back every device; nothing is driven.
+
+        Yields
+        ------
+        CheckItem
+        """
         section = self._section
         card = f"card {section.device}"
         if self._card is not None and self._guard is not None:
@@ -227,7 +272,12 @@ class BenchRig(Closing):
             yield CheckItem("power supply", "settings", " ".join(wrong) or "as in the rig file", not wrong)
 
     def provenance(self) -> dict[str, Any]:
-        """What the devices say they are; of a twin, also what it drew."""
+        """Return what the devices report about themselves, and for a twin the parameters that it has sampled.
+
+        Returns
+        -------
+        dict
+        """
         found: dict[str, Any] = {"device": self._section.device, "server": self._section.server or "local driver"}
         if self._card is not None:
             found |= {"product": self._card.product, "serial": self._card.serial}
@@ -276,11 +326,11 @@ class BenchRig(Closing):
         return Recording(field / self._gains, self._rate, since, saturated, drive, clock)
 
     def _trip(self, reason: RigError) -> None:
-        """The guard, from its own thread, says why nothing may go on."""
+        """Stop the bench for a reason that the guard gives, from its own thread."""
         self._halt(reason)
 
     def _halt(self, reason: RigError) -> None:
-        """Latch the first reason and bring everything to zero; what the card does not do, its watchdog does."""
+        """Store the first reason and bring everything to zero; if the card fails, its watchdog opens the relays."""
         if self._latched is None:
             self._latched = reason
         if self._card is not None and not self._card.stop() and self._guard is not None:

@@ -1,4 +1,4 @@
-"""An instrument that speaks SCPI over a socket: every exchange ends within its deadline, every refusal is an error."""
+"""An instrument controlled by SCPI over a socket: every exchange has a deadline, every refusal is an error."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from pyvisa.resources import MessageBasedResource
 
 LONGEST_QUEUE = 20
-"""Entries of an instrument's error queue that are read before it is taken to be endless."""
+"""Number of entries of an error queue that are read before it counts as endless."""
 
 PATIENCE = 5.0
-"""How many time-outs a thread waits for another one's exchange with the instrument to end."""
+"""Number of time-outs that a thread waits for another thread's exchange to end."""
 
 Permit = Callable[[], None]
 
@@ -24,13 +24,13 @@ Permit = Callable[[], None]
 class ScpiSocket:
     """One instrument behind a socket.
 
-    After any failure the connection is dropped, for a late answer must not be taken for the next one's; the next
+    After any failure the connection is closed, since a late answer must not be taken for the next one. The next
     exchange opens it anew.
 
     Parameters
     ----------
     name : str
-        What and where it is, as messages begin.
+        What and where it is, for the start of messages.
     address : str
         VISA address of a socket.
     timeout : float, in s
@@ -43,26 +43,48 @@ class ScpiSocket:
         self._resource: MessageBasedResource | None = None
 
     def ask(self, query: str, action: str) -> str:
-        """The answer to a query.
+        """Send a query and return its answer.
+
+        Parameters
+        ----------
+        query : str
+        action : str
+            For the message of an error, such as "read back channel 1".
+
+        Returns
+        -------
+        str
 
         Raises
         ------
         RigError
-            Naming device, address and `action` (as "read back channel 1"), if no answer comes.
+            If no answer comes; the message names device, address and action.
         """
         with self._held(action):
             return self._exchange(query, action)
 
     def tell(self, *commands: str, action: str, permit: Permit | None = None, then: str | None = None) -> str:
-        """Send commands, each with its own look into the error queue; nobody else's come between.
+        """Send commands, and read the error queue after each; other threads wait meanwhile.
 
-        `permit` is called right before the first is sent, and may raise. `then` is a query for afterwards, of which
-        the answer is returned.
+        Parameters
+        ----------
+        *commands : str
+        action : str
+            For the message of an error.
+        permit : callable, optional
+            Called right before the first command is sent, and may raise.
+        then : str, optional
+            Query to send afterwards.
+
+        Returns
+        -------
+        str
+            Answer to `then`; empty without it.
 
         Raises
         ------
         RigError
-            Naming device, address and `action`, if one is refused or the instrument does not answer.
+            If a command is refused or the instrument does not answer; the message names device, address and action.
         """
         with self._held(action):
             if permit is not None:
@@ -74,12 +96,18 @@ class ScpiSocket:
             return "" if then is None else self._exchange(then, action)
 
     def forget_errors(self, action: str) -> None:
-        """Empty the error queue of what others left in it."""
+        """Empty the error queue.
+
+        Parameters
+        ----------
+        action : str
+            For the message of an error.
+        """
         with self._held(action):
             self._errors("*CLS", action)
 
     def close(self) -> None:
-        """Let go of the connection; harmless when repeated."""
+        """Close the connection; harmless when repeated."""
         with self._held("close the connection"):
             self._drop()
 
@@ -93,7 +121,7 @@ class ScpiSocket:
             self._lock.release()
 
     def _errors(self, command: str, action: str) -> list[str]:
-        """What stands in the error queue after a command, without the spelling of "no error"."""
+        """Read the error queue after a command, up to the entry "no error"."""
         found: list[str] = []
         first: str | None = command
         while len(found) < LONGEST_QUEUE:
@@ -137,7 +165,7 @@ class ScpiSocket:
         return f"{str(error).rstrip('.')}."
 
     def _opened(self) -> MessageBasedResource:
-        """The connection, opened if it is not."""
+        """Return the connection, and open it first if necessary."""
         if self._resource is None:
             import pyvisa
             from pyvisa.resources import MessageBasedResource

@@ -9,12 +9,20 @@ from smolbot.bench.hardware.supplysection import SupplyChannelSection, SupplySec
 from smolbot.errors import RigError
 
 RESOLUTION = 1e-3
-"""Step of voltages and currents that the supply holds, in V and A; what it reads back may be half of it off."""
+"""Resolution of the supply's voltages and currents, in V and A; values read back deviate by up to half of it."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What a supply answers to ``*IDN?``."""
+    """Answer of a supply to ``*IDN?``.
+
+    Attributes
+    ----------
+    maker : str
+    model : str
+    serial : str
+    firmware : str
+    """
 
     maker: str
     model: str
@@ -27,7 +35,24 @@ class Identity:
 
 @dataclass(frozen=True)
 class ChannelState:
-    """One channel as it is set, in V and A, and what it gives now."""
+    """Settings and measurements of one channel.
+
+    Attributes
+    ----------
+    channel : int
+        From 1.
+    voltage : float, in V
+    current : float, in A
+        Current limit.
+    ovp : float, in V
+        Level of the over-voltage protection.
+    ovp_on : bool
+    fuse_on : bool
+    selected : bool
+        Whether it follows the common output switch.
+    measured_voltage : float, in V
+    measured_current : float, in A
+    """
 
     channel: int
     voltage: float
@@ -43,7 +68,11 @@ class ChannelState:
 class Supply:
     """A power supply whose channels are set from the rig file.
 
-    It opens with every output off, and stays so until `on`.
+    Every output is off when it is opened, and stays off until `on`.
+
+    Parameters
+    ----------
+    section : SupplySection
 
     Attributes
     ----------
@@ -52,7 +81,7 @@ class Supply:
     Raises
     ------
     RigError
-        If it does not answer, is another model, or has not the channels; says device, address and action.
+        If it does not answer, is another model, or lacks a channel; the message has device, address and action.
     """
 
     def __init__(self, section: SupplySection) -> None:
@@ -71,7 +100,7 @@ class Supply:
             raise
 
     def configure(self) -> None:
-        """Set voltage, current, over-voltage protection and fuse of every channel, and hold them against what it says.
+        """Set voltage, current, over-voltage protection and fuse of every channel, and check them by reading back.
 
         Only the channels of the rig file follow the output switch afterwards.
 
@@ -93,25 +122,25 @@ class Supply:
         self._set_after = offs
 
     def on(self) -> None:
-        """Switch the outputs on; only after `configure`, and not if it was switched off since.
+        """Switch the outputs on; only after `configure`, and not if they were switched off since.
 
         Raises
         ------
         RigError
-            If that is so, or if the supply does not say that it is on.
+            If that is so, or if the supply does not report that it is on.
         """
         if not self._switch("OUTP:GEN 1", "switch the outputs on", self._refuse_unless_set):
             raise self._fault("was told to switch the outputs on; it says that they are off.")
 
     def off(self) -> None:
-        """Switch every output off, until it is configured anew. Safe from any thread, any number of times.
+        """Switch every output off, until the supply is configured anew. Safe from any thread, any number of times.
 
-        Waits for another thread's setting under way, and for no other.
+        Waits only for the exchange that another thread has begun.
 
         Raises
         ------
         RigError
-            If it cannot be reached or says that outputs are on: then they may be.
+            If it cannot be reached or reports that outputs are on: then they may be.
         """
         self._offs += 1
         try:
@@ -128,25 +157,36 @@ class Supply:
 
     @property
     def channel_count(self) -> int:
-        """How many channels this model has: the last digit of its name."""
+        """Number of channels of this model: the last digit of its name."""
         return int(self.identity.model[-1])
 
     def read_back(self) -> tuple[ChannelState, ...]:
-        """Every channel of the rig file as the supply says it is set, and what it measures."""
+        """Read settings and measurements of every channel of the rig file.
+
+        Returns
+        -------
+        tuple of ChannelState
+        """
         return tuple(self._state(channel.channel) for channel in self._section.channels)
 
     def differences(self) -> list[str]:
-        """What is set otherwise than the rig file says, a sentence each; empty where all is as it should be."""
+        """Compare the settings of the supply with the rig file.
+
+        Returns
+        -------
+        list of str
+            A sentence for each difference; empty if there is none.
+        """
         wanted = {channel.channel: channel for channel in self._section.channels}
         return [fault for state in self.read_back() for fault in self._differences(wanted[state.channel], state)]
 
     def close(self) -> None:
-        """Switch off and let go; harmless when repeated.
+        """Switch off and close the connection; harmless when repeated.
 
         Raises
         ------
         RigError
-            If it cannot be switched off; it is let go of all the same.
+            If it cannot be switched off; the connection is closed all the same.
         """
         if self._closed:
             return
@@ -198,7 +238,7 @@ class Supply:
         return RigError(f"{self._name}: {what}", device=self._name)
 
     def _switch(self, command: str, action: str, permit: Permit | None = None) -> bool:
-        """Turn the outputs' common switch; what it says of it right afterwards."""
+        """Set the common output switch; return its state as read back."""
         query = "OUTP:GEN?"
         return self._truth(self._scpi.tell(command, action=action, permit=permit, then=query), query, action)
 

@@ -1,4 +1,4 @@
-"""The ``[bench.supply]`` section of a rig file: the coils' power supply and what each of its channels may give."""
+"""The ``[bench.supply]`` section of a rig file: the coils' power supply and the settings of its channels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SOCKET = re.compile(r"TCPIP\d*::([^:\s]+)::(\d{1,5})::SOCKET", re.IGNORECASE)
 
 
 class SupplyChannelSection(FileModel):
-    """One channel: what it is set to, and at what it cuts itself off."""
+    """One channel: its settings, and the levels at which it switches itself off."""
 
     channel: Annotated[int, Field(ge=1, le=4)]
     feeds: str = ""
@@ -31,14 +31,14 @@ class SupplyChannelSection(FileModel):
 
     @property
     def name(self) -> str:
-        """As messages call it."""
+        """Name for messages."""
         return f"channel {self.channel}" + (f" ({self.feeds})" if self.feeds else "")
 
 
 class SupplySection(FileModel):
     """A supply that is set and switched by SCPI over a socket.
 
-    `model` is what its name begins with; `timeout_ms` is the deadline of every exchange.
+    `model` is the start of its model name; `timeout_ms` is the deadline of every exchange.
     """
 
     address: str

@@ -1,4 +1,4 @@
-"""A shot as the card plays it: volts for each output, relay lines, and which of the samples to keep."""
+"""Waveforms of shots for the card: volts for each output, relay lines, and the samples to keep."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rotate, Shot
 from smolbot.errors import InputError, InterlockError
 
 SETTLING = 0.5e-3
-"""Seconds beyond a relay's opening time after which it must be open."""
+"""Seconds after its opening time within which a relay must be open."""
 
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
-    """One shot on the card's clocks. All clocks begin with the first input sample.
+    """One shot on the card's clocks, which all begin with the first input sample.
 
     Attributes
     ----------
     volts : ndarray, shape (n_outputs, n), in V
-        In the order of `BenchSection.used_outputs`; the last sample is zero. No samples where nothing is driven.
+        In the order of `BenchSection.used_outputs`; the last sample is zero. No samples if nothing is driven.
     lines : ndarray of uint32, shape (n,)
-        Bit k is line k of the clocked port; set where a relay is closed or the amplifiers are enabled.
+        Bit k is line k of the clocked port; set while a relay is closed or the amplifiers are enabled.
     lead : float, in s
-        Between the first sample and the start of the shot: relays close in it.
+        From the first sample to the start of the shot; relays close within it.
     samples : int
         Input samples of each sensor, from the first one to the end of the shot.
     listen : tuple of (int, int) or None
-        First input sample to keep, and how many.
+        First input sample to keep, and number of samples.
     drive_end : float or None, in s
-        When the last excitation before listening ended, from the first sample on.
+        End of the last excitation before listening, from the first sample on.
     settled : int
-        Input samples after which every relay has opened; 0 where nothing is driven.
+        Input samples after which every relay has opened; 0 if nothing is driven.
     """
 
     volts: FloatArray
@@ -50,7 +50,7 @@ class Waveform:
 
     @property
     def outputs(self) -> int:
-        """Samples of each output."""
+        """Number of samples of each output."""
         return self.volts.shape[1]
 
 
@@ -66,11 +66,12 @@ class _Drive:
 
 
 class WaveformCompiler:
-    """Turns electrical shots into waveforms for one bench.
+    """Converts electrical shots to waveforms for one bench.
 
-    A relay is told to close so early that it has settled when its load's window begins: before the shot, or, where the
-    output was another load's until then, as soon as that one's relay has opened. The output stays at zero meanwhile:
-    what is blanked is at most the time of one relay opening and another one closing, and the window keeps its place.
+    A relay is told to close early enough to have settled when its load's window begins: before the shot or, if
+    another load used the same output until then, as soon as the relay of that load has opened. The output stays at
+    zero meanwhile. At most the time in which one relay opens and another closes is lost from the window, which
+    keeps its place.
 
     Parameters
     ----------
@@ -79,9 +80,9 @@ class WaveformCompiler:
         Actuation coils in the order of every current vector.
     input_rate : float, in Hz
         Of each sensor.
-    constants : dict, in s
-        Time constant of each coil by its name (``+x``, ``excitation x``). A sine is made larger by what the coil's lag
-        takes from it, so that the current has the peak that was asked for.
+    constants : dict of float, in s, optional
+        Time constant of each coil by its name (``+x``, ``excitation x``). A sine is amplified to make up for the
+        coil's lag, so that the current has the requested peak.
     """
 
     def __init__(
@@ -105,7 +106,15 @@ class WaveformCompiler:
         self.output_rate, self.input_rate = section.outputs.rate_hz, input_rate
 
     def compile(self, shot: Shot) -> Waveform:
-        """Lay out a shot.
+        """Convert a shot to a waveform.
+
+        Parameters
+        ----------
+        shot : Shot
+
+        Returns
+        -------
+        Waveform
 
         Raises
         ------
@@ -187,7 +196,15 @@ class WaveformCompiler:
 
 
 def line_bit(name: str) -> int:
-    """Number of a line within its port.
+    """Return the number of a line within its port.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    int
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The ``[bench]`` section of a rig file: which device, channel, relay and line does what."""
+"""The ``[bench]`` section of a rig file: which device, channel, relay and line serves what."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ class LoadSection(FileModel):
 
     @property
     def name(self) -> str:
-        """As messages call it: the coil's name, or ``excitation x``."""
+        """Name for messages: the coil's name, or ``excitation x``."""
         return self.coil if self.coil is not None else f"excitation {self.excitation}"
 
 
 class RelaysSection(FileModel):
-    """How fast relays settle, and the line that is high while all are open (their second contacts in series)."""
+    """Settling times of the relays, and the line that is high while all are open (auxiliary contacts in series)."""
 
     close_ms: NotNegative
     open_ms: NotNegative
@@ -91,7 +91,7 @@ class OperatorSection(FileModel):
 
 
 class StageSection(FileModel):
-    """The magnet stage's motors and its serial port; an empty port is looked for."""
+    """Motors and serial port of the magnet stage; an empty port is searched for."""
 
     port: str = ""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
@@ -101,7 +101,7 @@ class StageSection(FileModel):
 
 
 class BenchSection(FileModel):
-    """Everything that stands between the program and the coils, sensors and motors."""
+    """All hardware between the program and the coils, sensors and motors."""
 
     server: str = ""
     truth: str = ""
@@ -131,12 +131,24 @@ class BenchSection(FileModel):
 
     @property
     def input_lines(self) -> tuple[str, ...]:
-        """Digital lines that are read: relays' contacts, operator's button, where they are wired."""
+        """Digital lines that are read, where they are wired: relay contacts and operator's button."""
         return tuple(line for line in (self.relays.all_open, self.operator.stop_line) if line is not None)
 
 
 def wiring_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[Key, str]]:
-    """What cannot be wired like this: key within the section, and a sentence. `data` is the whole rig file."""
+    """Find faults of the wiring that a rig file describes.
+
+    Parameters
+    ----------
+    section : BenchSection
+    data : dict
+        The complete rig file.
+
+    Yields
+    ------
+    tuple
+        Key within the section, and a sentence on the fault.
+    """
     product = PRODUCTS.get(section.product)
     if product is None:
         yield ("product",), f"unknown product '{section.product}'; known: {', '.join(PRODUCTS)}."
@@ -249,7 +261,7 @@ def _choice(value: float, possible: tuple[float, ...]) -> str:
 
 
 def _span(names: tuple[str, ...]) -> str:
-    """Names with consecutive numbers drawn together: ``ai0 to ai7, ai16 to ai23``."""
+    """Abbreviate names with consecutive numbers: ``ai0 to ai7, ai16 to ai23``."""
     runs: list[list[str]] = []
     before: tuple[str, int] | None = None
     for name in names:

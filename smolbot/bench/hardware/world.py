@@ -15,11 +15,21 @@ if TYPE_CHECKING:
 
 
 class BenchWorld:
-    """How a bench is checked and opened."""
+    """World of the entry point ``bench``: it checks and opens a bench."""
 
     @staticmethod
     def check(document: Document) -> list[Fault]:
-        """Faults of the ``[bench]`` section: unknown channels, lines and ranges, two loads on one output."""
+        """Check the ``[bench]`` section: unknown channels, lines and ranges, two loads on one output.
+
+        Parameters
+        ----------
+        document : Document
+            The rig file.
+
+        Returns
+        -------
+        list of Fault
+        """
         if not isinstance(document.data.get("bench"), dict):
             return [Fault(("bench",), 'world = "bench" needs a section, [bench], that says how it is wired.')]
         section, faults = document.section("bench", BenchSection)
@@ -29,7 +39,17 @@ class BenchWorld:
 
     @staticmethod
     def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:
-        """None: what a person puts on a bench is not the program's to know."""
+        """Return None: the program cannot know which robot a person puts on a bench.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        robot : RobotConfig
+
+        Returns
+        -------
+        str or None
+        """
         return None
 
     @staticmethod
@@ -42,7 +62,25 @@ class BenchWorld:
         operator: Operator | None = None,
         **options: Any,
     ) -> BenchRig:
-        """Open every device of the bench; `start` and `seed` mean nothing to it.
+        """Open every device of the bench.
+
+        Parameters
+        ----------
+        rig : RigConfig
+        robot : RobotConfig
+            Ignored.
+        start : object
+            Ignored.
+        seed : int
+            Ignored.
+        operator : Operator, optional
+            Whoever sits at the terminal unless given.
+        **options : object
+            Ignored.
+
+        Returns
+        -------
+        BenchRig
 
         Raises
         ------

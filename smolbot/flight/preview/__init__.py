@@ -1,1 +1,1 @@
-"""Missions timed and flown on paper."""
+"""Missions timed and simulated before the flight on the controller's own model."""

@@ -1,4 +1,4 @@
-"""A mission timed and flown on paper: what a cycle looks like, how long it takes, where it would stall."""
+"""Preview of a mission with gradient forces: a typical cycle, the duration, and where the robot would stall."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from smolbot.paths.corners import corner_indices, curvature
 
 _UP = np.array([0.0, 0.0, 1.0])
 STALL_CYCLES = 150
-"""Cycles without progress after which a rolled-out mission counts as stalled."""
+"""Number of cycles without progress after which a simulated mission counts as stalled."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,11 +75,12 @@ class Preview(Readable):
 
     @property
     def go(self) -> bool:
+        """True if nothing speaks against the flight."""
         return not self.reasons
 
 
 class _Rollout:
-    """A mission flown on the controller's own model, without noise."""
+    """Simulation of a mission on the controller's own model, without noise."""
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
@@ -98,7 +99,7 @@ class _Rollout:
         self.energy = 0.0
 
     def fly(self) -> str | None:
-        """Go on until the path's end; otherwise the reason why it is not reached."""
+        """Run cycles until the end of the path; return the reason if it is not reached, else None."""
         self.controller.reset(self.mission.path, self._pose())
         best, nearest, farthest, since = 0.0, np.inf, 0.0, 0
         while True:
@@ -154,14 +155,24 @@ class _Rollout:
         return Pose(self.clock, self.position, quaternion_from_axes(ahead, _UP, "zy"), np.zeros((6, 6)))
 
     def typical_shot(self) -> Shot:
-        """A cycle with the actuation of median length."""
+        """Build a cycle whose actuation window has the median length."""
         windows = sorted(self.windows, key=lambda w: w.duration)
         listening = self.setup.cycle.windows(self.setup.device.frequency)
         return Shot((windows[len(windows) // 2], *listening) if windows else listening)
 
 
 def preview(mission: Mission) -> Preview:
-    """Time a mission on paper and fly it once on the controller's own model, without noise."""
+    """Time a mission and simulate it once on the controller's own model, without noise.
+
+    Parameters
+    ----------
+    mission : Mission
+        With a robot that is moved by gradient forces.
+
+    Returns
+    -------
+    Preview
+    """
     rollout = _Rollout(mission)
     reason = rollout.fly()
     cycling = rollout.clock - rollout.quiet

@@ -1,4 +1,4 @@
-"""A helical robot's mission on paper: turns and pauses, bends it can make, torque to spare, go or no-go."""
+"""Preview of a helical robot's mission: turns and pauses, feasible bends, torque margin, go or no-go."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from smolbot.motion.controller import BendForecast, Controller, HelixSetup
 from smolbot.paths.curve import Curve
 
 BEND_OVER = 4e-3
-"""Length, in m, over which a path's bend is measured: a robot of 7 mm does not feel a corner that it rounds off."""
+"""Length, in m, over which a path's bend is measured: a robot of 7 mm rounds off sharper corners."""
 
 OFF_PATH = 1.5e-3
-"""Distance from the path, in m, beyond which a mission on paper counts as one that cannot be followed."""
+"""Distance from the path, in m, beyond which a simulated mission counts as not feasible."""
 
 KNOWN = np.diag([1e-4] * 3 + [math.radians(1.0)] * 3) ** 2
-"""Covariance of a pose after a pause."""
+"""Covariance of a pose after a pause, in m and rad."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,11 +65,22 @@ class HelixPreview(Readable):
 
     @property
     def go(self) -> bool:
+        """True if nothing speaks against the flight."""
         return not self.reasons
 
 
 def preview_helix(mission: Mission) -> HelixPreview:
-    """Time a mission on paper and fly it once on the controller's own model, without noise."""
+    """Time a helical robot's mission and simulate it once on the controller's own model, without noise.
+
+    Parameters
+    ----------
+    mission : Mission
+        With a helical robot.
+
+    Returns
+    -------
+    HelixPreview
+    """
     setup = mission.helix_setup()
     controller = load("controllers", mission.law)(setup, mission.gains)
     frequency = setup.limits.max_rotation_frequency
@@ -108,7 +119,17 @@ def preview_helix(mission: Mission) -> HelixPreview:
 
 
 def tightest_bend(path: Curve) -> float:
-    """Radius, in m, of the tightest bend of a path, measured over `BEND_OVER`."""
+    """Compute the radius of the tightest bend of a path, measured over the length `BEND_OVER`.
+
+    Parameters
+    ----------
+    path : Curve
+
+    Returns
+    -------
+    float, in m
+        Infinite for a straight path.
+    """
     span = min(BEND_OVER, 0.5 * path.length)
     arc = np.arange(0.0, path.length - span, 0.25e-3)
     first, last = path.tangent(arc), path.tangent(arc + span)
@@ -120,7 +141,7 @@ def tightest_bend(path: Curve) -> float:
 def _fly(
     mission: Mission, setup: HelixSetup, controller: Controller
 ) -> tuple[list[Shot], float, FloatArray, list[str]]:
-    """Mechanical shots, time in s, places of the pauses, and why the path's end is not reached."""
+    """Simulate the mission; return mechanical shots, time in s, positions in pauses, and why it fails."""
     x, y, heading = mission.put_down
     position = np.array([x, y, setup.helix.high])
     orientation = quaternion_from_axes(

@@ -1,4 +1,4 @@
-"""An observation timed on paper: what a cycle looks like, how often one fits, how sharply it should see."""
+"""Preview of an observation: a typical cycle, the cycle rate, and the expected accuracy of its poses."""
 
 from __future__ import annotations
 
@@ -14,25 +14,29 @@ from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Shot
 
 SEARCHES = 2.0
-"""Shots that a search takes on average before the signal suffices."""
+"""Mean number of shots of a search until the signal suffices."""
 
 PER_AXIS = 3
 
 
 @dataclass(frozen=True, repr=False)
 class ObservationPreview(Readable):
-    """What can be said of an observation beforehand. SI units.
+    """Prediction for an observation before it is carried out.
 
     Attributes
     ----------
     shot : Shot
         A typical cycle.
     rate_limit : float, in Hz
-        Of the timeline alone; `rate` has the turnaround in it.
+        Cycle rate of the timeline alone.
+    rate : float, in Hz
+        Cycle rate with the turnaround time included.
     duration : float, in s
-        Quiet and search included.
+        Expected, with the recording of background noise and the search.
+    cycles : int
+        Number of cycles.
     noise_error : ndarray, shape (n,), in m
-        Root mean square error in space that noise alone leaves of one pose, over the container, headings all round.
+        Root mean square 3D error of one pose due to noise alone, on a grid over the container with varied headings.
     reasons : list of str
         Why not to begin; empty means go.
     """
@@ -47,11 +51,21 @@ class ObservationPreview(Readable):
 
     @property
     def go(self) -> bool:
+        """True if nothing speaks against the observation."""
         return not self.reasons
 
 
 def preview_observation(mission: Observation) -> ObservationPreview:
-    """Time an observation on paper, and look up what noise would leave of its poses."""
+    """Time an observation, and compute the expected error of its poses due to noise.
+
+    Parameters
+    ----------
+    mission : Observation
+
+    Returns
+    -------
+    ObservationPreview
+    """
     shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
     whole = shot.duration + mission.rig.turnaround
     section, quiet = mission.sections.observe, mission.sections.localization.quiet

@@ -1,1 +1,1 @@
-"""What ends a run before harm is done."""
+"""Supervision that ends a run before harm is done."""

@@ -1,4 +1,4 @@
-"""How large a share of the time each coil is driven, over a sliding time."""
+"""Duty cycle of each coil over a sliding time window."""
 
 from __future__ import annotations
 
@@ -7,12 +7,19 @@ from collections.abc import Sequence
 
 
 class Duty:
-    """Driven spans of each coil within the last `window` s.
+    """Duty cycle of each coil within the last `window` s.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the coils, in order.
+    window : float, in s
+        Length of the sliding window.
 
     Attributes
     ----------
     peaks : list of float
-        The largest share of each coil so far.
+        Highest duty cycle of each coil so far, from 0 to 1.
 
     Examples
     --------
@@ -31,7 +38,20 @@ class Duty:
         self._totals = [0.0] * len(self.names)
 
     def drive(self, coil: int, start: float, end: float) -> float:
-        """Note that a coil is driven from `start` to `end` s, later than all before; its share at `end`."""
+        """Add a time span in which a coil is driven; it must lie after all spans that were added before.
+
+        Parameters
+        ----------
+        coil : int
+            Index of the coil, from 0.
+        start : float, in s
+        end : float, in s
+
+        Returns
+        -------
+        float
+            Duty cycle of the coil at `end`, from 0 to 1.
+        """
         spans, begin = self._spans[coil], end - self.window
         spans.append((start, end))
         self._totals[coil] += end - start

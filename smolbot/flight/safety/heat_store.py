@@ -1,4 +1,4 @@
-"""How hot a bench's coils were left: the next run starts from there, and not from cold coils."""
+"""Coil temperatures stored on disk, so that the next run does not start from cold coils."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from pathlib import Path
 from smolbot.core.coil_heat import CoilHeat
 
 EVERY = 5.0
-"""Seconds between two notes while a run goes on, so that a killed one is remembered too."""
+"""Seconds between two writes during a run, so that a killed run is remembered too."""
 
 
 class HeatMemory:
-    """Notes temperatures in a file, and reads them back cooled by the time that went by.
+    """Stores coil temperatures in a file, and restores them cooled by the time that has passed.
 
-    A file that is not there, that says nothing of a coil, or that was written in the future leaves coils as they are.
+    If the file is missing, does not mention a coil, or is dated in the future, temperatures stay as they are.
 
     Parameters
     ----------
     path : path
-        Where it is kept, see `kept_at`.
+        The file; see `kept_at`.
     clock : callable
-        Seconds since the epoch, for they outlive a process.
+        Returns seconds since the epoch, which stay comparable between processes.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.time) -> None:
@@ -36,11 +36,27 @@ class HeatMemory:
 
     @classmethod
     def of(cls, rig: str) -> HeatMemory:
-        """That of the rig of that name, on this machine."""
+        """Make the heat memory of a rig on this computer.
+
+        Parameters
+        ----------
+        rig : str
+            Name of the rig.
+
+        Returns
+        -------
+        HeatMemory
+        """
         return cls(kept_at(rig))
 
     def recall(self, heat: CoilHeat) -> None:
-        """Set a model's temperatures to what is left of those that were noted."""
+        """Set the temperatures of a heat model to the stored ones, cooled until now.
+
+        Parameters
+        ----------
+        heat : CoilHeat
+            Changed in place.
+        """
         try:
             data = json.loads(self.path.read_text(encoding="utf-8"))
             since = self._clock() - float(data["time"])
@@ -56,7 +72,16 @@ class HeatMemory:
         heat.peaks = list(heat.temperatures)
 
     def keep(self, heat: CoilHeat, *, now: bool = False) -> None:
-        """Note a model's temperatures, if the last note is some seconds old, or `now`."""
+        """Store the temperatures of a heat model, at most once every `EVERY` s.
+
+        A file that cannot be written gives one warning and is not tried again.
+
+        Parameters
+        ----------
+        heat : CoilHeat
+        now : bool
+            Store at once, however recent the last time was.
+        """
         clock = self._clock()
         if self._kept == float("inf") or (not now and 0.0 <= clock - self._kept < EVERY):
             return
@@ -76,7 +101,17 @@ class HeatMemory:
 
 
 def kept_at(rig: str) -> Path:
-    """The file of the rig of that name, in the user's cache."""
+    """Return the path of a rig's temperature file in the user's cache.
+
+    Parameters
+    ----------
+    rig : str
+        Name of the rig.
+
+    Returns
+    -------
+    Path
+    """
     from lookup_tables.cache import default_cache_dir
 
     return default_cache_dir() / "heat" / f"{re.sub(r'[^A-Za-z0-9_-]', '_', rig)}.json"

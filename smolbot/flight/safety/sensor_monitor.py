@@ -1,4 +1,4 @@
-"""Sensors that say nothing, or nothing of use, for several listening windows in a row."""
+"""Detection of sensors that are dead or saturated for several listening windows in a row."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ DEAD, SATURATED = "dead", "saturated"
 
 
 class SoundWatch:
-    """Counts, for each sensor, the windows in a row in which it was constant, or saturated.
+    """Counts, for each sensor, the listening windows in a row in which it was constant, or saturated.
 
     Parameters
     ----------
     n_sensors : int
     patience : int
-        Windows in a row from which it counts.
+        Number of windows in a row from which a sensor is reported.
     left_out : collection of int
         Sensors, from 0, that are known to be broken.
     """
@@ -29,7 +29,17 @@ class SoundWatch:
         self._runs = {kind: np.zeros(n_sensors, dtype=np.int64) for kind in (DEAD, SATURATED)}
 
     def hear(self, recording: Recording) -> tuple[str, list[int], int] | None:
-        """Take in a window; what is wrong, with which sensors, and for how many windows, once it is too many."""
+        """Add a recording, and check for sensors that have failed for too many windows.
+
+        Parameters
+        ----------
+        recording : Recording
+
+        Returns
+        -------
+        tuple or None
+            Fault (``dead`` or ``saturated``), sensors from 0, and number of windows in a row; None if all work.
+        """
         field = recording.field
         if field.shape[1] < 2:  # a world that makes no samples
             return None

@@ -1,4 +1,4 @@
-"""The latch of a run: shut once, by whoever has a reason, and shut it stays."""
+"""The stop latch of a run: once tripped, it stays tripped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ Ending = Literal["stopped", "failed"]
 
 
 class Latch:
-    """Says that nothing more may be played, and why. Safe from any thread and from signal handlers; takes no lock.
+    """Latch that forbids to play anything more, with the reason. Once tripped, it stays tripped.
+
+    It takes no lock: it is safe to use from any thread and from signal handlers.
+
+    Attributes
+    ----------
+    over : bool
+        True once the run has ended.
 
     Examples
     --------
@@ -27,22 +34,34 @@ class Latch:
 
     @property
     def is_shut(self) -> bool:
+        """True once it was tripped."""
         return bool(self._first)
 
     @property
     def reason(self) -> str:
-        """Why it was shut; empty while it is not."""
+        """Why it was tripped; empty if it was not."""
         return self._first["first"][0] if self._first else ""
 
     @property
     def ending(self) -> Ending:
-        """How a run ends that it was shut on: by a person, or by a fault."""
+        """Status of a run that it ended: ``stopped`` by a person, ``failed`` by a fault."""
         return self._first["first"][1] if self._first else "failed"
 
     def shut(self, reason: str, ending: Ending = "failed", *, halt: bool = True) -> bool:
-        """Shut it, and halt what is bound to it; the first reason stays. True if this call was the first.
+        """Trip the latch and call the halt functions that are bound to it. The first reason is kept.
 
-        `halt` is left out by signal handlers: they may have interrupted the very code that they would call.
+        Parameters
+        ----------
+        reason : str
+        ending : {"failed", "stopped"}
+            Status of the run: ended by a fault, or by a person.
+        halt : bool
+            Whether to call the halt functions. Signal handlers pass False: they may have interrupted one of them.
+
+        Returns
+        -------
+        bool
+            True if this call was the first.
         """
         mine = (reason, ending)
         first = self._first.setdefault("first", mine) is mine
@@ -52,11 +71,17 @@ class Latch:
         return first
 
     def bind(self, halt: Callable[[], None]) -> None:
-        """Have `halt` called when the latch is shut; at once if it is."""
+        """Have a function called when the latch trips; at once if it has tripped already.
+
+        Parameters
+        ----------
+        halt : callable
+            Takes no arguments.
+        """
         self._halts.append(halt)
         if self.is_shut:
             halt()
 
     def end(self) -> None:
-        """The run is over, for whatever reason: from here on nothing is played, and no signal interrupts."""
+        """Mark the run as over: nothing more is played, and no signal interrupts."""
         self.over = True

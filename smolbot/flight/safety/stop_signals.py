@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end a run once; what then brings outputs to zero and writes the folder is not interrupted."""
+"""Ctrl-C and SIGTERM end a run once; the shutdown that follows is not interrupted."""
 
 from __future__ import annotations
 
@@ -17,10 +17,20 @@ TERMINATED = "stopped by a signal (SIGTERM)"
 
 @contextmanager
 def stop_signals(latch: Latch) -> Iterator[None]:
-    """While the block runs, the first SIGINT or SIGTERM raises ``KeyboardInterrupt`` with its reason; later ones wait.
+    """Turn the first SIGINT or SIGTERM within a ``with`` block into a ``KeyboardInterrupt`` with its reason.
 
-    Once one has, or the run is over (`latch`), a signal raises nothing. Signals belong to the main thread: in any
-    other, the block just runs.
+    Further signals raise nothing, nor does any signal once the run is over. Python delivers signals to the main
+    thread only; in any other thread, the block runs unchanged.
+
+    Parameters
+    ----------
+    latch : Latch
+        Tripped by the signal.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On the first signal.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

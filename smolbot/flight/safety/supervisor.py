@@ -1,4 +1,4 @@
-"""The safety of a run: asked before every shot, told of every recording; once it says stop, nothing more is played."""
+"""The safety supervisor of a run: it checks every shot and every recording, and can end the run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from smolbot.flight.safety.sensor_monitor import SoundWatch
 from smolbot.flight.safety.stop_latch import Latch
 
 LOST_WINDOWS = "lost_windows"
-"""Name, among what was recovered from, of listening windows that gave nothing."""
+"""Key of lost listening windows among the faults that a run has recovered from."""
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -30,22 +30,22 @@ _EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one
 
 @dataclass(frozen=True)
 class Rules:
-    """What ends a run, besides limits, duty and heat. SI units.
+    """Rules that end a run, besides limits, duty cycle and heat.
 
     Attributes
     ----------
     max_duty : float
-        Share of the time.
+        Highest duty cycle of a coil, from 0 to 1.
     max_sigma : float, in m
-        Standard deviation of the believed position along its worst axis.
+        Highest standard deviation of the tracked position along its worst axis.
     uncertain_shots : int
-        Shots in a row that may drive the robot with a pose less sure than that.
+        Number of shots in a row that drive the robot with a pose beyond `max_sigma` at which the run ends.
     stale_shots : int
-        Listening windows in a row without a recording.
+        Number of listening windows in a row without a recording at which the run ends.
     max_age : float, in s
-        A recording that comes later than this after it was made counts as none.
-    reach : (low (3,), high (3,)), in m, or None
-        Where a robot that is steered may be; None where nothing is steered.
+        A recording that arrives later than this after it was made counts as lost.
+    reach : tuple of two tuples, in m, or None
+        Lowest and highest corner, in the world frame, of where a steered robot may be; None if nothing is steered.
     """
 
     max_duty: float = 1.0
@@ -57,10 +57,27 @@ class Rules:
 
 
 class Safety:
-    """Ends a run before harm is done. Every stop has a reason, and latches.
+    """Supervisor that ends a run before harm is done. A stop is final and has a reason.
 
-    Duty and heat are those of commanded currents: each shot is reckoned to its end before it is played. With a
-    `memory`, coils begin as hot as the run before has left them.
+    Duty cycle and heat are computed from the commanded currents, to the end of each shot before it is played.
+
+    Parameters
+    ----------
+    limits : Limits
+    rules : Rules
+    duty : Duty
+    heat : CoilHeat
+    sound : SoundWatch
+        Detects dead and saturated sensors.
+    latch : Latch, optional
+        Stop latch of the run; a new one unless given.
+    memory : HeatMemory, optional
+        Coil temperatures that earlier runs left; without it, the coils start cold.
+
+    Attributes
+    ----------
+    recovered : dict
+        Number of faults by kind that the run has recovered from.
     """
 
     def __init__(
@@ -90,7 +107,15 @@ class Safety:
         self._missing = 0
 
     def before(self, shot: Shot, now: float, pose: Pose | None) -> None:
-        """Let a shot pass that begins at `now` s at the earliest, with `pose` believed in.
+        """Check a shot before it is played.
+
+        Parameters
+        ----------
+        shot : Shot
+        now : float, in s
+            Earliest start of the shot on the rig's clock.
+        pose : Pose or None
+            The tracked pose.
 
         Raises
         ------
@@ -110,12 +135,25 @@ class Safety:
         self._reckon(shot, now)
 
     def after(self, shot: Shot, recording: Recording | None, now: float) -> Recording | None:
-        """What was heard, once a shot was played; None where a window was lost, or is too old to be of use.
+        """Check the recording of a shot that was played.
+
+        Parameters
+        ----------
+        shot : Shot
+        recording : Recording or None
+            As the rig returned it.
+        now : float, in s
+            Time on the rig's clock.
+
+        Returns
+        -------
+        Recording or None
+            The recording; None if the window was lost, or if the recording is too old to use.
 
         Raises
         ------
         SafetyError
-            When too many windows in a row were lost, or a sensor is dead or saturated for too long.
+            If too many windows in a row were lost, or a sensor is dead or saturated for too long.
         """
         listen = shot.listen
         if listen is None:
@@ -157,13 +195,20 @@ class Safety:
         return recording
 
     def end(self) -> None:
-        """The run is over: nothing more is played."""
+        """Mark the run as over: nothing more is played. Coil temperatures are stored for the next run."""
         self.latch.end()
         if self._memory is not None:
             self._memory.keep(self.heat, now=True)
 
     def figures(self) -> dict[str, object]:
-        """Peak duty and, where thermal constants are known, peak temperature in degrees Celsius, by coil."""
+        """Summarize duty cycles and coil temperatures.
+
+        Returns
+        -------
+        dict
+            By coil: peak duty cycle from 0 to 1 and, where thermal constants are known, temperature at the start,
+            peak temperature and limit, in degrees Celsius.
+        """
         known = [(i, c) for i, c in enumerate(self.heat.coils) if c is not None]
         return {
             "duty_peak": dict(zip(self.duty.names, self.duty.peaks, strict=True)),
@@ -180,7 +225,7 @@ class Safety:
         raise SafetyError(reason, value=value, limit=limit, unit=unit, channel=channel)
 
     def _watch_pose(self, shot: Shot, pose: Pose | None) -> None:
-        """The robot must be where it may be, and be known to be there before it is driven."""
+        """Stop if the robot is outside the allowed box, or if it would be driven with too uncertain a pose."""
         rules = self.rules
         if pose is not None and pose.trusted and rules.reach is not None:
             self._watch_reach(pose, rules.reach)
@@ -214,7 +259,7 @@ class Safety:
                 )
 
     def _reckon(self, shot: Shot, now: float) -> None:
-        """Carry duty and heat on to the end of a shot."""
+        """Advance heat and duty cycle to the end of a shot."""
         self.heat.advance((), now - self._time)
         at, n_coils = now, len(self.limits.coils)
         for window in shot.windows:
@@ -257,7 +302,7 @@ class Safety:
             )
 
     def _late(self, shot: Shot, recording: Recording, now: float) -> str:
-        """Why a recording is none of this shot, or too old; empty if it is neither."""
+        """Explain why a recording does not belong to this shot or is too old; empty if neither."""
         asked = next(at for at, window in shot.timed() if isinstance(window, Listen))
         early = shot.start + asked - recording.clock
         listened = 0.0 if shot.listen is None else shot.listen.duration  # a world without samples says when it began
@@ -270,7 +315,17 @@ class Safety:
 
 
 def unbounded(limits: Limits, n_sensors: int) -> Safety:
-    """A safety that knows a rig's limits and nothing else of it."""
+    """Build a supervisor that checks the rig's limits only.
+
+    Parameters
+    ----------
+    limits : Limits
+    n_sensors : int
+
+    Returns
+    -------
+    Safety
+    """
     names = (*limits.coils, "excitation x", "excitation y")
     sound = SoundWatch(n_sensors, patience=1 << 62)
     return Safety(limits, Rules(), Duty(names, 1.0), CoilHeat((None,) * len(names), 20.0), sound)

@@ -1,1 +1,1 @@
-"""What is believed between two shots: trackers, and filters of resonance and noise."""
+"""State estimation from shot to shot: trackers, and filters of resonance and noise."""

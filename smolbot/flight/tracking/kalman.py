@@ -1,4 +1,4 @@
-"""Two steps of a Kalman filter whose state ends with a steady drift of its first three entries, compiled."""
+"""The two steps of a Kalman filter, compiled; the last three states are the rates of the first three."""
 
 from __future__ import annotations
 
@@ -12,7 +12,22 @@ from smolbot.core.arrays import FloatArray
 
 @njit(cache=True, error_model="numpy")
 def carried_on(covariance: FloatArray, wait: float, noise: FloatArray) -> FloatArray:
-    """Covariance (n, n) after `wait` s: the last three entries are rates of the first three, `noise` (n,) is added."""
+    """Predict the covariance of the state: ``P <- F P F^T + diag(noise)``.
+
+    ``F`` adds `wait` times the last three states, which are rates, to the first three.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n)
+    wait : float, in s
+    noise : ndarray, shape (n,)
+        Variance that each state gains.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Predicted covariance.
+    """
     n = len(covariance)
     out = covariance.copy()
     for i in range(3):
@@ -30,24 +45,27 @@ def carried_on(covariance: FloatArray, wait: float, noise: FloatArray) -> FloatA
 def corrected(
     covariance: FloatArray, heard: FloatArray, innovation: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Correction by a measurement of the first m entries of a state.
+    """Update the state with a measurement of its first m entries.
+
+        S = H P H^T + R,   K = P H^T S^-1,   dx = K y,   P <- (1 - K H) P (1 - K H)^T + K R K^T
 
     Parameters
     ----------
     covariance : ndarray, shape (n, n)
+        Predicted covariance P.
     heard : ndarray, shape (m, m)
-        Covariance of the measurement.
+        Covariance R of the measurement.
     innovation : ndarray, shape (m,)
-        Measured minus believed.
+        Measured minus predicted, y.
 
     Returns
     -------
     distance : float
-        Squared Mahalanobis distance of the innovation; infinite where its covariance is not positive.
+        Squared Mahalanobis distance of the innovation; infinite if its covariance S is not positive definite.
     change : ndarray, shape (n,)
-        Of the state.
+        Change dx of the state.
     covariance : ndarray, shape (n, n)
-        Afterwards, in Joseph's form, which stays positive.
+        Updated covariance, in Joseph's form, which stays positive definite.
     """
     n, m = len(covariance), len(innovation)
     factor = np.zeros((m, m))

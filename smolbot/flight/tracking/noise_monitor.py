@@ -1,4 +1,4 @@
-"""Follows how noisy each sensor is while the mission runs."""
+"""Monitor of each sensor's noise level during the mission."""
 
 from __future__ import annotations
 
@@ -7,23 +7,27 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 
 ENOUGH = 400.0
-"""Residuals (degrees of freedom) of a sensor before it is judged: their energy is then known to 7 %."""
+"""Degrees of freedom of a sensor's residuals before it is evaluated: their energy is then known to 7 %."""
 
 WORTHWHILE = 1.4
-"""Change of a sensor's noise power from which a new noise model is worth its making."""
+"""Ratio of a sensor's noise power to the model's from which the noise model is updated."""
 
 SURE = 4.0
-"""Standard deviations that a change must stand out by."""
+"""Number of standard deviations by which a change must be significant."""
 
 RANGE = (0.25, 16.0)
-"""Smallest and largest change of noise power that is taken in at once."""
+"""Smallest and largest ratio of noise power that one update applies."""
 
 
 class NoiseWatch:
-    """Compares what fits leave in each channel with what the noise model foretells.
+    """Compares the fit residuals of each channel with the prediction of the noise model.
 
-    Quiet shots are played at the start only; after that, what is left of a recording once the device's signal
-    is taken out tells whether a sensor has become noisier, or quieter.
+    Background noise is recorded at the start only. After that, the fit residuals show whether a sensor has become
+    noisier or quieter.
+
+    Parameters
+    ----------
+    n_sensors : int
     """
 
     def __init__(self, n_sensors: int) -> None:
@@ -31,7 +35,20 @@ class NoiseWatch:
         self._expected = np.zeros(n_sensors)
 
     def update(self, found: FloatArray, expected: FloatArray) -> FloatArray | None:
-        """Take in one recording's energies (n_sensors,); return ratios of noise power if the model should change."""
+        """Add the residuals of one recording, and check whether the noise model should change.
+
+        Parameters
+        ----------
+        found : ndarray, shape (n_sensors,)
+            Energy of the residuals, in units of the noise model.
+        expected : ndarray, shape (n_sensors,)
+            Its expected value, the degrees of freedom; 0 for channels that were left out.
+
+        Returns
+        -------
+        ndarray, shape (n_sensors,), or None
+            Noise power over that of the model; None if the model should stay.
+        """
         self._found += found
         self._expected += expected
         known = self._expected > 0.0

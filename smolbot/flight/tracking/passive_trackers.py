@@ -1,4 +1,4 @@
-"""Trackers of devices that nobody steers: one that a hand leads, one that is measured anew from nothing."""
+"""Trackers of devices that are not steered: one guided externally, or one located anew in each shot."""
 
 from __future__ import annotations
 
@@ -23,13 +23,30 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True)
 class LedState(State):
-    """With the turn rate (3,), in rad/s, world frame, whose covariance comes last."""
+    """Tracker state with a turn rate.
+
+    The drift is the velocity; the covariance is (13, 13), with the turn rate last.
+
+    Attributes
+    ----------
+    turning : ndarray, shape (3,), in rad/s
+        Turn rate in the world frame.
+    """
 
     turning: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 class LedTracker(Tracker):
-    """Follows a device that something else moves: the filter of `Tracker` with a turn rate, and no windows."""
+    """Tracker of a device that is guided externally, with velocity and turn rate as states.
+
+    The windows of a shot are assumed to move nothing.
+
+    Parameters
+    ----------
+    device : Device
+    motion : Motion
+        Typical speed, turn rate and correlation time of the motion.
+    """
 
     _state: LedState | None
 
@@ -39,11 +56,20 @@ class LedTracker(Tracker):
 
     @property
     def turning(self) -> FloatArray:
-        """Turn rate (3,), in rad/s, world frame."""
+        """Turn rate (3,), in rad/s, in the world frame."""
         return np.zeros(3) if self._state is None else self._state.turning.copy()
 
     def pose_at(self, time: float) -> Pose:
-        """The tracked pose carried on to `time` s at its velocity and turn rate.
+        """Predict the tracked pose from its velocity and turn rate.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the rig's clock.
+
+        Returns
+        -------
+        Pose
 
         Raises
         ------
@@ -87,7 +113,7 @@ class LedTracker(Tracker):
         self._state = replace(self._state, turning=self._state.turning + change[_W])
 
     def _carried(self, state: LedState, wait: float) -> LedState:
-        """The state carried on by `wait` s at its velocity and turn rate, with what the motion adds in doubt."""
+        """Predict the state `wait` s ahead from its velocity and turn rate, with the added uncertainty."""
         kept, carried = self._motion.carry(wait)
         turned = quaternion_product(quaternion_from_rotation_vector(carried * state.turning), state.orientation)
         path, crossed, rate = self._motion.spread(wait)
@@ -107,10 +133,19 @@ class LedTracker(Tracker):
 
 
 class Glimpse(Tracker):
-    """Stands where a tracker would when measurements are to be independent: remembers a pose for one shot.
+    """Tracker for independent measurements: it keeps a pose for one shot only.
 
-    A search ends with a pose, by which the next excitation is aimed; what that shot gives is a measurement, and
-    everything is forgotten.
+    A search ends with a pose, which aims the next excitation. The pose of that next shot is a measurement, after
+    which the state is cleared.
+
+    Parameters
+    ----------
+    device : Device
+
+    Attributes
+    ----------
+    measured : int
+        Number of measurements.
     """
 
     def __init__(self, device: Device) -> None:
@@ -118,7 +153,20 @@ class Glimpse(Tracker):
         self.measured = 0
 
     def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
-        """Keep the pose of a search; after a measurement, forget it. A measurement without a trusted pose is a miss."""
+        """Keep the pose that ends a search; return the pose of a measurement, and clear the state.
+
+        Parameters
+        ----------
+        shot : Shot
+        pose : Pose or None
+            As located. A measurement without a trusted pose is a miss.
+        swing : Oscillation, optional
+            Amplitude that was estimated with the pose.
+
+        Returns
+        -------
+        Pose or None
+        """
         if self._state is None:
             misses = self.misses
             found = super().update(shot, pose, swing)

@@ -1,4 +1,4 @@
-"""Follows resonance and damping of the device while the mission runs."""
+"""Kalman filter of the device's resonance and damping during the mission."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from smolbot.core.sensing import Device
 from smolbot.flight.device_belief import DeviceBelief
 
 START = np.array([0.3, 3.0])
-"""How far frequency (Hz) and damping (1/s) may be off at the start."""
+"""Initial standard deviation of frequency (Hz) and damping (1/s)."""
 
 WANDER = np.array([0.01, 0.15])
-"""How far they may change in the square root of a second: temperature, liquid, fields."""
+"""Process noise of both per square root of a second: temperature, liquid, fields."""
 
 FLOOR = np.array([0.05, 0.5])
-"""What a model that is slightly off leaves in every single estimate."""
+"""Standard deviation of every single estimate that is due to errors of the model."""
 
 WORTHWHILE = np.array([0.08, 0.06])
-"""Change of frequency (Hz) and relative change of damping from which a new device is worth its making."""
+"""Change of frequency (Hz) and relative change of damping from which the device is replaced."""
 
 SURE = 4.0
-"""Standard deviations that a change must stand out by."""
+"""Number of standard deviations by which a change must be significant."""
 
 
 class Resonance:
@@ -39,12 +39,12 @@ class Resonance:
 
     @property
     def off(self) -> FloatArray:
-        """Difference of frequency (Hz) and damping (1/s) from the device's, as believed."""
+        """Estimated deviation (2,) of frequency (Hz) and damping (1/s) from the device's."""
         return self._off.copy()
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations of `off`."""
+        """Standard deviations (2,) of `off`."""
         return np.sqrt(np.diag(self._covariance))
 
     def update(self, time: float, seen: FloatArray, covariance: FloatArray) -> Device | None:

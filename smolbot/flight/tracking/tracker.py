@@ -1,4 +1,4 @@
-"""Tracks the robot: fuses poses with the motion that the windows should have caused."""
+"""The tracker: a Kalman filter that fuses measured poses with the motion predicted for each shot."""
 
 from __future__ import annotations
 
@@ -32,32 +32,32 @@ GATE = 33.1
 """Squared Mahalanobis distance beyond which a pose is an outlier: chi-square of 6 degrees at 1e-5."""
 
 MOTION_ERROR = 0.3
-"""Share of a believed motion that is taken as its standard deviation: drag, gain, alignment."""
+"""Standard deviation of a predicted motion, as a share of it: drag, gain, alignment."""
 
 MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
-"""What sensors slightly out of place leave in every pose, per axis (m, rad, share of the amplitude)."""
+"""Standard deviation of every pose due to errors of the sensor array, per axis (m, rad, share of the amplitude)."""
 
 WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
-"""Unexplained motion per square root of a second, per axis (m, rad), of a robot at a surface."""
+"""Process noise per square root of a second, per axis (m, rad), of a robot at a surface."""
 
 SCREWED = np.array([0.35, 0.1, 0.1])
-"""Standard deviation of a believed advance, as shares of it, along, across and above the axis: step-out, drift."""
+"""Standard deviation of a predicted advance of a helix, as shares of it: along the axis (step-out), across, above."""
 
 RESEATED = 1e-3
-"""How far a helix may screw on or back while the magnet comes and goes (m): half a pitch."""
+"""Standard deviation (m) of a helix's advance while the magnet comes and goes: half a pitch."""
 
 STRAYED = np.array([np.radians(180.0), np.radians(6.0), np.radians(5.0), 0.3])
-"""After turns of a helix (rad): its roll is anything; its axis has strayed up or down, aside, and by this share of what
-it should have turned."""
+"""Standard deviations after turns of a helix: roll (rad; unknown), elevation (rad), azimuth (rad), and azimuth as a
+share of the predicted turn."""
 
 VAGUE = 0.6
-"""An orientation less sure than this (rad) is no start for a fit."""
+"""Standard deviation of the orientation (rad) above which it is no start for a fit."""
 
 AMPLITUDE_WANDER = 0.02
-"""Share by which the amplitude of the drive varies from one shot to the next."""
+"""Relative standard deviation of the drive's amplitude from one shot to the next."""
 
 DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
-"""Steady drift that is thought likely (m/s), and how fast it may change (m/s per square root of a second)."""
+"""Initial standard deviation of the drift (m/s), and its process noise (m/s per square root of a second)."""
 
 _P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
 _SIZE = 10
@@ -66,7 +66,22 @@ _MODEL_FLOOR = np.diag(MODEL_FLOOR**2)
 
 @dataclass(frozen=True)
 class State:
-    """What is believed at one time, in SI; covariance of (position, rotation e, amplitude, drift)."""
+    """Estimated state at one time.
+
+    Attributes
+    ----------
+    time : float, in s
+    position : ndarray, shape (3,), in m
+        In the world frame.
+    orientation : ndarray, shape (4,)
+        Unit quaternion, scalar first, from body to world.
+    amplitude : float
+        Amplitude at the end of a drive, as a share of the device's `theta_max`.
+    drift : ndarray, shape (3,), in m/s
+        Steady velocity in the world frame.
+    covariance : ndarray, shape (10, 10)
+        Of (position, rotation error in the world frame in rad, amplitude, drift).
+    """
 
     time: float
     position: FloatArray
@@ -125,7 +140,7 @@ class Tracker:
 
     @property
     def vague(self) -> bool:
-        """True where the orientation is too unsure to start a fit from: a helix that was turned has lost its roll."""
+        """True if the orientation is too uncertain to start a fit from, as the roll of a helix after a turn."""
         if self._state is None or not self._embedded:
             return False
         return bool(np.max(np.diag(self._state.covariance)[_E]) > VAGUE**2)
@@ -137,7 +152,7 @@ class Tracker:
 
     @property
     def amplitude(self) -> tuple[float, float] | None:
-        """Amplitude at the end of a drive and its standard deviation, in rad; None before it was heard."""
+        """Amplitude at the end of a drive and its standard deviation, in rad; None before it was measured."""
         if self._state is None or not np.isfinite(self._state.amplitude):
             return None
         top = self._device.theta_max
@@ -145,11 +160,20 @@ class Tracker:
 
     @property
     def drift(self) -> FloatArray:
-        """Steady motion (3,), in m/s, that no window explains."""
+        """Steady velocity (3,), in m/s, in the world frame, that no window explains."""
         return np.zeros(3) if self._state is None else self._state.drift.copy()
 
     def pose_at(self, time: float) -> Pose:
-        """The tracked pose carried on to `time` s, with nothing driven in between.
+        """Predict the tracked pose, with nothing driven in between.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the rig's clock.
+
+        Returns
+        -------
+        Pose
 
         Raises
         ------
@@ -164,12 +188,16 @@ class Tracker:
         return replace(self._last, time=time, position=position, covariance=covariance)
 
     def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
-        """Predict through a shot, then correct by the pose that it gave, if any.
+        """Predict the state through a shot, then update it with the measured pose, if there is one.
 
         Parameters
         ----------
+        shot : Shot
+            The shot that was played.
+        pose : Pose or None
+            As located in the shot's recording.
         swing : Oscillation, optional
-            What was learned of the oscillation along with the pose; its amplitude is correlated with the height.
+            Amplitude that was estimated with the pose; the two are correlated.
 
         Returns
         -------
@@ -214,7 +242,7 @@ class Tracker:
         self._publish(pose, True)
 
     def _consider(self, pose: Pose) -> None:
-        """Begin anew where two gated poses in a row agree with each other."""
+        """Restart the track if two rejected poses in a row agree with each other."""
         other = self._candidate
         self._candidate = pose
         if other is None or self.misses < 3:
@@ -264,7 +292,7 @@ class Tracker:
         self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
     def _screw(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
-        """Predict a helix through a shot: it rests, unless the magnet turns."""
+        """Predict the motion of a helix in a shot: it rests, unless the magnet turns."""
         state = self._state
         assert state is not None
         covariance = state.covariance.copy()
@@ -317,7 +345,7 @@ class Tracker:
         return True
 
     def _learn(self, change: FloatArray) -> None:
-        """What a correction says of more than a resting robot's state; nothing here."""
+        """Update further states that a subclass has; here there are none."""
 
     def _publish(self, pose: Pose | None, believed: bool) -> Pose:
         state = self._state

@@ -1,1 +1,1 @@
-"""The sensors themselves as unknowns of a fit."""
+"""Calibration of the sensor array: sensor deviations as unknowns of a fit."""

@@ -1,12 +1,12 @@
-"""Where the sensors truly stand: gains, axes and places from recordings of a device on a known track.
+"""Calibration of gains, axes and positions of the sensors from recordings of a device on a known track.
 
-With the device's pose known, what each sensor should hear is known too, up to the amplitude of each shot.
-What it hears instead tells its gain, the tilt of its axis and its place: six numbers a sensor, found by least
-squares under weak priors, so that what the track does not tell stays as believed. A gain common to all
-sensors cannot be told from the amplitudes and stays 1. Nobody knows to a tenth of a millimetre where in its
-holder a cantilever turns: six more numbers, common to all poses, say how the device sits in what the stage
-carries. Some recordings are held out, and located with the old and the new array: only they show whether
-anything was gained.
+With the device's pose known, the signal of each sensor is known too, up to the amplitude of each shot. The
+difference to the measured signal determines the sensor's gain, the tilt of its axis and its position: six numbers
+per sensor, found by least squares under weak priors, so that what the track does not determine stays as assumed. A
+gain common to all sensors cannot be distinguished from the amplitudes and stays 1. The position of the cantilever's
+rotation centre in its holder is rarely known to a tenth of a millimetre: six more numbers, common to all poses,
+describe how the device sits in the holder that the stage carries. Some recordings are held out and located with the
+old and the new array; they alone show whether the calibration is an improvement.
 """
 
 from __future__ import annotations
@@ -39,16 +39,20 @@ LOOSE_AMPLITUDE, MAX_AMPLITUDE = 1.2, 1.0
 
 @dataclass(frozen=True)
 class Priors:
-    """How far the array may be from what is believed: one standard deviation of each.
+    """Standard deviations of the assumed array, device and track.
 
     Attributes
     ----------
     place : float, in m, per axis
+        Of a sensor's position.
     gain : float, relative
     axis : float, in rad, about each direction across it
-    track : float, in m
-        Error of the known places, per axis: what no array can explain.
-    holder_place, holder_turn : float, in m and rad
+        Tilt of a sensor's axis.
+    track : float, in m, per axis
+        Error of the known positions, which no change of the array can explain.
+    holder_place : float, in m, per axis
+        Of the device in its holder, the same in all poses.
+    holder_turn : float, in rad, per axis
         Of the device in its holder, the same in all poses.
     """
 
@@ -62,7 +66,7 @@ class Priors:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of poses located in recordings that took no part: rms, in m and rad.
+    """Rms errors of poses located in recordings that were not used for the calibration.
 
     Attributes
     ----------
@@ -79,21 +83,22 @@ class HeldOut:
 
     @property
     def better(self) -> bool:
-        """Whether positions came out better, and orientations, which noise rules, not clearly worse."""
+        """Whether positions improved, and orientations, which are dominated by noise, are not clearly worse."""
         limit = ORIENTATION_SLACK * self.orientation_before
         return self.position_after < self.position_before and self.orientation_after < limit
 
 
 @dataclass(frozen=True, eq=False)
 class Holder:
-    """How the device sits in its holder, beyond what the track says.
+    """Offset of the device in its holder from what the track assumes.
 
     Attributes
     ----------
-    place, place_std : ndarray, shape (3,), in m
-        Of the rotation centre, along the body axes.
-    turn, turn_std : ndarray, shape (3,), in rad
-        About the body axes.
+    place : ndarray, shape (3,), in m, body frame
+        Of the rotation centre.
+    turn : ndarray, shape (3,), in rad, body frame
+    place_std : ndarray, shape (3,), in m
+    turn_std : ndarray, shape (3,), in rad
     """
 
     place: FloatArray
@@ -102,24 +107,34 @@ class Holder:
     turn_std: FloatArray
 
     def true(self, pose: Pose) -> Pose:
-        """Pose of the device where the track says `pose`."""
+        """Compute the pose of the device from the pose of the track.
+
+        Parameters
+        ----------
+        pose : Pose
+            Of the track.
+
+        Returns
+        -------
+        Pose
+        """
         return held(pose, np.concatenate([self.place, self.turn]))
 
 
 @dataclass(frozen=True, eq=False)
 class ArrayCalibration:
-    """The array as it was found to be.
+    """Result of a calibration of the array.
 
     Attributes
     ----------
     sensors : SensorArray
-        Corrected places and axes.
+        Calibrated positions and axes.
     gains : ndarray, shape (n_sensors,)
-        Of each sensor relative to what is believed; divide a recording by them (`corrected`).
+        Of each sensor relative to the assumed gain; divide a recording by them (`corrected`).
     place_std : ndarray, shape (n_sensors, 3), in m
     gain_std : ndarray, shape (n_sensors,)
     tilt_std : ndarray, shape (n_sensors, 2), in rad
-        Standard deviations that are left; as large as the priors where the track tells nothing.
+        Remaining standard deviations; as large as the priors where the track determines nothing.
     holder : Holder
     held_out : HeldOut
     """
@@ -133,7 +148,17 @@ class ArrayCalibration:
     held_out: HeldOut
 
     def corrected(self, recording: Recording) -> Recording:
-        """The recording as sensors of unit gain would have made it."""
+        """Divide a recording by the sensors' gains.
+
+        Parameters
+        ----------
+        recording : Recording
+
+        Returns
+        -------
+        Recording
+            As sensors of unit gain would have made it.
+        """
         return replace(recording, field=recording.field / self.gains[:, None])
 
 
@@ -147,12 +172,12 @@ def calibrate_sensors(
     hum: Hum | None = None,
     hold_out: int = 4,
 ) -> ArrayCalibration:
-    """Gains, axes and places of the sensors from recordings with the device at known poses.
+    """Calibrate gains, axes and positions of the sensors from recordings with the device at known poses.
 
         y_rs = g_s A_r c(p_s, a_s; pose_r h)
 
-    y is the size of the oscillation in recording r and sensor s, c the field per deflection along the sensor's
-    axis (Eqs. S5 to S8), A_r the amplitude of the shot, free, and h the device's pose in its holder, the same in all.
+    y is the size of the oscillation in recording r and sensor s, c the field per deflection along the sensor's axis
+    (Eqs. S5 to S8), A_r the free amplitude of the shot, and h the device's pose in its holder, the same in all.
 
     Parameters
     ----------
@@ -160,13 +185,19 @@ def calibrate_sensors(
         Each after a drive; of some twenty poses or more, spread over the volume and over headings.
     track : sequence of Pose
         The known pose of each; covariances are not used.
-    sensors, device : SensorArray, Device
-        As believed; the device calibrated, or its frequency's error is taken for the sensors'.
+    sensors : SensorArray
+        As assumed.
+    device : Device
+        Calibrated; an error of its frequency would be attributed to the sensors.
     priors : Priors, optional
     hum : Hum, optional
         Mains lines in the room.
     hold_out : int
-        Every so many-th recording takes no part and is located before and after.
+        Every so many-th recording is not used, and located before and after.
+
+    Returns
+    -------
+    ArrayCalibration
 
     Raises
     ------
@@ -214,7 +245,7 @@ def calibrate_sensors(
 def _errors(
     recordings: Sequence[Recording], check: Sequence[tuple[Recording, Pose]], array: SensorArray, device: Device
 ) -> tuple[float, float]:
-    """Rms error per axis of poses located from the known ones: m, rad."""
+    """Compute the rms errors per axis of poses located from the known ones: m, rad."""
     from smolbot.localization.localizer import Localizer
 
     loose = replace(device, theta_max=min(LOOSE_AMPLITUDE * device.theta_max, MAX_AMPLITUDE))

@@ -1,10 +1,10 @@
-"""Learns where the sensors stand while a robot flies: pose and sensors in one filter.
+"""Estimates the sensors' deviations while a robot flies: pose and sensors in one Kalman filter.
 
-Sensors slightly off bend every pose, and no averaging mends that. But ten sensors hear more than a pose needs, and a
-robot cannot have jumped when it has only turned: over a hundred poses both tell the sensors apart from the robot.
-Since a believed pose is itself bent by the sensors, it must not be counted as something known. So the filter
-carries the pose, with what the robot is thought to have moved, and the sensors together, and what either owes to
-the other stands in the covariance between them.
+Small deviations of the sensors bias every pose, and averaging does not remove that bias. But ten sensors measure
+more than a pose needs, and a robot cannot jump while it only turns: over a hundred poses both facts separate the
+sensors' errors from the robot's motion. Since an estimated pose is itself biased by the sensors, it must not be
+treated as known. So the filter's state holds the pose, with the predicted motion, and the sensors together, and the
+covariance between them.
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ _POSE = 7
 
 @dataclass(frozen=True, eq=False)
 class ArrayBelief:
-    """An array and a device, and how far from them the true ones may be.
+    """The assumed array and device, and the covariance of their deviations from the true ones.
 
     Attributes
     ----------
     sensors, device : SensorArray, Device
-        As they are believed to be before anything is learned.
+        As assumed before anything is learned.
     covariance : ndarray, shape (PER_SENSOR * n + OF_DEVICE, PER_SENSOR * n + OF_DEVICE)
-        Of the deviations: for each sensor ln gain, two tilts (rad) and place (m); then ln moment, and l0 (m).
+        Of the deviations: for each sensor ln gain, two tilts (rad) and position (m); then ln moment, and l0 (m).
     frames : ndarray, shape (n, 2, 3)
-        Directions of the tilts; across each axis.
+        Directions of the tilts, perpendicular to each axis.
     """
 
     sensors: SensorArray
@@ -77,39 +77,71 @@ class ArrayBelief:
             raise InputError(f"ArrayBelief covariance must have shape ({n}, {n}); got {self.covariance.shape}.")
 
     def array(self, deviations: FloatArray) -> SensorArray:
-        """The array whose sensors deviate by so much from the believed one."""
+        """Make the array whose sensors deviate from the assumed ones.
+
+        Parameters
+        ----------
+        deviations : ndarray, shape (PER_SENSOR * n + OF_DEVICE,)
+
+        Returns
+        -------
+        SensorArray
+        """
         by_sensor, s = deviations[:-OF_DEVICE].reshape(-1, PER_SENSOR), self.sensors
         gains = np.exp(by_sensor[:, 0]) * (1.0 if s.gains is None else s.gains)
         axes = s.axes + np.einsum("nj,njk->nk", by_sensor[:, 1:3], self.frames)
         return SensorArray(s.positions + by_sensor[:, 3:], axes, s.bandwidth, gains)
 
     def moment_and_l0(self, deviations: FloatArray) -> tuple[float, float]:
-        """Moment in A·m² and l0 in m of a device that deviates by so much."""
+        """Compute moment and l0 of a device that deviates from the assumed one.
+
+        Parameters
+        ----------
+        deviations : ndarray, shape (PER_SENSOR * n + OF_DEVICE,)
+
+        Returns
+        -------
+        moment : float, in A·m²
+        l0 : float, in m
+        """
         moment, l0 = self.device.moment * np.exp(deviations[-2]), self.device.l0 + deviations[-1]
         return float(moment), max(float(l0), 0.0)
 
 
 def tilt_frames(sensors: SensorArray) -> FloatArray:
-    """Directions of each sensor's tilts, shape (n, 2, 3)."""
+    """Compute the directions of each sensor's tilts.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+
+    Returns
+    -------
+    ndarray, shape (n, 2, 3)
+    """
     return frozen(np.stack([across(axis) for axis in sensors.axes]))
 
 
 class ArrayFilter:
-    """A Kalman filter on position, orientation and amplitude of a device, and on the deviations of sensors and device.
+    """Kalman filter of a device's position, orientation and amplitude, and of the deviations of sensors and device.
 
-    Feed it what the robot is thought to have moved before every recording (`moved`), then the recording's terms
-    (`update`). When enough was learned, `update` says so: believe `sensors`, `moment`
-    and `l0` from then on; terms that come later must be of fits with those.
+    Before every recording, call `moved` with the predicted motion of the robot, then `update` with the recording's
+    terms. When `update` returns True, enough was learned: use `sensors`, `moment` and `l0` from then on; later
+    terms must be of fits with those.
+
+    Parameters
+    ----------
+    belief : ArrayBelief
 
     Attributes
     ----------
     belief : ArrayBelief
     deviations : ndarray, shape (n,)
-        Of sensors and device, as learned.
+        Of sensors and device, as estimated.
     sensors, moment, l0 : SensorArray, float in A·m², float in m
-        To be believed, as of the last `update` that said so.
+        To be used, as of the last `update` that returned True.
     recordings : int
-        From which it was learned.
+        Number of recordings used.
     """
 
     def __init__(self, belief: ArrayBelief) -> None:
@@ -130,11 +162,19 @@ class ArrayFilter:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the deviations that are left, shape (n, n)."""
+        """Covariance of the remaining deviations, shape (n, n)."""
         return self._covariance[_POSE:, _POSE:].copy()
 
     def moved(self, step: FloatArray, turn: FloatArray, variance: FloatArray) -> None:
-        """The robot moved by `step` (3,) in m and turned by `turn` (3,) in rad, with `variance` (6,)."""
+        """Predict: add the motion of the robot.
+
+        Parameters
+        ----------
+        step : ndarray, shape (3,), in m, world frame
+        turn : ndarray, shape (3,), in rad, world frame
+        variance : ndarray, shape (6,), in m² and rad²
+            Of both.
+        """
         if self._position is None:
             return
         self._position = self._position + step
@@ -143,14 +183,19 @@ class ArrayFilter:
         self._covariance[index, index] += variance
 
     def update(self, pose: Pose, terms: ArrayTerms) -> bool:
-        """Take in one recording; say whether the localizer's array and device should be replaced.
+        """Update the filter with one recording.
 
         Parameters
         ----------
         pose : Pose
-            As the fit found it, the twin decided.
+            Result of the fit, with the 180° ambiguity resolved.
         terms : ArrayTerms
             Of the same fit.
+
+        Returns
+        -------
+        bool
+            Whether the localizer's array and device should be replaced.
         """
         if self._position is None:
             self._begin(pose, terms)
@@ -191,7 +236,7 @@ class ArrayFilter:
         self._left_out = 0
 
     def _correct(self, pose: Pose, terms: ArrayTerms) -> bool:
-        """Take in a pose; false, and nothing done, where it does not fit."""
+        """Update with a pose; return False, with nothing changed, if it fails the gate."""
         assert self._position is not None
         off = self.deviations - self._applied
         innovation = terms.pose + terms.lean @ off
@@ -209,7 +254,7 @@ class ArrayFilter:
         return True
 
     def _take_in(self) -> None:
-        """What no pose could explain in the recordings since the last time."""
+        """Update the deviations with what no pose could explain in the recordings since the last time."""
         information, right = self._information, self._right
         n = len(right)
         toward = self._covariance[:, _POSE:]
@@ -233,10 +278,22 @@ class ArrayFilter:
 
 
 def surprising(deviations: FloatArray, covariance: FloatArray, prior: FloatArray) -> bool:
-    """Whether learned deviations (n,) are more than noise, where truly none are there.
+    """Return whether estimated deviations are significant: larger than noise alone would make them.
 
-    Looked at are the directions of which more is known by now (`covariance`, (n, n)) than was before (`prior`): there
-    a true zero would be learned with a variance of v (1 - v), v being what is left of a prior variance of one.
+    Only directions are tested of which more is known now than before: there a deviation of zero would be estimated
+    with a variance of v (1 - v), where v is the remaining part of a prior variance of one.
+
+    Parameters
+    ----------
+    deviations : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+        Present covariance of the deviations.
+    prior : ndarray, shape (n, n)
+        Their covariance before anything was learned.
+
+    Returns
+    -------
+    bool
     """
     # covariance in units of the prior: eigenvalues near 1 are directions of which nothing was learned
     own = np.sqrt(np.diag(prior))

@@ -1,4 +1,4 @@
-"""The least squares behind the calibration of an array: one step for all sensors, amplitudes and the holder."""
+"""Least squares of the array's calibration: one Gauss-Newton step for all sensors, amplitudes and the holder."""
 
 from __future__ import annotations
 
@@ -39,14 +39,16 @@ MAX_GROWTH = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """What is fitted.
+    """The unknowns of the fit.
 
     Attributes
     ----------
     sensors : ndarray, shape (n_sensors, PER_SENSOR)
+        ln gain, two tilts (rad), three coordinates (m) of each.
     holder : ndarray, shape (HOLDER,)
+        Position (m) and turn (rad) of the device in its holder, body frame.
     amplitudes : ndarray, shape (n_recordings,)
-        Over `ringdown.REFERENCE`, at the end of each drive.
+        At the end of each drive, in units of `device.fit.REFERENCE`.
     """
 
     sensors: FloatArray
@@ -55,7 +57,19 @@ class Unknowns:
 
 
 def held(pose: Pose, holder: FloatArray) -> Pose:
-    """Where a device is that stands and points off in its holder by `holder`, when the holder is at `pose`."""
+    """Compute the pose of a device that is displaced and turned in its holder.
+
+    Parameters
+    ----------
+    pose : Pose
+        Of the holder.
+    holder : ndarray, shape (HOLDER,)
+        Position (m) and turn (rad) of the device in it, body frame.
+
+    Returns
+    -------
+    Pose
+    """
     turn = quaternion_product(np.array(pose.orientation), quaternion_from_rotation_vector(holder[3:]))
     place = pose.position + matrix_from_quaternion(np.array(pose.orientation)) @ holder[:3]
     return Pose(pose.time, place, turn, pose.covariance)
@@ -63,9 +77,21 @@ def held(pose: Pose, holder: FloatArray) -> Pose:
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """One recording boiled down: how much of each power of the deflection each sensor hears.
+    """One recording reduced to the size of each power of the deflection in each sensor.
 
-    `first` (n_blocks,) is the wave of the first power, `higher` (POWERS - 1, n_blocks) the others, all whitened.
+    Attributes
+    ----------
+    pose : Pose
+        The known pose.
+    thinned : Thinned
+    first : ndarray, shape (n_blocks,)
+        Whitened wave of the first power.
+    higher : ndarray, shape (POWERS - 1, n_blocks)
+        Whitened waves of the higher powers.
+    amplitude : float
+        In units of `device.fit.REFERENCE`.
+    noise : float, in T
+        Standard deviation of a sensor's size of the first power.
     """
 
     pose: Pose
@@ -77,6 +103,22 @@ class Heard:
 
     @classmethod
     def of(cls, recording: Recording, pose: Pose, sensors: SensorArray, device: Device, hum: Hum | None) -> Heard:
+        """Reduce one recording.
+
+        Parameters
+        ----------
+        recording : Recording
+        pose : Pose
+            The known pose.
+        sensors : SensorArray
+        device : Device
+        hum : Hum or None
+            Mains lines in the room.
+
+        Returns
+        -------
+        Heard
+        """
         thinned = thin(recording, sensors, device.frequency, hum)
         sizes = power_coefficients(sensors, device, pose.position, pose.orientation)[thinned.used]
         wave = thinned.waves(device, [(1, 1)])[0]
@@ -92,7 +134,19 @@ class Heard:
         return cls(pose, thinned, waves[0], waves[1:], amplitude, noise)
 
     def first_size(self, coefficients: FloatArray, amplitude: float) -> FloatArray:
-        """Size of the first power in each used sensor, the higher ones taken from the model, in T."""
+        """Measure the size of the first power in each used sensor, with the higher powers taken from the model.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (n_sensors, POWERS), in T
+            Power coefficients of the model.
+        amplitude : float
+            In units of `device.fit.REFERENCE`.
+
+        Returns
+        -------
+        ndarray, shape (n_used,), in T
+        """
         powers = amplitude ** np.arange(2, coefficients.shape[1] + 1)
         rest = self.thinned.data - (coefficients[self.thinned.used, 1:] * powers) @ self.higher
         size: FloatArray = rest @ self.first / float(self.first @ self.first)
@@ -108,23 +162,30 @@ def step(
     deviations: tuple[FloatArray, FloatArray],
     track: float,
 ) -> tuple[Unknowns, FloatArray, FloatArray]:
-    """One Gauss-Newton step.
+    """Compute one Gauss-Newton step.
 
     Parameters
     ----------
+    heard : sequence of Heard
+    sensors : SensorArray
+        As assumed.
+    device : Device
     frames : ndarray, shape (n_sensors, 2, 3)
         Directions of each sensor's tilts (`across`).
+    now : Unknowns
+        Before the step.
     deviations : two ndarrays, shapes (PER_SENSOR,) and (HOLDER,)
-        How far sensors and holder may be off: one standard deviation.
+        Standard deviations of the priors of sensors and holder.
     track : float, in m
-        Error of the known places.
+        Error of the known positions.
 
     Returns
     -------
-    Unknowns
-    ndarray, shape (n_sensors, PER_SENSOR)
-        Standard deviations that are left.
-    ndarray, shape (HOLDER,)
+    unknowns : Unknowns
+        After the step.
+    sensor_std : ndarray, shape (n_sensors, PER_SENSOR)
+        Remaining standard deviations.
+    holder_std : ndarray, shape (HOLDER,)
     """
     n = len(sensors)
     own = n * PER_SENSOR
@@ -163,7 +224,7 @@ def step(
 
 
 def _within(values: FloatArray, deviations: FloatArray) -> FloatArray:
-    """Values no further off than `FARTHEST` deviations: recordings of another track lead nowhere, not to overflow."""
+    """Clip values to `FARTHEST` deviations, so that recordings of another track cannot cause an overflow."""
     return np.clip(values, -FARTHEST * deviations, FARTHEST * deviations)
 
 
@@ -176,7 +237,7 @@ def _slopes(
     deviations: tuple[FloatArray, FloatArray],
     base: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Change of every size per unknown of its sensor and of the holder, shapes (6, n_recordings, n_sensors)."""
+    """Compute the change of every size per unknown of sensor and of holder, shapes (6, n_recordings, n_sensors)."""
     slopes, moves = [], []
     for j in range(PER_SENSOR):
         small, moved = STEP_SHARE * deviations[0][j], now.sensors.copy()
@@ -197,7 +258,7 @@ def _sizes(
     values: FloatArray,
     holder: FloatArray,
 ) -> FloatArray:
-    """Power coefficients of every recording and sensor, gain included, shape (n_recordings, n_sensors, POWERS)."""
+    """Compute the power coefficients, gains included, shape (n_recordings, n_sensors, POWERS)."""
     array, gains = corrected_array(sensors, frames, values), np.exp(values[:, 0])
     poses = [held(h.pose, holder) for h in heard]
     found = [power_coefficients(array, device, p.position, p.orientation) for p in poses]
@@ -205,13 +266,36 @@ def _sizes(
 
 
 def corrected_array(sensors: SensorArray, frames: FloatArray, values: FloatArray) -> SensorArray:
-    """The array with its sensors tilted and moved by `values` (n_sensors, PER_SENSOR)."""
+    """Make the array whose sensors deviate from the assumed ones in tilt and position.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+        As assumed.
+    frames : ndarray, shape (n_sensors, 2, 3)
+        Directions of each sensor's tilts (`across`).
+    values : ndarray, shape (n_sensors, PER_SENSOR)
+        ln gain (not used), two tilts (rad), three coordinates (m).
+
+    Returns
+    -------
+    SensorArray
+    """
     axes = sensors.axes + np.einsum("nj,njk->nk", values[:, 1:3], frames)
     return SensorArray(sensors.positions + values[:, 3:], axes, sensors.bandwidth)
 
 
 def across(axis: FloatArray) -> FloatArray:
-    """Two unit vectors across `axis`, shape (2, 3)."""
+    """Compute two unit vectors perpendicular to an axis and to each other.
+
+    Parameters
+    ----------
+    axis : ndarray, shape (3,)
+
+    Returns
+    -------
+    ndarray, shape (2, 3)
+    """
     side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     side /= np.linalg.norm(side)
     return np.stack([side, np.cross(axis, side)])

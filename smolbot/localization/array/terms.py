@@ -1,13 +1,13 @@
-"""What one recording says of sensors and device, beside the pose that was found in it.
+"""Information on sensors and device in one recording, in addition to the pose found in it.
 
 A recording holds more numbers than a pose has. Near a finished fit its data are
 
     d = s(x_fit) + J (x - x_fit) + T q + V w + n,
 
-x pose, phase and amplitude, q the deviations of sensors and device from what was believed of them, w what else may be
-off, namely how the device turned while it was listened to, and its resonance; n is white. Seen from x, q shifts what a
-fit finds by -L q; in the directions that no pose can explain, it shows by itself. Both parts are uncorrelated, and are
-handed on apart.
+with x pose, phase and amplitude, q the deviations of sensors and device from the assumed ones, w other
+disturbances, namely the device's turn during the recording and its resonance, and n white noise. In x, q shifts the
+result of a fit by -L q; in the directions that no pose can explain, q is observed directly. Both parts are
+uncorrelated, and are returned separately.
 """
 
 # mypy: disable-error-code="no-untyped-call,no-untyped-def"
@@ -61,19 +61,19 @@ TINY = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class ArrayTerms:
-    """Of one recording; the pose vector is (position in m, rotation e in rad, amplitude as a share of the reference).
+    """Terms of one recording; the pose vector is (position in m, rotation e in rad, amplitude over the reference).
 
     Attributes
     ----------
     pose : ndarray, shape (7,)
-        From the fit's pose to the one found with the device's turning left free.
+        From the fit's pose to the one found with the device's turn left free.
     covariance : ndarray, shape (7, 7)
-        Of that pose, for sensors as they are believed.
+        Of that pose, for sensors as assumed.
     lean : ndarray, shape (7, n)
-        How the pose that is found moves with the sensors' deviations q (n,), negated: true = found + lean q.
+        Sensitivity L of the found pose to the deviations q (n,), negated: true = found + L q.
     information : ndarray, shape (n, n)
     right : ndarray, shape (n,)
-        Of the deviations, from what no pose explains: they seem to be information^-1 right.
+        Information vector of the deviations, from what no pose explains: their estimate is information^-1 right.
     amplitude : float
         Of the fit.
     """
@@ -87,12 +87,19 @@ class ArrayTerms:
 
 
 def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | None:
-    """Terms of a finished whitened fit; None where they cannot be had, or something else is heard.
+    """Compute the terms of a finished whitened fit.
 
     Parameters
     ----------
+    problem : Problem
+    fit : Fit
     frames : ndarray, shape (n_sensors, 2, 3)
         Directions of each sensor's tilts; rows of sensors that took no part are left at zero.
+
+    Returns
+    -------
+    ArrayTerms or None
+        None where the pose is undetermined, or the misfit is too large to come from the sensors.
     """
     model = problem.model
     matrix, labels, positions, axes, moment, l0, angles, powers = model.constants
@@ -141,10 +148,27 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
 
 @njit(cache=True, error_model="python", fastmath=True)
 def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
-    """Change of the data vector per deviation of each sensor, shape (PER_SENSOR * n_channels, n_out).
+    """Compute the change of the data vector per deviation of each sensor.
 
-    `values` (4, n_channels, K): the power series along each sensor's axis, and along x, y and z; `slopes` (n_channels,
-    K, 6) its derivatives for the device's place, which are those for the sensor's place with the other sign.
+    Parameters
+    ----------
+    matrix : ndarray, shape (n_functions, n_channels, n_out)
+        Response of the linear chain; see `kernels.model`.
+    labels : ndarray of int, shape (n_functions, 3)
+        See `kernels.model`.
+    values : ndarray, shape (4, n_channels, K), in T
+        Power series along each sensor's axis, and along x, y and z.
+    slopes : ndarray, shape (n_channels, K, 6), in T/m and T/rad
+        Derivatives of the series for the device's position: those for the sensor's position with the other sign.
+    frames : ndarray, shape (n_channels, 2, 3)
+        Directions of each sensor's tilts.
+    phase : float, in rad
+    amplitude : float
+        As a fraction of the reference angle.
+
+    Returns
+    -------
+    ndarray, shape (PER_SENSOR * n_channels, n_out)
     """
     n_functions, n, n_out = matrix.shape
     out = np.zeros((PER_SENSOR * n, n_out))
@@ -186,7 +210,17 @@ def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
 
 @njit(cache=True, error_model="python", fastmath=True)
 def products(a, b):
-    """Inner products (n, m) of the rows of `a` (n, k) with those of `b` (m, k)."""
+    """Compute the inner products of the rows of two matrices.
+
+    Parameters
+    ----------
+    a : ndarray, shape (n, k)
+    b : ndarray, shape (m, k)
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+    """
     out = np.empty((a.shape[0], b.shape[0]))
     for i in range(a.shape[0]):
         for j in range(b.shape[0]):
@@ -205,11 +239,32 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 def separated(
     rows: FloatArray, strays: FloatArray, residual: FloatArray
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
-    """Pose and sensors told apart in one recording's data.
+    """Separate pose and sensor deviations in one recording's data.
 
-    `rows` (8 + m, n_out): the data's change per pose, phase and amplitude, then per deviation. `strays` (k, n_out) are
-    heard as noise, each of unit size. Returns whether it could be done, the step of the pose (7,) and its covariance,
-    the lean (7, m), information and right of the deviations, and the squared residual that is left of the data.
+    Parameters
+    ----------
+    rows : ndarray, shape (8 + m, n_out)
+        Change of the data per pose, phase and amplitude, then per deviation.
+    strays : ndarray, shape (k, n_out)
+        Changes of the data by disturbances that count as noise, each of unit variance.
+    residual : ndarray, shape (n_out,)
+
+    Returns
+    -------
+    found : bool
+        False where the pose is undetermined.
+    step : ndarray, shape (7,)
+        Of the pose.
+    covariance : ndarray, shape (7, 7)
+        Of the pose.
+    lean : ndarray, shape (7, m)
+        See `ArrayTerms`.
+    information : ndarray, shape (m, m)
+        Of the deviations.
+    right : ndarray, shape (m,)
+        Information vector of the deviations.
+    left : float
+        Squared residual that remains.
     """
     data = residual.reshape(1, -1)
     inner = _inverse(np.eye(len(strays)) + products(strays, strays))

@@ -1,1 +1,1 @@
-"""The oscillation measured for its own sake."""
+"""Measurement of the device itself: frequency, damping and amplitude of its oscillation."""

@@ -84,7 +84,16 @@ class DeviceFit:
 def power_coefficients(
     sensors: SensorArray, device: Device, position: FloatArray, orientation: FloatArray
 ) -> FloatArray:
-    """Field along each sensor's axis as a power series of theta / `REFERENCE`.
+    """Compute the field along each sensor's axis as a power series of theta / `REFERENCE`.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    position : ndarray, shape (3,), in m, world frame
+        Of the rotation centre.
+    orientation : ndarray, shape (4,)
+        Unit quaternion, body to world.
 
     Returns
     -------
@@ -145,7 +154,7 @@ class _FullModel:
         return np.ravel(self.thinned.data - sizes @ waves) / BLOCK_NOISE
 
     def _waves(self, device: Device, phase: float) -> FloatArray:
-        """Kept, since most steps of a Jacobian change the pose only."""
+        """Return the waves, cached since most steps of a Jacobian change only the pose."""
         key = (device.frequency, device.damping, phase)
         if key not in self.kept:
             if len(self.kept) > KEPT_WAVES:
@@ -170,18 +179,26 @@ def fit_device(
 
     Parameters
     ----------
+    recording : Recording
+    sensors : SensorArray
     device : Device
-        Frequency and damping to begin with; its damping model is the one that is fitted.
-    position : ndarray, shape (3,), in m
-        Of the rotation centre, to begin with; its z is kept where `fix_height`.
+        Start of frequency and damping; its damping model is the one that is fitted.
+    position : ndarray, shape (3,), in m, world frame
+        Start of the rotation centre; its z is kept with `fix_height`.
     orientation : ndarray, shape (4,)
-        To begin with, within some 20 degrees, or the fit may end in the other member of the two-fold ambiguity.
+        Start, within some 20 degrees, or the fit may end in the other member of the two-fold ambiguity.
     fix_height : bool
-        Hold z: B ~ theta / z³, so that z and amplitude are not both known well (Calibration protocol).
+        Hold z: B ~ theta / z³, so that z and amplitude cannot both be determined well (Calibration protocol).
     fix_time : bool
         Hold frequency and damping as given.
-    hum, duration
-        As for `thin`.
+    hum : Hum, optional
+        Mains lines in the room; see `thin`.
+    duration : float, optional, in s
+        Length of the recording's beginning that is used; see `thin`.
+
+    Returns
+    -------
+    DeviceFit
 
     Raises
     ------
@@ -209,7 +226,7 @@ def fit_device(
 
 
 def _phase_and_amplitude(model: _FullModel) -> tuple[float, float]:
-    """Best phase and logarithm of the amplitude at the starting pose, from the first harmonic."""
+    """Estimate phase and logarithm of the amplitude at the starting pose, from the first harmonic."""
     wave = model.thinned.waves(model.device, [(1, 1)])[0]
     columns = model.thinned.whiten(np.stack([wave.real, -wave.imag]))
     sizes = power_coefficients(model.heard, model.device, model.position, model.orientation)[:, 0] / REFERENCE

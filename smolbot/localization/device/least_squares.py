@@ -21,14 +21,26 @@ TINY = 1e-30
 def minimised(
     residual: Callable[[FloatArray], FloatArray], start: FloatArray, steps: FloatArray, iterations: int = 30
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Levenberg-Marquardt with forward differences of `steps`, until a step is below 1 % of a standard deviation.
+    """Minimize by the Levenberg-Marquardt method, until a step is below 1 % of a standard deviation.
 
-    scipy's own take a singular value decomposition of the tall Jacobian in each iteration, which is most of the time.
+    The routine of scipy spends most of its time on a singular value decomposition of the tall Jacobian in each
+    iteration.
+
+    Parameters
+    ----------
+    residual : callable
+        From parameters (p,) to residuals (n,).
+    start : ndarray, shape (p,)
+    steps : ndarray, shape (p,)
+        Of the forward differences.
+    iterations : int
+        Largest number of steps.
 
     Returns
     -------
-    values, covariance : ndarray, shapes (p,) and (p, p)
-        Covariance for residuals of unit variance.
+    values : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+        For residuals of unit variance.
     cost : float
         Sum of squares.
     """

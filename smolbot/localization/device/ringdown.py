@@ -1,6 +1,6 @@
-"""The free oscillation measured for its own sake: frequency and damping.
+"""Frequency and damping of the free oscillation, measured without a pose.
 
-`measure` knows nothing of pose, sensors or amplitude: each channel has its own size and phase at f and at 2f,
+`measure` needs no pose and no amplitude: each channel has its own size and phase at f and at 2f,
 only f and the damping are common.
 """
 
@@ -45,7 +45,7 @@ TINY, TINY_VARIANCE = 1e-30, 1e-300
 
 @dataclass(frozen=True)
 class RingDownFit:
-    """Frequency and damping of one recording, whatever the pose.
+    """Frequency and damping of one recording, for any pose.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class RingDownFit:
     strength : float, in T
         Root of the sum of squares over channels of the oscillation's amplitude at the end of the drive.
     signal_to_noise : float
-        Root of explained over expected sum of squares; below about 10 there is no oscillation worth the name.
+        Root of explained over expected sum of squares; below about 10 no oscillation can be measured.
     """
 
     frequency: float
@@ -76,23 +76,27 @@ def measure(
     search: float = 10.0,
     damping_model: DampingModel | None = None,
 ) -> RingDownFit:
-    """Frequency and damping of the free oscillation, from all channels, without a pose.
+    """Measure frequency and damping of the free oscillation from all channels, without a pose.
 
     Least squares with the channels' sizes and phases at f (D) and at 0 and 2f (D²) projected out.
 
     Parameters
     ----------
+    recording : Recording
+    sensors : SensorArray
     device : Device
-        Where to begin: its frequency and damping as believed.
+        Start: its assumed frequency and damping.
+    hum : Hum, optional
+        Mains lines in the room.
     search : float, in Hz
-        How far from the believed frequency the grid looks.
-    damping_model : optional
-        Which envelope to fit; the device's own if not given.
+        Largest distance of the grid from the assumed frequency.
+    damping_model : {"linear", "exponential"}, optional
+        Envelope to fit; the device's own if not given.
 
     Returns
     -------
     RingDownFit
-        Standard deviations are those of the fit; what repeats scatter by is larger where noise is not white.
+        Standard deviations are those of the fit; repeated measurements scatter more where noise is not white.
 
     Raises
     ------
@@ -142,13 +146,13 @@ def measure(
 
 
 def _resolution(thinned: Thinned, damping: float) -> float:
-    """Step of a frequency grid that no peak slips through, in Hz."""
+    """Choose the step, in Hz, of a frequency grid that misses no peak."""
     heard = min(float(thinned.time[-1] - thinned.time[0]), 2.0 / damping)
     return max(GRID_SHARE / heard, MIN_GRID)
 
 
 def _harmonic_basis(thinned: Thinned, device: Device) -> FloatArray:
-    """Orthonormal (n_blocks, 5): the oscillation at f, and at 2f and 0, with any phase, after whitening."""
+    """Compute a whitened orthonormal basis (n_blocks, 5) of the oscillation at f, 2f and 0, with any phase."""
     first, second, mean = thinned.waves(device, _FIRST_TWO)
     rows = thinned.whiten(np.stack([first.real, first.imag, second.real, second.imag, mean.real]))
     size = np.linalg.norm(rows, axis=1, keepdims=True)

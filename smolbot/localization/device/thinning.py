@@ -1,9 +1,9 @@
-"""A recording thinned for a close look at the oscillation, with all that is not the device taken out.
+"""A recording reduced to block averages for the analysis of the oscillation, with disturbances removed.
 
-Blocks of samples are averaged, and a constant and a slow drift of each channel, and the mains with its harmonics,
-whose frequency may be a little off, are taken out of data and model alike. They are nuisance parameters with a
-known size, so that short windows, which cannot tell 100 Hz from 103.5 Hz, are not robbed of their signal; a long
-window measures them when the oscillation has died.
+A constant and a slow drift of each channel, and the mains with its harmonics, whose frequency may deviate a little,
+are removed from data and model alike. They are nuisance parameters of a known size: a short window, which cannot
+distinguish 100 Hz from 103.5 Hz, thus keeps its signal, while a long window measures them when the oscillation has
+died away.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ NO_TURN = 1e-9
 
 @dataclass(frozen=True)
 class Hum:
-    """Lines of the mains in the room, as expected.
+    """Expected lines of the mains in the room.
 
     Attributes
     ----------
@@ -82,9 +82,9 @@ class Thinned:
     bandwidth : float, in Hz
         Of the sensors' low pass.
     nuisance : ndarray, shape (n_blocks, q)
-        Orthonormal; with `share`, what `whiten` takes out.
+        Orthonormal; with `share`, what `whiten` removes.
     share : ndarray, shape (q,)
-        Of each nuisance, the share that is taken out: 1 for one that may have any size.
+        Share of each nuisance that is removed: 1 for one that may have any size.
     """
 
     data: FloatArray
@@ -97,15 +97,34 @@ class Thinned:
     share: FloatArray
 
     def whiten(self, rows: FloatArray) -> FloatArray:
-        """Rows (..., n_blocks) with the nuisances weighed down."""
+        """Reduce the nuisances in some rows.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (..., n_blocks)
+
+        Returns
+        -------
+        ndarray, shape (..., n_blocks)
+        """
         left: FloatArray = rows - ((rows @ self.nuisance) * self.share) @ self.nuisance.T
         return left
 
     def waves(self, device: Device, pairs: Sequence[tuple[int, int]]) -> ComplexArray:
-        """D^k exp(i h w t) for pairs (k, h), low-passed and block-averaged, shape (n_pairs, n_blocks).
+        """Compute D^k exp(i h w t), low-passed and block-averaged.
 
-        Exact for exponential damping; linear damping to first order in its fall within a block and within
+        Exact for exponential damping; linear damping to first order in its decrease within a block and within
         the sensors' time constant.
+
+        Parameters
+        ----------
+        device : Device
+        pairs : sequence of tuple of 2 int
+            (k, h).
+
+        Returns
+        -------
+        ndarray of complex, shape (n_pairs, n_blocks)
         """
         omega = 2.0 * np.pi * device.frequency
         damping = envelope(device, self.time)
@@ -125,7 +144,17 @@ class Thinned:
         return out
 
     def power_waves(self, device: Device, phase: float) -> FloatArray:
-        """(D cos(w t + phase))^k for k = 1 to `POWERS`, low-passed and averaged, shape (POWERS, n_blocks)."""
+        """Compute (D cos(w t + phase))^k for k = 1 to `POWERS`, low-passed and block-averaged.
+
+        Parameters
+        ----------
+        device : Device
+        phase : float, in rad
+
+        Returns
+        -------
+        ndarray, shape (POWERS, n_blocks)
+        """
         out = np.zeros((POWERS, len(self.time)))
         for (k, h), wave in zip(_PAIRS, self.waves(device, _PAIRS), strict=True):
             weight = comb(k, (k - h) // 2) / 2.0**k * (1.0 if h == 0 else 2.0)
@@ -137,7 +166,7 @@ _PAIRS = tuple((k, h) for k in range(1, POWERS + 1) for h in range(k % 2, k + 1,
 
 
 def _block_mean(turn: complex, block: int) -> complex:
-    """Mean of exp(turn j) over `block` whole steps j around 0."""
+    """Compute the mean of exp(turn j) over `block` integer steps j around 0."""
     if abs(turn) < NO_TURN:
         return 1.0 + 0.0j
     return complex(np.sinh(0.5 * block * turn) / (block * np.sinh(0.5 * turn)))
@@ -146,15 +175,22 @@ def _block_mean(turn: complex, block: int) -> complex:
 def thin(
     recording: Recording, sensors: SensorArray, frequency: float, hum: Hum | None = None, duration: float | None = None
 ) -> Thinned:
-    """Thin a recording and take the nuisances out of it.
+    """Reduce a recording to block averages and remove the nuisances.
 
     Parameters
     ----------
+    recording : Recording
+    sensors : SensorArray
     frequency : float, in Hz
-        Of the device, roughly; sets the length of a block.
+        Approximate frequency of the device; sets the length of a block.
     hum : Hum, optional
-    duration : float, in s, optional
-        Use only so much of the recording's beginning.
+        Mains lines in the room.
+    duration : float, optional, in s
+        Length of the recording's beginning that is used.
+
+    Returns
+    -------
+    Thinned
 
     Raises
     ------
@@ -207,7 +243,7 @@ def thin(
 def _nuisances(
     count: int, spacing: float, mains: float, sizes: tuple[tuple[int, float], ...], uncertainty: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal nuisances (n, q) of a window of `count` blocks, and the share of each that whitening takes out."""
+    """Make the orthonormal nuisances (n, q) of a window, and the share that whitening removes of each."""
     time = (np.arange(count) - 0.5 * (count - 1)) * spacing
     half = float(time[-1])
     columns = [STRAIGHT_DRIFT * (time / half) ** power for power in range(2)]

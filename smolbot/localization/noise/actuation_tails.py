@@ -1,10 +1,10 @@
-"""What the actuation coils still carry while the robot is listened to: learned once, and taken off every recording.
+"""Decaying current of the actuation coils during listening: identified once, and subtracted from every recording.
 
-An air coil of milliteslas a few centimetres from a fluxgate is heard for more than ten of its time constants. What is
-left of a pull when listening begins early is a nanotesla that decays within the window; it looks like a device that
-turns, and bends poses always in the same way. Leaving a decay of any size free in every channel would cost half of what
-the window tells. But the decay is the same every time: size and time constant are learned from a faint pull of each
-coil before the flight, and the commands of a shot then say what is left of them.
+An air coil of some millitesla a few centimetres from a fluxgate is measurable for more than ten of its time
+constants. When listening begins early, the rest of an actuation is a nanotesla that decays within the window; it
+looks like a device that turns, and always biases poses in the same way. A free decay in every channel would cost
+half of the window's information. But the decay is the same every time: size and time constant are learned from a
+weak actuation of each coil before the flight, and the remaining field follows from the commands of a shot.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ INAUDIBLE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """The decay of one actuation coil.
+    """Decay of one actuation coil's field.
 
     Attributes
     ----------
     time_constant : float, in s
     size : ndarray, shape (n_sensors,), in T per A
-        As heard when the current is cut: through the sensors with the gains, places and axes that they truly have.
+        As measured when the current is cut, with the true gains, positions and axes of the sensors.
     """
 
     time_constant: float
@@ -41,14 +41,32 @@ class Tail:
 
 @dataclass(frozen=True)
 class CoilTails:
-    """Tails of all actuation coils, in the order of a window's currents; None for a coil that leaves nothing."""
+    """Decays of all actuation coils.
+
+    Attributes
+    ----------
+    tails : tuple of Tail or None
+        In the order of a window's currents; None for a coil without a measurable decay.
+    """
 
     tails: tuple[Tail | None, ...] = ()
 
     def heard(self, shot: Shot, n: int, sample_rate: float) -> FloatArray | None:
-        """Field (n_sensors, n) in T that pulls of `shot` leave in the recording of its `Listen` window; None if none.
+        """Compute the field that the actuations of a shot leave in the recording of its `Listen` window.
 
-        Between shots more than ten time constants pass, so a pull is all that is left of a coil's past.
+        Between shots more than ten time constants pass, so earlier shots do not matter.
+
+        Parameters
+        ----------
+        shot : Shot
+        n : int
+            Number of samples.
+        sample_rate : float, in Hz
+
+        Returns
+        -------
+        ndarray, shape (n_sensors, n), in T, or None
+            None if nothing is left.
         """
         listens = next((at for at, window in shot.timed() if isinstance(window, Listen)), None)
         out: FloatArray | None = None
@@ -69,7 +87,17 @@ class CoilTails:
         return out
 
     def removed(self, shot: Shot, recording: Recording) -> Recording:
-        """The recording without what pulls of its shot left in it."""
+        """Subtract from a recording the field that the actuations of its shot left in it.
+
+        Parameters
+        ----------
+        shot : Shot
+        recording : Recording
+
+        Returns
+        -------
+        Recording
+        """
         if not self.tails:
             return recording
         field = self.heard(shot, recording.field.shape[1], recording.sample_rate)
@@ -77,19 +105,25 @@ class CoilTails:
 
 
 def learn_tail(shot: Shot, recordings: Sequence[Recording], frequency: float) -> Tail | None:
-    """The tail of the one coil that pulled in `shot`, from what was heard of it; None where nothing is.
+    """Identify the decay of the one coil that was driven in a shot.
 
     Parameters
     ----------
+    shot : Shot
     recordings : sequence of Recording
-        Of `shot`, or of others like it. Saturated ones are no use: every channel is needed.
+        Of `shot`, or of others like it. Saturated ones are ignored: every channel is needed.
     frequency : float, in Hz
-        The device's resonance: a pull sets it swinging.
+        The device's resonance, since an actuation excites it.
+
+    Returns
+    -------
+    Tail or None
+        None where no decay can be measured.
 
     Raises
     ------
     InputError
-        If the shot has no `Actuate` before a `Listen`, or more than one coil pulled in it.
+        If the shot has no `Actuate` before a `Listen`, or drives more than one coil.
     """
     ends = [(at, window) for at, window in shot.timed() if isinstance(window, Actuate)]
     listens = [at for at, window in shot.timed() if isinstance(window, Listen)]

@@ -1,4 +1,4 @@
-"""The excitation coils' own ring-down, learned so that listening may start before it is over."""
+"""Ring-down of the excitation coils, learned so that listening may start before it is over."""
 
 from __future__ import annotations
 
@@ -36,18 +36,22 @@ _MAINS = 50.0
 
 
 def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
-    """Time constant, in s, of the decay that a drive leaves in all channels.
+    """Learn the time constant of the decay that a drive leaves in all channels.
 
     Each channel has its own size of one common exponential, a constant, and oscillations at the
-    device's resonance and at the mains, which are fitted along; only the exponential's time constant
-    enters non-linearly.
+    device's resonance and at the mains, which are fitted as well; only the exponential's time constant
+    is non-linear.
 
     Parameters
     ----------
     probes : sequence of Recording
-        Made right after a drive off resonance; saturated stretches are left out.
+        Made right after a drive off resonance; saturated channels are left out.
     frequency : float, in Hz
         The device's resonance.
+
+    Returns
+    -------
+    float, in s
 
     Raises
     ------
@@ -77,9 +81,19 @@ def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
 
 
 def decay_sizes(probe: Recording, tau: float, frequency: float) -> FloatArray:
-    """Size (n_sensors,), in T, of a decay with time constant `tau` in s at the first sample of a recording.
+    """Fit the size of a decay at the first sample of a recording.
 
-    `frequency` in Hz is that of a device that swings meanwhile, as for `learn_time_constant`.
+    Parameters
+    ----------
+    probe : Recording
+    tau : float, in s
+        Time constant.
+    frequency : float, in Hz
+        Of a device that oscillates at the same time; see `learn_time_constant`.
+
+    Returns
+    -------
+    ndarray, shape (n_sensors,), in T
     """
     time, blocks = _blocks(probe)
     sizes: FloatArray = np.linalg.lstsq(_design(time, tau, frequency), blocks.T, rcond=None)[0][1]
@@ -87,7 +101,7 @@ def decay_sizes(probe: Recording, tau: float, frequency: float) -> FloatArray:
 
 
 def _left(probe: Recording, tau: float, frequency: float) -> float:
-    """Squared residual of all usable channels for one time constant."""
+    """Compute the squared residual of all usable channels for one time constant."""
     time, blocks = _blocks(probe)
     design = _design(time, tau, frequency)
     heard = blocks[~probe.saturated]
@@ -96,7 +110,7 @@ def _left(probe: Recording, tau: float, frequency: float) -> float:
 
 
 def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) in s from the first sample, and means (n_sensors, n) over blocks of 0.2 ms."""
+    """Compute times (n,) in s from the first sample, and means (n_sensors, n) over blocks of 0.2 ms."""
     step = max(int(_BLOCK * probe.sample_rate), 1)
     count = probe.field.shape[1] // step
     blocks = probe.field[:, : count * step].reshape(len(probe.field), count, step).mean(axis=2)
@@ -104,16 +118,28 @@ def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
 
 
 def _design(time: FloatArray, tau: float, frequency: float) -> FloatArray:
-    """Constant, decay, and the oscillations of device and mains, shape (n, 6)."""
+    """Make the columns of constant, decay, and the oscillations of device and mains, shape (n, 6)."""
     turns = 2.0 * np.pi * np.outer(time, [frequency, _MAINS])
     return np.column_stack([np.ones(len(time)), np.exp(-time / tau), np.cos(turns), np.sin(turns)])
 
 
 def decay_columns(time: FloatArray, constants: tuple[float, ...]) -> FloatArray:
-    """What decays look like at `time` s after the drive, shape (n, n_different); each begins at one.
+    """Make the columns of decays for a linear fit.
 
-    Time constants closer than `ALIKE` count as one: their difference does not show, and a free pair of
-    them would take a signal's place.
+    Time constants closer than `ALIKE` count as one: their difference cannot be measured, and a free pair of
+    them would absorb part of the signal.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), in s
+        After the end of the drive.
+    constants : tuple of float, in s
+        Time constants.
+
+    Returns
+    -------
+    ndarray, shape (n, n_different)
+        Each column begins at one.
     """
     different: list[float] = []
     for tau in sorted(constants):

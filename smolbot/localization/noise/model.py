@@ -1,6 +1,6 @@
-"""The noise as learned from quiet recordings: coherent lines, and what is left between them.
+"""The noise model learned from recordings of background noise: coherent lines, and a smooth spectrum between them.
 
-Mains and other machines make lines that every sensor hears with its own size and phase; what is left is
+Mains and other machines make lines that every sensor measures with its own size and phase; the rest is
 smooth in frequency. Both are stationary, so together they give the covariance of any window.
 """
 
@@ -72,24 +72,30 @@ class NoiseModel:
 
     @property
     def n_sensors(self) -> int:
+        """Number of sensors."""
         return self.spectrum.shape[1]
 
     @classmethod
     def learn(cls, quiet: Sequence[Recording]) -> NoiseModel:
-        """Learn from recordings without a signal; ten seconds in all are plenty.
+        """Learn from recordings of background noise; ten seconds in all are plenty.
 
-        A channel that is saturated or silent in all of them says nothing of its noise, and is taken to be as noisy
-        as the others and unrelated to them. Recordings in which another one is, are left out if any are left.
+        A channel that is saturated or constant in all of them gives no information on its noise, and is assumed to
+        be as noisy as the others and uncorrelated with them. Recordings in which another channel is saturated or
+        constant are left out if any others remain.
 
         Parameters
         ----------
         quiet : sequence of Recording
             Of one sample rate and one set of sensors, each at least 0.3 s long.
 
+        Returns
+        -------
+        NoiseModel
+
         Raises
         ------
         InputError
-            If there is none, they differ, are too short, hold values that are not finite, or no channel is alive.
+            If there is none, they differ, are too short, hold values that are not finite, or no channel is usable.
         """
         if not quiet:
             raise InputError("NoiseModel.learn needs at least one background recording; got none.")
@@ -119,7 +125,7 @@ class NoiseModel:
         return cls(*learn_spectra(alive))._with_strangers(bad)
 
     def _with_strangers(self, strange: BoolArray) -> NoiseModel:
-        """The model of all channels, those of `strange` as noisy as this model's own are on average."""
+        """Return the model of all channels, those of `strange` with the mean noise of the others."""
 
         known = np.flatnonzero(~strange)
 
@@ -143,14 +149,23 @@ class NoiseModel:
         mains: float = 10e-9,
         mains_gradient: float = 30e-9,
     ) -> NoiseModel:
-        """What to believe before any quiet window was heard: mains of unknown direction, and the sensors' own noise.
+        """Make a plausible model before any recording: mains of unknown direction, and the sensors' own noise.
 
         Parameters
         ----------
-        floor, at_1hz : float, in T/sqrt(Hz)
+        sensors : SensorArray
+        floor : float, in T/sqrt(Hz)
+            White noise of each sensor.
+        at_1hz : float, in T/sqrt(Hz)
+            Noise of each sensor at 1 Hz.
+        mains_frequency : float, in Hz
         mains : float, in T
             Peak of the uniform part at the mains frequency; harmonics up to the eighth fall off as 1/order.
         mains_gradient : float, in T/m
+
+        Returns
+        -------
+        NoiseModel
         """
         n = len(sensors)
         orders = np.arange(1, N_HARMONICS + 1)
@@ -169,12 +184,27 @@ class NoiseModel:
         )
 
     def rescaled(self, ratios: FloatArray) -> NoiseModel:
-        """The same with the smooth part of each sensor `ratios` (n_sensors,) times as strong in power; lines stay."""
+        """Return the model with another power of each sensor's smooth part; the lines stay.
+
+        Parameters
+        ----------
+        ratios : ndarray, shape (n_sensors,)
+            New over old power.
+
+        Returns
+        -------
+        NoiseModel
+        """
         by = np.sqrt(np.asarray(ratios, dtype=np.float64))
         return replace(self, spectrum=self.spectrum * np.outer(by, by))
 
     def save(self, path: str | Path) -> None:
-        """Write to a ``.npz`` file."""
+        """Write to a ``.npz`` file.
+
+        Parameters
+        ----------
+        path : str or Path
+        """
         np.savez_compressed(
             Path(path),
             kind="smolbot noise model",
@@ -187,7 +217,15 @@ class NoiseModel:
 
     @classmethod
     def load(cls, path: str | Path) -> NoiseModel:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        NoiseModel
 
         Raises
         ------
@@ -207,7 +245,7 @@ class NoiseModel:
             raise InputError(f"{path}: cannot be read as a noise model: {error}.") from error
 
     def _on_grid(self, spacing: float) -> tuple[FloatArray, ComplexArray]:
-        """Frequencies at most `spacing` apart, so that no lag of a window wraps round, and the spectrum there."""
+        """Resample the spectrum at most `spacing` apart, so that no lag of a window wraps round."""
         steps = np.diff(self.frequencies)
         if steps.max() <= SAME_SPACING * min(spacing, steps.min()):
             return self.frequencies, self.spectrum
@@ -218,7 +256,12 @@ class NoiseModel:
         return grid, (1.0 - part) * self.spectrum[low] + part * self.spectrum[low + 1]
 
     def covariance(self, n_blocks: int, block: float) -> FloatArray:
-        """Covariance of averages over `n_blocks` successive blocks of `block` s.
+        """Compute the covariance of averages over successive blocks.
+
+        Parameters
+        ----------
+        n_blocks : int
+        block : float, in s
 
         Returns
         -------
@@ -245,15 +288,21 @@ class NoiseModel:
 
 
 def field_covariance(sensors: SensorArray, uniform: float, gradient: float) -> FloatArray:
-    """Mean of b b^T over sensors for a field of random direction and gradient, shape (n_sensors, n_sensors), in T².
+    """Compute the covariance between sensors of a field with random direction and gradient: the mean of b b^T.
+
+    The gradient G is symmetric and free of trace, <G_ab G_cd> = 0.3 g² (d_ac d_bd + d_ad d_bc - 2/3 d_ab d_cd).
 
     Parameters
     ----------
+    sensors : SensorArray
     uniform : float, in T
         Size of the uniform part.
     gradient : float, in T/m
-        Change per metre, root mean square over directions; the gradient is symmetric and free of trace,
-        <G_ab G_cd> = 0.3 g² (d_ac d_bd + d_ad d_bc - 2/3 d_ab d_cd).
+        Change per metre, g, root mean square over directions.
+
+    Returns
+    -------
+    ndarray, shape (n_sensors, n_sensors), in T²
     """
     place, axes = sensors.positions, sensors.axes
     alignment = axes @ axes.T

@@ -1,7 +1,7 @@
-"""What a fit leaves of a recording, channel by channel, against what the noise model foretells.
+"""Fit residuals of a recording, channel by channel, compared with the noise model's prediction.
 
-Each channel's residual is compared with what the other channels say it should be: mains, which all of them
-hear, is foretold, so that a sensor that has become noisier by itself stands out.
+Each channel's residual is compared with the prediction from the other channels. Mains noise, which all channels
+measure, is predicted, so that a sensor whose own noise has increased stands out.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ REGULARISATION = 1e-9
 
 @lru_cache(maxsize=4)
 def _foretold(model: LinearModel, noise: NoiseModel, block: float) -> tuple[FloatArray, FloatArray]:
-    """Whitener (n_channels, n_left, n_channels * n_blocks) of each channel given the others, and signals in blocks."""
+    """Compute each channel's whitener given the others, and the signals in blocks.
+
+    Shapes are (n_channels * n_left, n_channels * n_blocks) and (n_channels * n_blocks, n_functions, n_channels).
+    """
     n = int(model.used.sum())
     n_blocks = min(len(model.chain.first), LONGEST)
     slope = np.linspace(-1.0, 1.0, n_blocks)
@@ -60,12 +63,19 @@ def _foretold(model: LinearModel, noise: NoiseModel, block: float) -> tuple[Floa
 
 
 def energies(model: LinearModel, fit: Fit, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
-    """Energy of what is left in each channel, in units of the noise, and what it should be.
+    """Compute the energy of the fit residuals in each channel, in units of the noise, and its expectation.
+
+    Parameters
+    ----------
+    model : LinearModel
+    fit : Fit
+    recording : Recording
+    noise : NoiseModel
 
     Returns
     -------
     found, expected : ndarray, shape (n_sensors,)
-        Both zero for sensors that took no part. Of noise as foretold, `found` is `expected` on average, with a
+        Both zero for sensors that took no part. For noise as predicted, `found` is `expected` on average, with a
         variance of twice that.
     """
     whiten, answers = _foretold(model.of_all_arrays, noise, model.chain.weights.shape[1] / recording.sample_rate)

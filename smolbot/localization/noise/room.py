@@ -38,7 +38,18 @@ class NoiseLevels:
     harmonics: dict[int, float] = field(default_factory=dict)
 
     def model(self, sensors: SensorArray, top: float = 5000.0) -> NoiseModel:
-        """The same as a `NoiseModel` up to `top` Hz, lines as likely from one direction as from another."""
+        """Make the noise model of an average room, with lines equally likely from all directions.
+
+        Parameters
+        ----------
+        sensors : SensorArray
+        top : float, in Hz
+            Highest frequency of the model.
+
+        Returns
+        -------
+        NoiseModel
+        """
         orders = np.array([1, *self.harmonics])
         sizes = np.array([1.0, *self.harmonics.values()])
         frequencies = np.concatenate([[0.0], np.geomspace(1.0, top, N_FREQUENCIES)])
@@ -55,7 +66,18 @@ class NoiseLevels:
         )
 
     def drawn_lines(self, sensors: SensorArray, rng: np.random.Generator) -> ComplexArray:
-        """Peak phasors (n_lines, n_sensors), in T, of one room's mains: directions, gradients and phases drawn."""
+        """Sample the mains lines of one room: random directions, gradients and phases.
+
+        Parameters
+        ----------
+        sensors : SensorArray
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        ndarray of complex, shape (n_lines, n_sensors), in T
+            Peak phasors.
+        """
         orders = np.array([1, *self.harmonics])
         sizes = np.array([1.0, *self.harmonics.values()])
         out = np.empty((len(orders), len(sensors)), dtype=np.complex128)
@@ -72,6 +94,18 @@ class NoiseLevels:
         return out
 
     def room(self, sensors: SensorArray, seed: int, top: float = 5000.0) -> NoiseModel:
-        """The noise of one drawn room, as an estimator knows it that has learned it well."""
+        """Sample one room, and make its noise model as if it had been learned perfectly.
+
+        Parameters
+        ----------
+        sensors : SensorArray
+        seed : int
+        top : float, in Hz
+            Highest frequency of the model.
+
+        Returns
+        -------
+        NoiseModel
+        """
         lines = self.drawn_lines(sensors, np.random.default_rng(seed))
         return replace(self.model(sensors, top), lines=lines[:, :, None] * lines[:, None, :].conj())

@@ -1,4 +1,4 @@
-"""Learns lines and smooth spectrum from quiet recordings."""
+"""Learning of lines and smooth spectrum from recordings of background noise."""
 
 from __future__ import annotations
 
@@ -55,7 +55,16 @@ SMOOTHING = 0.12
 
 
 class Spectra(NamedTuple):
-    """What quiet recordings hold; shapes and units as of a `NoiseModel`."""
+    """Lines and smooth spectrum of background noise; see `NoiseModel`.
+
+    Attributes
+    ----------
+    line_frequencies : ndarray, shape (n_lines,), in Hz
+    lines : ndarray of complex, shape (n_lines, n_sensors, n_sensors), in T²
+    frequencies : ndarray, shape (n_frequencies,), in Hz
+    spectrum : ndarray of complex, shape (n_frequencies, n_sensors, n_sensors), in T²/Hz
+    block : float, in s
+    """
 
     line_frequencies: FloatArray
     lines: ComplexArray
@@ -65,7 +74,17 @@ class Spectra(NamedTuple):
 
 
 def learn_spectra(quiet: Sequence[Recording]) -> Spectra:
-    """Lines and smooth spectrum of quiet recordings that were checked already."""
+    """Learn lines and smooth spectrum from recordings that were checked already.
+
+    Parameters
+    ----------
+    quiet : sequence of Recording
+        Of background noise.
+
+    Returns
+    -------
+    Spectra
+    """
     rate = quiet[0].sample_rate
     size = max(round(rate / BLOCK_RATE), 1)
     block_rate = rate / size
@@ -78,7 +97,18 @@ def learn_spectra(quiet: Sequence[Recording]) -> Spectra:
 
 
 def averaged(field: FloatArray, size: int) -> FloatArray:
-    """Means over blocks of `size` samples, each channel less its mean; shape (n_sensors, n_blocks)."""
+    """Average over blocks of samples, and subtract each channel's mean.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n_sensors, n), in T
+    size : int
+        Samples per block.
+
+    Returns
+    -------
+    ndarray, shape (n_sensors, n_blocks), in T
+    """
     n = field.shape[1] // size
     blocks = (field[:, : n * size] - field[:, :1]).reshape(len(field), n, size).mean(axis=2)
     out: FloatArray = blocks - blocks.mean(axis=1, keepdims=True)
@@ -86,9 +116,19 @@ def averaged(field: FloatArray, size: int) -> FloatArray:
 
 
 def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
-    """Frequencies, in Hz, of lines that stand out in the spectrum summed over channels and pieces.
+    """Find lines that stand out in the spectrum summed over channels and pieces.
 
-    The strongest hide the others' feet, so what was found is taken out and the rest looked at again.
+    Strong lines mask weak ones, so found lines are removed and the rest is searched again.
+
+    Parameters
+    ----------
+    pieces : list of ndarray, each of shape (n_sensors, n), in T
+    rate : float, in Hz
+        Sample rate of the pieces.
+
+    Returns
+    -------
+    ndarray, shape (n_lines,), in Hz
     """
     n = max(p.shape[1] for p in pieces)
     size = 1 << int(np.ceil(np.log2(2 * n)))
@@ -117,7 +157,7 @@ def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
 
 
 def _neighbourhood(power: FloatArray, width: int) -> FloatArray:
-    """Median power around each bin, from medians of stretches `width` long."""
+    """Compute the median power around each bin, from medians of stretches `width` long."""
     count = max(len(power) // width, 1)
     medians = (
         np.median(power[: count * width].reshape(count, -1), axis=1) if count > 1 else np.array([np.median(power)])
@@ -127,7 +167,7 @@ def _neighbourhood(power: FloatArray, width: int) -> FloatArray:
 
 
 def _refined(grid: FloatArray, power: FloatArray, peak: int) -> float:
-    """Top of the parabola through the logarithm of a peak and its neighbours."""
+    """Interpolate a peak's frequency by a parabola through the logarithm of the peak and its neighbours."""
     if not 0 < peak < len(grid) - 1:
         return float(grid[peak])
     a, b, c = np.log(power[peak - 1 : peak + 2] + TINY)
@@ -139,7 +179,22 @@ def _refined(grid: FloatArray, power: FloatArray, peak: int) -> float:
 def remove_lines(
     pieces: list[FloatArray], frequencies: FloatArray, rate: float
 ) -> tuple[ComplexArray, list[FloatArray]]:
-    """Peak phasors (n_pieces, n_lines, n_sensors) of the lines in each piece, and the pieces without them."""
+    """Fit the lines in each piece, and subtract them.
+
+    Parameters
+    ----------
+    pieces : list of ndarray, each of shape (n_sensors, n), in T
+    frequencies : ndarray, shape (n_lines,), in Hz
+    rate : float, in Hz
+        Sample rate of the pieces.
+
+    Returns
+    -------
+    phasors : ndarray of complex, shape (n_pieces, n_lines, n_sensors), in T
+        Peak phasors.
+    left : list of ndarray, each of shape (n_sensors, n), in T
+        The pieces without the lines.
+    """
     phasors = np.zeros((len(pieces), len(frequencies), len(pieces[0])), dtype=np.complex128)
     left: list[FloatArray] = []
     for number, piece in enumerate(pieces):
@@ -155,10 +210,21 @@ def remove_lines(
 
 
 def cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, ComplexArray]:
-    """One-sided cross-spectral density (n_frequencies, n_sensors, n_sensors), smoothed.
+    """Compute the smoothed one-sided cross-spectral density.
 
     Welch's method with half-overlapping Hann segments, then a mean over neighbouring frequencies whose
-    width grows with frequency. A cross term that is no larger than chance makes it is set to zero.
+    width grows with frequency. A cross term that is no larger than by chance is set to zero.
+
+    Parameters
+    ----------
+    pieces : list of ndarray, each of shape (n_sensors, n), in T
+    rate : float, in Hz
+        Sample rate of the pieces.
+
+    Returns
+    -------
+    frequencies : ndarray, shape (n_frequencies,), in Hz
+    spectrum : ndarray of complex, shape (n_frequencies, n_sensors, n_sensors), in T²/Hz
     """
     length = min(round(SEGMENT * rate), min(p.shape[1] for p in pieces))
     window = np.hanning(length + 2)[1:-1]
@@ -183,7 +249,7 @@ def cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, C
 
 
 def _significant(spectrum: ComplexArray, averages: FloatArray) -> ComplexArray:
-    """Zero the cross terms whose coherence chance explains; keep every matrix positive."""
+    """Set cross terms with insignificant coherence to zero; keep every matrix positive."""
     power = np.real(np.einsum("fjj->fj", spectrum))
     scale = np.sqrt(power[:, :, None] * power[:, None, :]) + TINY
     coherence = np.abs(spectrum) ** 2 / scale**2

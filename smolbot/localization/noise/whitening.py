@@ -1,4 +1,4 @@
-"""The whitened chain: brings a recording to a few numbers whose noise is white, and keeps all that matters.
+"""The whitened chain: reduces a recording to a few numbers with white noise, without loss of information.
 
 Samples are averaged over blocks of half a millisecond, whitened by the learned covariance (with a free
 constant in every channel), and projected on the directions that a signal can have.
@@ -44,7 +44,19 @@ CLOCK_DIGITS = 8
 
 
 def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
-    """Means over equal blocks of at most `block` s that leave out the fewest samples."""
+    """Make the taps of means over equal blocks, with the block length that leaves out the fewest samples.
+
+    Parameters
+    ----------
+    n_samples : int
+    sample_rate : float, in Hz
+    block : float, in s
+        Longest block.
+
+    Returns
+    -------
+    Taps
+    """
     longest = max(int(block * sample_rate), 1)
     sizes = range(max(longest - longest // MAX_SHORTENING, 1), longest + 1)
     size = min(sizes, key=lambda b: (n_samples % b, -b))
@@ -55,7 +67,7 @@ def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
 
 @lru_cache(maxsize=16)
 def _whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> FloatArray:
-    """Inverse Cholesky factor (m, m) of the noise of all usable channels."""
+    """Compute the inverse Cholesky factor (m, m) of the noise of all usable channels."""
     used = np.frombuffer(usable, dtype=np.bool_)
     rows = np.repeat(used, n_blocks)
     covariance = noise.covariance(n_blocks, block)[np.ix_(rows, rows)]
@@ -76,7 +88,30 @@ def whitened_model(
     trend: int = 0,
     transients: tuple[float, ...] = (),
 ) -> LinearModel:
-    """The whitened chain for recordings of one kind by one array, kept for the next one like it; see `any_array`."""
+    """Make the whitened chain for recordings of one kind by one array; cached for similar recordings.
+
+    See `any_array`.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    noise : NoiseModel
+    usable : bytes
+        Of a bool array (n_sensors,): the sensors that take part.
+    n_samples : int
+    sample_rate : float, in Hz
+    since : float, in s
+        From the end of the drive to the first sample.
+    trend : int
+        Degree of the polynomial that is free in every channel.
+    transients : tuple of float, in s
+        Time constants of decays that are free in every channel.
+
+    Returns
+    -------
+    LinearModel
+    """
     rhythm = _rhythm(device.frequency, device.damping, device.damping_model)
     common = any_array(sensors.bandwidth, rhythm, noise, usable, n_samples, sample_rate, since, trend, transients)
     used = common.used
@@ -91,7 +126,7 @@ def whitened_model(
 
 @lru_cache(maxsize=64)
 def _rhythm(frequency: float, damping: float, damping_model: DampingModel) -> Device:
-    """One device for all that swing alike."""
+    """Make one device that stands for all with the same frequency and damping."""
     return Device(1.0, np.array([0.0, 0.0, 1.0]), 0.0, 1.0, frequency, damping, damping_model)
 
 
@@ -107,10 +142,37 @@ def any_array(
     trend: int = 0,
     transients: tuple[float, ...] = (),
 ) -> LinearModel:
-    """The whitened chain. No place, axis, moment or l0 enters it; those of the result mean nothing.
+    """Make the part of the whitened chain that does not depend on the array, moment or l0.
 
-    Blind to a polynomial of degree `trend` in every channel (0 for the unknown constant, 1 for a constant
-    and a slope), and to a decay of each of the time constants `transients`, in s, where it can still be heard.
+    Positions, axes, moment and l0 of the result have no meaning. The result is insensitive to a polynomial in every
+    channel, and to a decay of each of the time constants.
+
+    Parameters
+    ----------
+    bandwidth : float, in Hz
+        Of the sensors' low pass.
+    device : Device
+        Of which only frequency and damping are used.
+    noise : NoiseModel
+    usable : bytes
+        Of a bool array (n_sensors,): the sensors that take part.
+    n_samples : int
+    sample_rate : float, in Hz
+    since : float, in s
+        From the end of the drive to the first sample.
+    trend : int
+        Degree of the polynomial: 0 for the unknown constant, 1 for a constant and a slope.
+    transients : tuple of float, in s
+        Time constants of decays that are still measurable.
+
+    Returns
+    -------
+    LinearModel
+
+    Raises
+    ------
+    InputError
+        If the noise hides every possible signal.
     """
     used = np.frombuffer(usable, dtype=np.bool_)
     n_channels = int(used.sum())
@@ -156,7 +218,7 @@ def any_array(
 
 
 def _through(projection: FloatArray, functions: FloatArray, n_channels: int) -> FloatArray:
-    """Answers (n_rows, n_functions, n_channels) of projected data to time functions (n_functions, n_blocks)."""
+    """Compute the response (n_rows, n_functions, n_channels) of projected data to time functions."""
     by_channel = projection.reshape(len(projection), n_channels, -1)
     return np.ascontiguousarray(np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True))
 
@@ -169,7 +231,22 @@ def prepare_whitened(
     trend: int = 0,
     transients: tuple[float, ...] = (),
 ) -> Problem:
-    """Whiten a recording and make its fit ready; `trend` and `transients` as for `whitened_model`.
+    """Whiten a recording and prepare its fit.
+
+    Parameters
+    ----------
+    recording : Recording
+    sensors : SensorArray
+    device : Device
+    noise : NoiseModel
+    trend : int
+        Degree of the polynomial that is free in every channel.
+    transients : tuple of float, in s
+        Time constants of the excitation coils' ring-down.
+
+    Returns
+    -------
+    Problem
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Where paths come from: a font of single strokes, drawings in SVG, and what is done to them before a robot follows."""
+"""Sources of paths: a single-stroke font, SVG drawings, and how both are prepared for a robot."""

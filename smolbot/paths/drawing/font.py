@@ -1,7 +1,7 @@
 """The shipped single-stroke font: the 94 printable characters of ASCII, as plotters and engravers draw them.
 
-Roman Simplex of the Hershey fonts, digitized by A. V. Hershey at the U. S. National Bureau of Standards, in the ASCII
-order and format of James Hurt. Of seven characters with doubled lines ($ @ [ ] { } ~) one line was kept.
+Roman Simplex of the Hershey fonts, digitized by A. V. Hershey at the U. S. National Bureau of Standards, in the
+ASCII order and format of James Hurt. Of seven characters with doubled lines ($ @ [ ] { } ~) one line was kept.
 """
 
 from __future__ import annotations
@@ -25,7 +25,16 @@ def _lines() -> tuple[str, ...]:
 
 
 def in_font(character: str) -> bool:
-    """Whether the font has something to draw for it.
+    """Return whether the font contains a character.
+
+    Parameters
+    ----------
+    character : str
+
+    Returns
+    -------
+    bool
+        False for a space, and for a string of several characters.
 
     Examples
     --------
@@ -36,10 +45,20 @@ def in_font(character: str) -> bool:
 
 
 def strokes(character: str) -> list[FloatArray]:
-    """Strokes of a character, each (n, 2) with n >= 2, on the font's grid: y up, base line -9, cap line 12.
+    """Return the strokes of a character on the font's grid: y up, base line at -9, cap line at 12.
 
-    A line of the file holds code (5 digits), number of pairs (3), then pairs of letters: left and right margin, points,
-    and " R" where the pen is lifted. A letter stands for its distance from "R".
+    A line of the font file holds the code (5 digits), the number of pairs (3 digits), then pairs of letters: left
+    and right margin, points, and " R" where the pen is lifted. A letter encodes its distance from "R".
+
+    Parameters
+    ----------
+    character : str
+        One character of the font.
+
+    Returns
+    -------
+    list of ndarray, each of shape (n, 2)
+        With n >= 2.
     """
     data = _lines()[ord(character) - ord(" ")][10:]
     return [

@@ -1,8 +1,9 @@
-"""One continuous route over all strokes of a character: a robot cannot be lifted off its path.
+"""One continuous route over all strokes of a character, since a robot cannot be lifted off its path.
 
-Strokes and the places where they meet form a graph. A route over all of it with the least retracing is that of the
-Chinese postman with free ends: the odd nodes but two are joined in pairs along the shortest ways, which are then drawn
-twice, and an Eulerian trail passes every edge. Among these the trail is taken that turns least where strokes meet.
+Strokes and the points where they meet form a graph. The route over all of it with the least retracing is that of
+the Chinese postman problem with free ends: all odd nodes but two are joined in pairs along the shortest
+connections, which are then drawn twice, and an Eulerian trail passes every edge. Of all such trails, the one with
+the least turning where strokes meet is chosen.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Route:
-    """A character as one route.
+    """One continuous route over a character.
 
     Attributes
     ----------
     pieces : tuple of ndarray, each (n, 2)
-        Smooth each, one after another; corners lie between them.
+        Smooth curves, one after another; corners lie between them.
     retraced : tuple of ndarray
-        What is drawn a second time.
+        Pieces that are drawn a second time.
     bridges : tuple of ndarray, each (2, 2)
         Straight lines across gaps between parts that do not touch, such as that from the dot of an i to its stem.
     """
@@ -73,7 +74,7 @@ class _Edge:
         return float(arc_of(self.points)[-1])
 
     def leaving(self, from_a: bool) -> FloatArray:
-        """Unit vector of the way out of one of its ends."""
+        """Return the direction, a unit vector, in which the edge leaves one of its ends."""
         points = self.points if from_a else self.points[::-1]
         way = place_at(points, min(LEAVING, 0.5 * self.length)) - points[0]
         return way / np.linalg.norm(way)
@@ -98,7 +99,7 @@ class _Net:
         self.edges.append(_Edge(points, a, b, bridge))
 
     def part_of(self) -> list[int]:
-        """For each node the least node that can be reached from it."""
+        """Return for each node the smallest index of a node connected to it."""
         part = list(range(len(self.nodes)))
         for _ in part:
             for edge in self.edges:
@@ -110,14 +111,18 @@ class _Net:
 
 
 def joined(strokes: list[FloatArray], stretch: float = 1.0) -> Route:
-    """One route over all strokes, smoothed.
+    """Join all strokes of a character to one smooth route.
 
     Parameters
     ----------
     strokes : list of ndarray, each (n, 2)
         On the font's grid.
     stretch : float
-        By how much more heights will be stretched than widths, which decides what is the shortest way.
+        Vertical over horizontal scale of the final drawing, which decides what is the shortest connection.
+
+    Returns
+    -------
+    Route
     """
     if len(strokes) == 1:
         return Route(tuple(smoothed(strokes[0])))
@@ -128,7 +133,7 @@ def joined(strokes: list[FloatArray], stretch: float = 1.0) -> Route:
 
 
 def _net(strokes: list[FloatArray]) -> _Net:
-    """The graph of the strokes, cut where others meet or cross them."""
+    """Build the graph of the strokes, cut where others meet or cross them."""
     met, fixed = _met(strokes)
     pieces = [smoothed(stroke, hold) for stroke, hold in zip(met, fixed, strict=True)]
     net = _Net()
@@ -154,7 +159,7 @@ def _net(strokes: list[FloatArray]) -> _Net:
 
 
 def _met(strokes: list[FloatArray]) -> tuple[list[FloatArray], list[BoolArray]]:
-    """Strokes whose ends lie on the strokes that they meet, and which of their points others meet."""
+    """Move the ends of strokes onto the strokes that they meet; also return which points are meeting points."""
     met = [stroke.copy() for stroke in strokes]
     for i, stroke in enumerate(met):
         for end in (0, -1):
@@ -248,7 +253,7 @@ def _retrace(net: _Net, scale: FloatArray) -> None:
 
 
 def _trail(net: _Net) -> list[tuple[int, bool]]:
-    """Edges in order, each with whether it is passed from a to b, with the least turning where they meet."""
+    """Find the order of edges with the least turning where they meet; each with whether it runs from a to b."""
     odd = [i for i in range(len(net.nodes)) if net.degree(i) % 2]
     starts = odd or [i for i in range(len(net.nodes)) if net.degree(i)]
     size = np.ptp(np.array(net.nodes), axis=0).max() + 1.0

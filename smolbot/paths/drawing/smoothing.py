@@ -31,10 +31,10 @@ STIFFNESS_RANGE, STIFFNESS_STEPS = (-4.0, 8.0), 16
 
 
 def smoothed(stroke: FloatArray, fixed: BoolArray | None = None) -> list[FloatArray]:
-    """Pieces (n, 2) of a stroke between its corners, smooth each; a piece of two points is a straight line.
+    """Smooth a stroke of the font between its corners.
 
-    A piece is the curve whose curvature changes least, as its third differences tell, among those that pass by the
-    points of the polygon within `SLACK`. So it is as round as the grid allows, and does not wave along it.
+    Each piece is the curve with the least change of curvature (third differences) among those that pass the points
+    of the polygon within `SLACK`. So it is as round as the grid allows, without waves along it.
 
     Parameters
     ----------
@@ -42,6 +42,11 @@ def smoothed(stroke: FloatArray, fixed: BoolArray | None = None) -> list[FloatAr
         On the font's grid. A stroke that ends where it begins, without a corner there, is smooth there too.
     fixed : ndarray of bool, shape (n,), optional
         Points through which the curve must pass, such as those where other strokes meet it.
+
+    Returns
+    -------
+    list of ndarray, each of shape (n, 2)
+        One piece between each two corners; a piece of two points is a straight line.
 
     Examples
     --------
@@ -59,7 +64,7 @@ def smoothed(stroke: FloatArray, fixed: BoolArray | None = None) -> list[FloatAr
 
 
 def _turns(stroke: FloatArray) -> BoolArray:
-    """Which inner points are corners."""
+    """Return which inner points are corners."""
     steps = np.diff(stroke, axis=0)
     angle, long = np.arctan2(steps[:, 1], steps[:, 0]), np.hypot(steps[:, 0], steps[:, 1]) > STRAIGHT
     turn = np.abs((np.diff(angle) + np.pi) % (2.0 * np.pi) - np.pi)
@@ -67,7 +72,7 @@ def _turns(stroke: FloatArray) -> BoolArray:
 
 
 def _fit_loop(stroke: FloatArray, held: BoolArray) -> FloatArray:
-    """Three rounds as one piece; the middle one knows of no end."""
+    """Fit a closed stroke: repeat it three times and keep the middle round, which is free of end effects."""
     rounds = np.vstack([stroke[:-1], stroke[:-1], stroke])
     curve = _fit(rounds, np.concatenate([held[:-1], held[:-1], held]))
     n = (len(curve) - 1) // 3
@@ -77,7 +82,7 @@ def _fit_loop(stroke: FloatArray, held: BoolArray) -> FloatArray:
 
 
 def _fit(polygon: FloatArray, held: BoolArray) -> FloatArray:
-    """The smoothest curve that keeps within `SLACK` of the points, and exactly to held points and straight lines."""
+    """Fit the smoothest curve within `SLACK` of the points, and exact at held points and straight lines."""
     from scipy.linalg import solveh_banded
 
     lengths = np.hypot(*np.diff(polygon, axis=0).T)

@@ -50,23 +50,28 @@ _COUNTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 
 
 
 def read_svg(path: Path, element: str | None, width: float | None, height: float | None) -> FloatArray:
-    """Points (n, 2), in mm, of one shape of a drawing, centred on the origin, y up.
+    """Read one shape of an SVG drawing as points, centred on the origin, y up.
 
-    Transforms, units and the view box are applied; a drawing without units is in pixels of 1/96 inch. Curves and arcs
-    become chords that keep within 5 µm of them.
+    Transforms, units and the view box are applied; a drawing without units is in pixels of 1/96 inch. Curves and
+    arcs become chords that deviate by 5 µm at most.
 
     Parameters
     ----------
+    path : Path
     element : str, optional
-        Its id; needed only where the drawing holds more than one shape.
+        Id of the shape; needed only where the drawing holds more than one.
     width, height : float, in mm, optional
-        Size that it is brought to; with one of them the aspect is kept.
+        Size to which the shape is scaled; with one of them the aspect ratio is kept.
+
+    Returns
+    -------
+    ndarray, shape (n, 2), in mm
 
     Raises
     ------
     InputError
-        With file and element: a file that cannot be read, no shape, several, path data that are broken, or a pen that
-        is lifted on the way.
+        With file and element: a file that cannot be read, no shape, several shapes, invalid path data, or a pen
+        that is lifted on the way.
     """
     import svgelements
 
@@ -92,7 +97,7 @@ def read_svg(path: Path, element: str | None, width: float | None, height: float
 
 
 def _chosen(path: Path, drawing: Any, element: str | None) -> tuple[Any, str]:
-    """The shape that is meant, and how to call it in messages."""
+    """Find the requested shape, and its name for messages."""
     import svgelements
 
     if element is not None:
@@ -137,7 +142,7 @@ def _drawn(shape: Any) -> bool:
 
 
 def _segments(shape: Any, where: str) -> list[Any]:
-    """Its segments with a length, in order, without those that lift the pen."""
+    """Return the segments of a shape that have a length, in order; refuse those that lift the pen."""
     import svgelements
 
     fault = _data_fault(shape.values.get("d") or "")
@@ -161,7 +166,7 @@ def _segments(shape: Any, where: str) -> list[Any]:
 
 
 def _data_fault(data: str) -> str | None:
-    """What is wrong with the `d` of a path, which would otherwise end there in silence.
+    """Describe the fault of a path's `d` attribute, which svgelements would otherwise cut there without an error.
 
     Examples
     --------
@@ -205,7 +210,7 @@ def _scale(size: FloatArray, width: float | None, height: float | None, where: s
 
 
 def _chords(segment: Any, flat: float) -> FloatArray:
-    """Points (n, 2) of a segment, in mm, y up."""
+    """Approximate a segment by points (n, 2), in mm, y up."""
     import svgelements
 
     def place(t: float) -> FloatArray:

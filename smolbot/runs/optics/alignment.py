@@ -1,8 +1,9 @@
-"""When a video began on a run's clock: the shift with which both tell of the same movement.
+"""Find when a video began on a run's clock, from the movement that both show.
 
-A camera has no clock in common with the rig. Both displacements are compared over all shifts; the best is that with the
-greatest likelihood, refined below a frame. Poses and camera may be apart by a constant, `APART`: a robot that goes
-straight on at one speed looks the same a moment later and elsewhere, and only that constant tells when.
+Camera and rig have no common clock. Both displacements are compared over all time shifts; the best shift is that of
+the greatest likelihood, refined below the frame interval. Poses and camera may differ by a constant offset,
+`APART`: for a robot that moves straight at constant speed, a time shift and an offset look the same, and only the
+assumed size of that offset separates them.
 """
 
 from __future__ import annotations
@@ -26,9 +27,20 @@ FINE = 0.02  # s: step of the search
 
 @dataclass(frozen=True)
 class Alignment:
-    """`offset` (s) is to be added to the video's times; `sigma` (s) its uncertainty, 0 where it was given.
+    """Time shift between a video and a run.
 
-    `poses` lie within the video, `correlation` is that of the two displacements.
+    Attributes
+    ----------
+    offset : float, in s
+        To be added to the video's times.
+    sigma : float, in s
+        Standard deviation of `offset`; 0 where it was given.
+    poses : int
+        Number of poses within the video.
+    correlation : float
+        Of the two displacements.
+    given : bool
+        Whether the offset was given by the user.
     """
 
     offset: float
@@ -39,12 +51,24 @@ class Alignment:
 
 
 def align(track: OpticalTrack, run: RunPoses, offset: float | None = None) -> Alignment:
-    """Find when the video began, or take `offset` (s, of its first frame on the run's clock) as given.
+    """Find when the video began, or use a given offset.
+
+    Parameters
+    ----------
+    track : OpticalTrack
+        On the video's clock.
+    run : RunPoses
+    offset : float, in s, optional
+        Time of the video's first frame on the run's clock.
+
+    Returns
+    -------
+    Alignment
 
     Raises
     ------
     InputError
-        If video and run do not overlap, if nothing moved in common, or if they do not show the same movement.
+        If video and run do not overlap, nothing moved in both, or they do not show the same movement.
     """
     spans = (
         f"the run's poses are from {run.times[0]:.2f} to {run.times[-1]:.2f} s, the robot is seen for "
@@ -86,7 +110,7 @@ def _paired(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[FloatArr
 
 
 def _likeness(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[float, float]:
-    """Correlation of the displacements, and logarithm of the likelihood ratio of "the same" to "unrelated"."""
+    """Compute the correlation of the displacements, and the log-likelihood ratio of "the same" to "unrelated"."""
     places, known = _paired(track, run, offset)
     n = int(np.count_nonzero(known))
     if n < LEAST:
@@ -103,7 +127,7 @@ def _likeness(track: OpticalTrack, run: RunPoses, offset: float) -> tuple[float,
 
 
 def _refined(track: OpticalTrack, run: RunPoses, offset: float) -> float:
-    """The top of a parabola through the likelihoods around a shift."""
+    """Find the maximum of parabolas through the likelihoods around a shift."""
     places, known = _paired(track, run, offset)
     scatter = _scatter((places - run.positions)[known, :2])
 
@@ -124,7 +148,7 @@ def _refined(track: OpticalTrack, run: RunPoses, offset: float) -> float:
 
 
 def _sigma(track: OpticalTrack, run: RunPoses, offset: float) -> float:
-    """What the poses' scatter, and a constant between them and the camera, leave unsure of the shift, in s."""
+    """Compute the standard deviation of the shift in s, from pose scatter and a constant camera offset."""
     places, known = _paired(track, run, offset)
     ahead, _, _ = track.at(run.times - offset + 0.05)
     behind, _, _ = track.at(run.times - offset - 0.05)
@@ -137,5 +161,5 @@ def _sigma(track: OpticalTrack, run: RunPoses, offset: float) -> float:
 
 
 def _scatter(left: FloatArray) -> float:
-    """Variance per axis about the mean, in m²."""
+    """Compute the variance per axis about the mean, in m²."""
     return max(float(np.mean((left - left.mean(axis=0)) ** 2)), 1e-12)

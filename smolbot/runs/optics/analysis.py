@@ -1,4 +1,4 @@
-"""The paper's path analysis (Fig. S9): a run's poses against the optical path, pose by pose."""
+"""The paper's path analysis (Fig. S9): the error of every pose of a run against the optical path."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from smolbot.runs.optics.runposes import RunPoses
 
 @dataclass(frozen=True, eq=False)
 class PathAnalysis:
-    """Errors of the poses that lie within the video; lengths in m, angles in rad.
+    """Errors of the poses that lie within the video.
 
     Attributes
     ----------
     times : ndarray, shape (n,), in s
         Of the poses, on the run's clock.
-    poses, optical : ndarray, shape (n, 3)
-        Where the robot was located, and where the camera saw it then.
-    angles, optical_angles : ndarray, shape (n,)
-        Azimuth of body z, located and seen; the first unwrapped to lie near the second.
-    to_path : ndarray, shape (n,)
-        From each pose to the nearest point of the optical path, horizontally.
+    poses, optical : ndarray, shape (n, 3), in m
+        Located and optical position at the same times, in the world frame.
+    angles, optical_angles : ndarray, shape (n,), in rad
+        Azimuth of body z, located and optical; the first unwrapped to lie near the second.
+    to_path : ndarray, shape (n,), in m
+        Horizontal distance from each pose to the optical path.
     plane_known : bool
-        The height of `optical` is known, and not merely assumed.
-    tracked : ndarray, shape (n, 3)
+        Whether the height of `optical` is known, and not only assumed.
+    tracked : ndarray, shape (n, 3), in m
         The tracker's position at the same times; nan where there was none.
     """
 
@@ -45,25 +45,29 @@ class PathAnalysis:
 
     @property
     def position_errors(self) -> FloatArray:
-        """Horizontal distance (n,) between pose and optical place at the same time."""
+        """Horizontal distance (n,) between pose and optical position at the same time, in m."""
         return np.asarray(np.linalg.norm((self.poses - self.optical)[:, :2], axis=1))
 
     @property
     def angle_errors(self) -> FloatArray:
-        """Located less optical azimuth (n,), within half a turn."""
+        """Located minus optical azimuth (n,) in rad, within half a turn."""
         return np.asarray(np.angle(np.exp(1j * (self.angles - self.optical_angles))))
 
     @property
     def depth_errors(self) -> FloatArray:
-        """z of the poses less their mean (n,), as the paper has it."""
+        """Height of the poses minus its mean (n,) in m, as in the paper."""
         return np.asarray(self.poses[:, 2] - self.poses[:, 2].mean())
 
     def figures(self) -> dict[str, Any]:
-        """Figures of merit, in the units that their names carry.
+        """Compute the figures of merit.
 
         ``position_error_mm`` is the paper's: mean and standard deviation of the horizontal distance.
-        ``z_error_from_mean_mm`` is
-        the paper's too: of the distance from the mean height.
+        ``z_error_from_mean_mm`` is also the paper's: the distance from the mean height.
+
+        Returns
+        -------
+        dict
+            Units are in the keys.
         """
         off = 1e3 * (self.poses - self.optical)
         known = np.all(np.isfinite(self.tracked), axis=1)
@@ -86,9 +90,22 @@ class PathAnalysis:
 
 
 def analyse(track: OpticalTrack, run: RunPoses, alignment: Alignment, *, plane_known: bool) -> PathAnalysis:
-    """Compare the poses of a run with what the camera saw at the same times.
+    """Compare the poses of a run with the optical track at the same times.
 
     Poses for which a neighbouring frame hides the robot are left out.
+
+    Parameters
+    ----------
+    track : OpticalTrack
+        On the video's clock.
+    run : RunPoses
+    alignment : Alignment
+    plane_known : bool
+        Whether the height of the track is known, and not only assumed.
+
+    Returns
+    -------
+    PathAnalysis
 
     Raises
     ------
@@ -109,7 +126,7 @@ def analyse(track: OpticalTrack, run: RunPoses, alignment: Alignment, *, plane_k
 
 
 def _to_path(points: FloatArray, path: FloatArray) -> FloatArray:
-    """Horizontal distance (n,) of points to a polyline."""
+    """Compute the horizontal distance (n,) of points to a polyline."""
     a, b = path[:-1, :2], path[1:, :2]
     along = b - a
     squares = np.maximum(np.sum(along**2, axis=1), 1e-18)

@@ -1,8 +1,7 @@
-"""The swing of a cantilever in a high-speed clip, as in the paper's Fig. S2: the magnet's place and angle in each
-frame.
+"""The swing of a cantilever in a high-speed clip (Fig. S2): position and angle of the magnet by frame.
 
-Assumptions: the camera looks along the axis of oscillation and stands still; the magnet is the largest bright thing;
-the file's own frame rate is that of playing, unless it was told otherwise.
+Assumptions: the camera looks along the axis of oscillation and does not move; the magnet is the largest bright
+object; the file's own frame rate is that of playback, unless another is given.
 """
 
 from __future__ import annotations
@@ -25,22 +24,22 @@ ROUND = 0.03  # relative: how well the radius of the arc must be known for angle
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """A magnet on its way, frame by frame; frames that do not show it are left out.
+    """Motion of a magnet, frame by frame; frames that do not show it are left out.
 
     Attributes
     ----------
     frames : ndarray of int, shape (n,)
     times : ndarray, shape (n,), in s
     centers : ndarray, shape (n, 2), in pixels
-        To the right and up, from the rotation centre, where that is found; otherwise from the mean.
+        To the right and up, from the rotation centre if that is found, else from the mean.
     arc : ndarray, shape (n,), in rad
-        Angle of the magnet's centre about the rotation centre, from its mean; nan where none is found.
+        Angle of the magnet's centre about the rotation centre, from its mean; nan if none is found.
     turn : ndarray, shape (n,), in rad
-        Angle by which the magnet itself is turned, from its mean; nan where it has no corners to tell.
+        Rotation of the magnet itself, from its mean; nan if it has no corners to determine it from.
     radius, radius_sigma : float, in pixels
-        From rotation centre to magnet (l0).
+        Distance from rotation centre to magnet (l0), and its standard deviation.
     total : int
-        Frames of the clip.
+        Number of frames of the clip.
     """
 
     frames: IntArray
@@ -54,7 +53,7 @@ class Swing:
 
     @property
     def by_arc(self) -> bool:
-        """Angles come from the arc that the centre describes, and not from the magnet's own turn."""
+        """Whether the angles come from the arc of the magnet's centre, and not from the magnet's own rotation."""
         return bool(np.all(np.isfinite(self.arc)))
 
     @property
@@ -66,10 +65,18 @@ class Swing:
 def follow_swing(clip: Video) -> Swing:
     """Find a bright magnet in every frame, the arc on which it swings, and its angles.
 
+    Parameters
+    ----------
+    clip : Video
+
+    Returns
+    -------
+    Swing
+
     Raises
     ------
     InputError
-        If nothing bright is there, or it does not swing.
+        If there is no bright object, or it does not swing.
     """
     frames, rows = [], []
     for number, frame in enumerate(clip):
@@ -112,7 +119,7 @@ def follow_swing(clip: Video) -> Swing:
 
 
 def _magnet(frame: Any) -> tuple[float, ...] | None:
-    """Centre (right, up) in pixels, and moments of order two and four, of the largest bright thing in a frame."""
+    """Find centre (right, up) in pixels, and moments of order two and four, of the largest bright object."""
     import cv2
 
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
@@ -145,7 +152,7 @@ def _magnet(frame: Any) -> tuple[float, ...] | None:
 
 
 def _turn(second: Any, fourth: Any) -> FloatArray:
-    """How a magnet is turned (n,), in rad from its mean: by its longer axis if it has one, else by its four corners."""
+    """Compute the rotation (n,) of a magnet in rad from its mean, by its longer axis or else its corners."""
     for moments, folds, least in ((second, 2, 0.1), (fourth, 4, 0.03)):
         if abs(moments.mean()) > least:
             turn = np.unwrap(np.angle(moments)) / folds
@@ -154,7 +161,7 @@ def _turn(second: Any, fourth: Any) -> FloatArray:
 
 
 def _circle(points: FloatArray) -> tuple[FloatArray, float, float]:
-    """Centre (2,), radius and its standard deviation of the circle nearest to points (n, 2), in pixels."""
+    """Fit a circle to points (n, 2) in pixels; return centre (2,), radius and the radius' standard deviation."""
     from scipy.optimize import least_squares
 
     middle = points.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Printed markers at known places: the file that says where they are, and finding them in a picture.
+"""Printed markers at known positions: the file that lists them, and their detection in a picture.
 
 A TOML file, mm in the rig's world frame::
 
@@ -11,16 +11,17 @@ A TOML file, mm in the rig's world frame::
     [[fiducials.markers]]
     id = 0
     center_mm = [-33, 33]
-    turn_deg = 0                 # of its upper edge, counterclockwise seen from above; 0: it looks to +y
+    turn_deg = 0                 # of its upper edge, counterclockwise from above; 0: the top faces +y
     height_mm = 60.0             # where it differs from that of the others
 
-    [camera]                     # may be left away; without it parallax is less sure
+    [camera]                     # optional; without it parallax is less certain
     height_mm = 380.0            # z of the lens
 
-Markers in one plane fix that plane, and leave the camera's tilt unsure by some tenths of a degree: what is 15 mm above
-them is then seen 0.1 to 0.3 mm off. Put some of them, or all, at the robot's height.
+Markers in one plane determine that plane, but leave the camera's tilt uncertain by some tenths of a degree. Points
+15 mm above them are then located with an error of 0.1 to 0.3 mm. Put some of the markers, or all, at the robot's
+height.
 
-Markers under a liquid are seen higher than they lie: give ``surface - depth / n`` as their height (n: refractive
+Markers under a liquid appear higher than they lie: give ``surface - depth / n`` as their height (n: refractive
 index).
 """
 
@@ -45,7 +46,7 @@ KINDS = [f"{n}x{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000)] + [
 
 
 class MarkerSection(FileModel):
-    """Where one marker lies."""
+    """Position of one marker."""
 
     id: Annotated[int, Field(ge=0)]
     center_mm: tuple[float, float]
@@ -80,13 +81,13 @@ class FiducialsSection(FileModel):
 
 
 class CameraSection(FileModel):
-    """What is known of the camera."""
+    """Known properties of the camera."""
 
     height_mm: float | None = None
 
 
 class FiducialsFile(FileModel):
-    """A whole file."""
+    """All sections of a file of markers."""
 
     fiducials: FiducialsSection
     camera: CameraSection = CameraSection()
@@ -94,7 +95,16 @@ class FiducialsFile(FileModel):
 
 @dataclass(frozen=True)
 class Found:
-    """The view that markers give, and what there is to say of them."""
+    """The camera view determined from markers.
+
+    Attributes
+    ----------
+    view : View
+    seen : tuple of int
+        Ids of the detected markers.
+    missing : tuple of int
+        Ids of markers of the file that were not detected.
+    """
 
     view: View
     seen: tuple[int, ...]
@@ -103,6 +113,14 @@ class Found:
 
 def read_fiducials(path: Path) -> FiducialsFile:
     """Read a file of markers.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    FiducialsFile
 
     Raises
     ------
@@ -113,7 +131,18 @@ def read_fiducials(path: Path) -> FiducialsFile:
 
 
 def corners_of(section: FiducialsSection, marker: MarkerSection) -> FloatArray:
-    """World places (4, 3), in m, of a marker's corners: upper left, upper right, lower right, lower left."""
+    """Compute the world positions of a marker's corners: upper left, upper right, lower right, lower left.
+
+    Parameters
+    ----------
+    section : FiducialsSection
+    marker : MarkerSection
+
+    Returns
+    -------
+    ndarray, shape (4, 3), in m
+        In the world frame.
+    """
     half, turn = 0.5 * section.side_mm, np.radians(marker.turn_deg)
     own = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
     c, s = np.cos(turn), np.sin(turn)
@@ -123,19 +152,23 @@ def corners_of(section: FiducialsSection, marker: MarkerSection) -> FloatArray:
 
 
 def view_by_markers(picture: Any, file: FiducialsFile, camera_height: float | None = None) -> Found:
-    """Find the markers of `file` in a picture, and the camera from them.
+    """Find the markers of a file in a picture, and the camera from them.
 
     Parameters
     ----------
     picture : Image
     file : FiducialsFile
     camera_height : float, optional, in m
-        Goes before the file's own.
+        Used instead of the file's own.
+
+    Returns
+    -------
+    Found
 
     Raises
     ------
     InputError
-        If too few are seen, or they do not lie where the file says.
+        If too few markers are detected, or they do not lie where the file states.
     """
     section = file.fiducials
     seen = _detect(picture, section.dictionary)
@@ -168,7 +201,7 @@ def view_by_markers(picture: Any, file: FiducialsFile, camera_height: float | No
 
 
 def _detect(picture: Any, dictionary: str) -> dict[int, FloatArray]:
-    """Corners (4, 2) in pixels of every marker of a dictionary that is seen, by id."""
+    """Detect the markers of a dictionary; return the corners (4, 2) in pixels of each by id."""
     import cv2
 
     words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary.upper()}"))
@@ -183,8 +216,7 @@ def _detect(picture: Any, dictionary: str) -> dict[int, FloatArray]:
 
 
 def _sharpened(grey: Any, quad: FloatArray) -> FloatArray:
-    """Corners (4, 2) where lines through the four edges of a black square meet, each edge found to a fraction of a
-    pixel."""
+    """Compute corners (4, 2) to subpixel accuracy as intersections of lines through a square's edges."""
     import cv2
 
     side = float(np.mean(np.linalg.norm(quad - np.roll(quad, 1, axis=0), axis=1)))
@@ -213,7 +245,7 @@ def _sharpened(grey: Any, quad: FloatArray) -> FloatArray:
 
 
 def _line(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Middle and direction of a line through most of the points."""
+    """Fit a line to most of the points; return its middle and direction."""
     kept = points
     for _ in range(3):
         middle = kept.mean(axis=0)

@@ -1,14 +1,14 @@
-"""The track of a robot as a camera saw it, and the file that keeps it.
+"""The track of a robot in a video, and the file that stores it.
 
 ``track.csv`` has a row for each frame that shows the robot, SI, columns by name::
 
     frame      number of the frame, from 0
     time_s     on the run's clock where the video is aligned with a run, else from the first frame
     x_m, y_m   the cantilever's rotation centre, in the rig's world frame, as every pose of smolbot
-    z_m        height that was assumed of it
+    z_m        its assumed height
     heading_rad  azimuth of the robot's axis (body z), counterclockwise from +x, unwrapped
-    sigma_m    what the outline leaves unsure of the place, one standard deviation
-    share      part of the outline that was seen
+    sigma_m    standard deviation of the position from the outline fit
+    share      fraction of the outline that was detected
 
 Frames that hide the robot have no row.
 """
@@ -32,7 +32,7 @@ GAP = 0.15  # s: between two frames further apart nothing is known
 
 @dataclass(frozen=True, eq=False)
 class OpticalTrack:
-    """A track, frame by frame; only frames that show the robot.
+    """A track, frame by frame, of the frames that show the robot.
 
     Attributes
     ----------
@@ -44,14 +44,15 @@ class OpticalTrack:
     headings : ndarray, shape (n,), in rad
         Azimuth of body z, unwrapped.
     sigmas : ndarray, shape (n,), in m
+        Standard deviation of each position.
     shares : ndarray, shape (n,)
-        Of the outline that was seen.
+        Fraction of the outline that was detected.
     total : int
-        Frames of the video.
+        Number of frames of the video.
     head_unsure : int
-        Frames in which nothing told head from tail.
+        Number of frames in which head and tail could not be distinguished.
     view_sigma : float, in m
-        One standard deviation of all places together, from what is not known of the camera.
+        Standard deviation of an error common to all positions, from the uncertainty of the camera.
     """
 
     frames: IntArray
@@ -66,15 +67,37 @@ class OpticalTrack:
 
     @property
     def hidden(self) -> int:
-        """Frames that do not show the robot."""
+        """Number of frames that do not show the robot."""
         return self.total - len(self.frames)
 
     def shifted(self, offset: float) -> OpticalTrack:
-        """The same track with `offset` s added to its times."""
+        """Return the same track with an offset added to its times.
+
+        Parameters
+        ----------
+        offset : float, in s
+
+        Returns
+        -------
+        OpticalTrack
+        """
         return replace(self, times=self.times + offset)
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Positions (n, 3) and headings (n,) at `times`, straight between frames, and where they are known (n,)."""
+        """Interpolate the track linearly between frames.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,), in s
+
+        Returns
+        -------
+        positions : ndarray, shape (n, 3), in m
+            In the world frame.
+        headings : ndarray, shape (n,), in rad
+        known : ndarray of bool, shape (n,)
+            False outside the track, and between two frames too far apart.
+        """
         times = np.asarray(times, dtype=np.float64)
         places = np.column_stack([np.interp(times, self.times, column) for column in self.positions.T])
         headings = np.interp(times, self.times, self.headings)
@@ -84,7 +107,17 @@ class OpticalTrack:
         return places, headings, known
 
     def stay(self, reach: float) -> float:
-        """Largest share of the video's frames in which the robot was within `reach` (m) of one and the same place."""
+        """Compute the largest fraction of the video's frames in which the robot was near one position.
+
+        Parameters
+        ----------
+        reach : float, in m
+            Radius about that position.
+
+        Returns
+        -------
+        float
+        """
         places = self.positions[:, :2]
         near = [np.count_nonzero(np.sum((places - place) ** 2, axis=1) < reach**2) for place in places[::5]]
         return max(near) / self.total
@@ -96,6 +129,11 @@ class OpticalTrack:
 
 def write_optical_track(path: Path, track: OpticalTrack) -> None:
     """Write ``track.csv``; see the module for its columns.
+
+    Parameters
+    ----------
+    path : Path
+    track : OpticalTrack
 
     Raises
     ------
@@ -110,12 +148,20 @@ def write_optical_track(path: Path, track: OpticalTrack) -> None:
 def read_optical_track(path: str | Path) -> OpticalTrack:
     """Read a ``track.csv``, ours or another program's; sigma_m and share may be missing.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    OpticalTrack
+
     Raises
     ------
     MissingFileError
         If there is no such file.
     InputError
-        With ``file:line: column`` for what is missing or is no number.
+        With ``file:line: column`` for a missing column or a value that is no number.
     """
     path = Path(path)
     if not path.is_file():

@@ -1,8 +1,8 @@
-"""Fits the outline of a body of known size to a picture: centre and heading to a fraction of a pixel.
+"""Fit the outline of a body of known size to a picture: centre and heading to subpixel accuracy.
 
-The body is a level box; what is seen of it is the hull of its eight projected corners, so its sides, too, are seen as a
-camera sees them. Along the hull's normals the picture's steepest step from body to background is sought; Gauss-Newton
-then moves and turns the body until the steps lie on the hull.
+The body is a level box. Its visible outline is the convex hull of its eight projected corners, so that its sides
+are included as a camera sees them. Along the hull's normals the steepest edge from body to background is searched;
+Gauss-Newton then moves and turns the body until these edges lie on the hull.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ CORNER = 0.1  # of an edge, at each end, that is left out: printed corners are r
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What is to be found.
+    """The body to be found.
 
     Attributes
     ----------
     half : ndarray, shape (3,), in m
         Half its length ahead (body z), sideways (x) and upwards.
     center : ndarray, shape (2,), in m
-        Its middle seen from the cantilever's rotation centre: ahead, and to the left.
+        Its middle relative to the cantilever's rotation centre: ahead, and to the left.
     mark : float
-        Where the dark mark lies: +1 towards the head, -1 towards the tail, 0 nowhere.
+        Position of the dark mark: +1 towards the head, -1 towards the tail, 0 without one.
     """
 
     half: FloatArray
@@ -53,11 +53,21 @@ class Body:
 
 @dataclass(frozen=True)
 class Fit:
-    """Middle (x, y in m) and heading (rad) of a body, and how well its outline is borne out.
+    """Fitted position and heading of a body, and the quality of the fit.
 
-    `share` is the part of the outline near which a step was found, `rms` (m) how far those steps are from it,
-    `sigma` (m) what that leaves unsure of the middle, `sharpness` (1/pixel) how steep those steps are, as a
-    share of the body's contrast.
+    Attributes
+    ----------
+    x, y : float, in m
+        Middle of the body, in the world frame.
+    heading : float, in rad
+    share : float
+        Fraction of the outline near which an edge was found.
+    rms : float, in m
+        Distance of these edges from the outline.
+    sigma : float, in m
+        Standard deviation of the middle.
+    sharpness : float, in 1/pixel
+        Steepness of these edges as a fraction of the body's contrast.
     """
 
     x: float
@@ -70,7 +80,22 @@ class Fit:
 
 
 def hull(view: View, body: Body, x: float, y: float, heading: float, height: float) -> FloatArray:
-    """Corners (k, 2), in pixels and in order, of the silhouette of a level body whose middle is at (x, y, height)."""
+    """Compute the corners, in order, of the silhouette of a level body.
+
+    Parameters
+    ----------
+    view : View
+    body : Body
+    x, y : float, in m
+        Middle of the body, in the world frame.
+    heading : float, in rad
+    height : float, in m
+        z of the body's middle.
+
+    Returns
+    -------
+    ndarray, shape (k, 2), in pixels
+    """
     import cv2
 
     corners = view.pixels(_corners(body, x, y, heading, height))
@@ -86,20 +111,22 @@ def fit_outline(
     Parameters
     ----------
     signal : ndarray, shape (rows, columns, 3)
-        Picture less background; `offset` is the pixel (u, v) of its first element.
+        Picture minus background.
+    offset : tuple of int
+        Pixel (u, v) of the first element of `signal`.
     view : View
     body : Body
-    start : tuple of 3
-        Middle (m) and heading (rad) to start from, right to half a length and some 25 degrees.
+    start : tuple of float
+        Middle x, y (m) and heading (rad) to start from, within half a length and about 25 degrees of the solution.
     height : float, in m
         z of the body's middle.
     light : ndarray, shape (3,)
-        Colour of the background hereabouts.
+        Local colour of the background.
 
     Returns
     -------
     Fit or None
-        None where nothing like an outline is near the start.
+        None if there is no such outline near the start.
     """
     x, y, heading = start
     per_metre = view.scale(np.array([x, y, height]))
@@ -139,32 +166,71 @@ def fit_outline(
 
 
 def telling(tone: FloatArray, light: FloatArray) -> FloatArray:
-    """Weights (3,) of the colours with which a body that differs by `tone` counts 1, and what disturbs counts least.
+    """Compute the weights of the colours that detect a body best against the usual disturbances.
 
-    Disturbances are noise, `GRAIN` in each colour, and light of the background's own colour that is stronger or weaker
-    by `UNEVEN`: shadows, a meniscus, a lamp's mirror image. Colour tells a body from them, brightness where it is much.
+    The disturbances are noise, `GRAIN` in each colour, and a relative change `UNEVEN` of the background's
+    brightness: shadows, a meniscus, the reflection of a lamp. Both colour and brightness are used, each as far as
+    it separates body and disturbances.
+
+    Parameters
+    ----------
+    tone : ndarray, shape (3,)
+        Colour of the body minus that of the background.
+    light : ndarray, shape (3,)
+        Colour of the background.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Their product with `tone` is 1.
     """
     weights = _spared(tone, light)
     return np.asarray(weights / np.dot(weights, tone))
 
 
 def unlike(difference: FloatArray, background: FloatArray) -> FloatArray:
-    """By how many standard deviations of those disturbances colours (..., 3) differ from the background's."""
+    """Compute how far colours differ from the background, in standard deviations of the disturbances of `telling`.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (..., 3)
+        Colours minus those of the background.
+    background : ndarray, shape (..., 3)
+
+    Returns
+    -------
+    ndarray, shape (...)
+    """
     squares = np.sum(difference * _spared(difference, background), axis=-1)
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
 def _spared(difference: FloatArray, light: FloatArray) -> FloatArray:
-    """The inverse covariance of the disturbances, times `difference`."""
+    """Multiply `difference` with the inverse covariance of the disturbances."""
     along = np.sum(difference * light, axis=-1, keepdims=True)
     uneven = UNEVEN**2 / (GRAIN**2 + UNEVEN**2 * np.sum(light * light, axis=-1, keepdims=True))
     return np.asarray((difference - uneven * along * light) / GRAIN**2)
 
 
 def mark_moment(grey: FloatArray, offset: tuple[int, int], view: View, body: Body, fit: Fit, height: float) -> float:
-    """How far ahead of the middle the dark in the body lies, in half lengths; 0 where nothing is dark.
+    """Compute how far ahead of the middle the dark part of the body lies.
 
-    `grey` (rows, columns) is the picture itself, not its difference.
+    Parameters
+    ----------
+    grey : ndarray, shape (rows, columns)
+        The picture itself, not its difference from the background.
+    offset : tuple of int
+        Pixel (u, v) of the first element of `grey`.
+    view : View
+    body : Body
+    fit : Fit
+    height : float, in m
+        z of the body's middle.
+
+    Returns
+    -------
+    float, in half lengths
+        0 if nothing is dark.
     """
     ahead, left = np.meshgrid(np.linspace(-0.8, 0.8, 25), np.linspace(-0.7, 0.7, 17))
     values = _sampled(grey, offset, _inside(view, body, fit, height, ahead.ravel(), left.ravel()))
@@ -181,7 +247,7 @@ def _corners(body: Body, x: float, y: float, heading: float, height: float) -> F
 
 
 def _samples(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) along the hull's edges, about 1.5 pixels apart, and their outward normals (n, 2)."""
+    """Sample points (n, 2) along the hull's edges, about 1.5 pixels apart, with outward normals (n, 2)."""
     middle = corners.mean(axis=0)
     longest = float(np.max(np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)))
     points, normals = [], []
@@ -199,7 +265,7 @@ def _samples(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _inside(view: View, body: Body, pose: Any, height: float, ahead: FloatArray, aside: FloatArray) -> FloatArray:
-    """Pixels (n, 2) of points within the body, in half lengths ahead and half widths to the left of its middle."""
+    """Compute pixels (n, 2) of points in the body, given in half lengths ahead and half widths to the left."""
     x, y, heading = (pose.x, pose.y, pose.heading) if isinstance(pose, Fit) else pose
     c, s = math.cos(heading), math.sin(heading)
     a, b = ahead * body.half[0], aside * body.half[1]
@@ -209,7 +275,7 @@ def _inside(view: View, body: Body, pose: Any, height: float, ahead: FloatArray,
 def _tone(
     signal: FloatArray, offset: tuple[int, int], view: View, body: Body, pose: tuple[float, float, float], height: float
 ) -> FloatArray | None:
-    """How the body's rim differs from the background, as a colour (3,); None where it does not."""
+    """Compute the colour (3,) of the body's rim minus the background; None if they do not differ."""
     t = np.linspace(-1.0 + INSET, 1.0 - INSET, 15)
     edge = np.full(15, 1.0 - INSET)
     ahead, aside = np.concatenate([t, t, edge, -edge]), np.concatenate([edge, -edge, t, t])
@@ -223,7 +289,7 @@ def _tone(
 def _steps(
     value_at: FloatArray, offset: tuple[int, int], points: FloatArray, normals: FloatArray, reach: float
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Where along each normal, in pixels, the body ends: a step found or not, its place, and how steep it is.
+    """Find the edge of the body along each normal: found or not, position in pixels, steepness.
 
     `value_at` (rows, columns) is 1 on the body's rim and 0 on the background.
     """
@@ -247,7 +313,7 @@ def _steps(
 
 
 def _robust(slopes: FloatArray, wanted: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
-    """Solve ``slopes @ change = wanted`` with the biweight; return the change and what is left."""
+    """Solve ``slopes @ change = wanted`` with biweights; return the change and the residuals."""
     weights = np.ones(len(wanted))
     change = np.zeros(3)
     for _ in range(6):
@@ -260,14 +326,14 @@ def _robust(slopes: FloatArray, wanted: FloatArray, width: float) -> tuple[Float
 
 
 def _local(view: View, point: FloatArray) -> FloatArray:
-    """Derivative (2, 2) of pixels by level steps (m) at a world point."""
+    """Compute the derivative (2, 2) of pixels with respect to level steps (m) at a world point."""
     step = 1e-4
     moved = view.pixels(point + np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]]))
     return np.asarray(((moved[1:] - moved[0]) / step).T)
 
 
 def _sampled(image: FloatArray, offset: tuple[int, int], pixels: FloatArray) -> FloatArray:
-    """Values (n,) of an image at pixels (n, 2), straight between its elements, at the rim beyond them."""
+    """Interpolate an image linearly at pixels (n, 2); beyond its border the border's values count."""
     u = np.clip(pixels[:, 0] - offset[0], 0.0, image.shape[1] - 1.001)
     v = np.clip(pixels[:, 1] - offset[1], 0.0, image.shape[0] - 1.001)
     i, j = v.astype(int), u.astype(int)

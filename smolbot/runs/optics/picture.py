@@ -1,4 +1,4 @@
-"""Pictures of an optical track: over the scene itself, and against a run as the paper's Fig. S9."""
+"""Pictures of an optical track: over the scene itself, and against a run as in the paper's Fig. S9."""
 
 from __future__ import annotations
 
@@ -26,19 +26,25 @@ def draw_track(
     track: OpticalTrack, view: View, height: float, scene: Any, path: Path, *, title: str, line: str,
     analysis: PathAnalysis | None = None, planned: FloatArray | None = None,
 ) -> None:  # fmt: skip
-    """Write the picture of a track to `path` (PNG, 16:9).
+    """Write the picture of a track (PNG, 16:9).
 
     Parameters
     ----------
     track : OpticalTrack
-        On the run's clock where there is an analysis.
-    view, height
-        As the track was found with; `scene` is the video's background.
+        On the run's clock if there is an analysis.
+    view : View
+        As used for the track.
+    height : float, in m
+        z of the track.
+    scene : Image
+        The video's background.
+    path : Path
+        File to write.
     title, line : str
-        What stands above it.
+        The two lines above it.
     analysis : PathAnalysis, optional
-    planned : ndarray, shape (k, 2 or 3), in m
-        The path that was to be followed.
+    planned : ndarray, shape (k, 2) or (k, 3), in m, optional
+        The planned path, in the world frame.
     """
     with sheet(path, title, line, left=0.05) as figure:
         grid = figure.add_gridspec(
@@ -82,7 +88,7 @@ def _draw_scene(
 
 
 def _arrows(axes: Axes, track: OpticalTrack) -> None:
-    """Headings at places some way apart."""
+    """Draw headings at equal distances along the track."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track.positions[:, :2], axis=0), axis=1))])
     wanted = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], ARROWS)))
     at = wanted[wanted < len(way)]

@@ -1,4 +1,4 @@
-"""Frequency, damping and amplitude of a swing that was let go (Eqs. S2 to S4), fitted to angles over time."""
+"""Fit frequency, damping and amplitude of a free swing (Eqs. S2 to S4) to angles over time."""
 
 from __future__ import annotations
 
@@ -17,27 +17,33 @@ FULL = 0.97  # share of the largest envelope down to which the drive may still b
 
 @dataclass(frozen=True, eq=False)
 class Ringing:
-    """A free swing, theta(t) = amplitude D(t - begin) cos(2 pi f (t - begin) + phase) + rest.
+    """A free swing.
+
+        theta(t) = amplitude D(t - begin) cos(2 pi f (t - begin) + phase) + rest        (Eq. S2)
 
     Attributes
     ----------
     begin, end : float, in s
-        What was fitted.
-    frequency, amplitude, damping, rest : float, in Hz, rad, 1/s, rad
-        D is ``exp(-damping t)`` (Eq. S4) or ``1 - damping t`` (Eq. S3), whichever is nearer.
+        Fitted time span.
+    frequency : float, in Hz
+    amplitude : float, in rad
+    damping : float, in 1/s
+        D is ``exp(-damping t)`` (Eq. S4) or ``1 - damping t`` (Eq. S3), whichever fits better.
+    rest : float, in rad
     model : str
         ``exponential`` or ``linear``.
-    std : dict
+    std : dict of str to float
         Standard deviations of frequency, amplitude and damping.
     rms : float, in rad
-        What is left.
+        Rms of the residuals.
     other_rms : float, in rad
-        What the other model leaves.
+        Rms of the residuals of the other model.
     largest : float, in rad
         Largest amplitude of all periods, driven ones too.
     fitted : ndarray, shape (n,), in rad
-        The model at the fitted times.
+        The model at `times`.
     times : ndarray, shape (n,), in s
+        Times of the fitted frames.
     """
 
     begin: float
@@ -56,12 +62,24 @@ class Ringing:
 
 
 def fit_ringing(times: FloatArray, angles: FloatArray, begin: float | None = None, end: float | None = None) -> Ringing:
-    """Fit the free part of a swing; without `begin`, that is what follows its largest amplitude.
+    """Fit the free part of a swing.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,), in s
+    angles : ndarray, shape (n,), in rad
+    begin, end : float, in s, optional
+        Time span to fit; by default from one period after the last frame of nearly the largest amplitude to the
+        end.
+
+    Returns
+    -------
+    Ringing
 
     Raises
     ------
     InputError
-        If less than some periods are left, or there are too few frames in each.
+        If there are too few periods, or too few frames in each.
     """
     from scipy.optimize import least_squares
 
@@ -118,7 +136,7 @@ def _swing(p: FloatArray, t: FloatArray, model: str) -> FloatArray:
 
 
 def _start(t: FloatArray, y: FloatArray, frequency: float, damping: float, model: str) -> FloatArray:
-    """Amplitude, phase and rest by linear least squares for a guessed damping and frequency."""
+    """Compute start values for a guessed damping and frequency, by linear least squares."""
     rate = damping if model == "exponential" else min(damping, 0.5 / max(float(t[-1]), 1e-9))
     decay = np.exp(-rate * t) if model == "exponential" else 1.0 - rate * t
     angle = 2.0 * math.pi * frequency * t
@@ -128,7 +146,7 @@ def _start(t: FloatArray, y: FloatArray, frequency: float, damping: float, model
 
 
 def _frequency(times: FloatArray, angles: FloatArray) -> float:
-    """Of the strongest line in Hz, by a padded spectrum and a parabola through its top."""
+    """Find the frequency of the strongest line in Hz, by a padded spectrum and a parabola through its maximum."""
     step = float(np.median(np.diff(times)))
     even = np.interp(np.arange(times[0], times[-1], step), times, angles)
     even = (even - even.mean()) * np.hanning(len(even))
@@ -142,7 +160,7 @@ def _frequency(times: FloatArray, angles: FloatArray) -> float:
 
 
 def _envelope(times: FloatArray, angles: FloatArray, frequency: float) -> FloatArray:
-    """Amplitude (n,) over one period around each frame."""
+    """Compute the amplitude (n,) over one period around each frame."""
     step = float(np.median(np.diff(times)))
     n = max(round(1.0 / (frequency * step)), 3)
     kernel = np.ones(n) / n

@@ -1,4 +1,4 @@
-"""What a run believed, as far as a camera can judge it: the one place that knows how a run is stored."""
+"""The poses of a run that a camera can check; the optics use no other part of a record."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ from smolbot.runs.run import trusted_poses
 
 @dataclass(frozen=True, eq=False)
 class RunPoses:
-    """Poses of a run in order of time; those that were trusted.
+    """The trusted poses of a run, in order of time.
 
     Attributes
     ----------
     folder : Path
     times : ndarray, shape (n,), in s
+        On the run's clock.
     positions, tracked : ndarray, shape (n, 3), in m
-        As located, and as the tracker had it then; rows of `tracked` are nan where there was none.
+        Located, and the tracker's at the same times, in the world frame; rows of `tracked` are nan without a
+        tracked pose.
     axes : ndarray, shape (n, 3)
         World direction of body z, as located.
     following : ndarray of bool, shape (n,)
-        Poses after the path's start was reached.
+        Whether the path's start had been reached.
     mission : Mission or Observation, optional
         As it was flown, with rig and robot.
     """
@@ -47,7 +49,16 @@ class RunPoses:
 
 
 def read_run_poses(folder: str | Path) -> RunPoses:
-    """Poses of a recorded run.
+    """Read the trusted poses of a recorded run.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Run folder, or its record.
+
+    Returns
+    -------
+    RunPoses
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The picture of a swing, as the paper's Fig. S2: translation, and deflection with its free decay."""
+"""The picture of a swing, as in the paper's Fig. S2: translation, and deflection with its free decay."""
 
 from __future__ import annotations
 
@@ -16,7 +16,17 @@ SEEN, FIT, PALE = "#1b4965", "#e4572e", "#b9bec7"
 
 
 def draw_swing(swing: Swing, ringing: Ringing, path: Path, *, title: str, line: str) -> None:
-    """Write the picture to `path` (PNG, 16:9)."""
+    """Write the picture of a swing (PNG, 16:9).
+
+    Parameters
+    ----------
+    swing : Swing
+    ringing : Ringing
+    path : Path
+        File to write.
+    title, line : str
+        The two lines above it.
+    """
     times = 1e3 * swing.times
     with sheet(path, title, line) as figure:
         grid = figure.add_gridspec(

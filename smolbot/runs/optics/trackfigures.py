@@ -1,4 +1,4 @@
-"""The robot as a camera saw it against the path that it was to follow."""
+"""Errors of the robot in a video against its planned path."""
 
 from __future__ import annotations
 
@@ -10,9 +10,20 @@ from smolbot.runs.optics.runposes import RunPoses
 
 
 def tracking_error(track: OpticalTrack, path: Curve, run: RunPoses) -> dict[str, float] | None:
-    """Distance of the robot as seen to the path, in mm, from when its start was reached to the last pose.
+    """Compute the distance of the robot in the video to the path, from reaching its start to the last pose.
 
-    `track` must be on the run's clock. None where no frame shows the robot then.
+    Parameters
+    ----------
+    track : OpticalTrack
+        On the run's clock.
+    path : Curve
+        In the world frame.
+    run : RunPoses
+
+    Returns
+    -------
+    dict of str to float, in mm, or None
+        `mean`, `std`, `rms`, `p95` and `max`; None if no frame shows the robot during that time.
     """
     times = run.times[run.following]
     if not len(times):

@@ -1,5 +1,4 @@
-"""Follows one body through a video: against the median of the frames, by its outline; frames that hide it are left
-out."""
+"""Follow one body through a video by its outline against the median frame; frames that hide it are left out."""
 
 from __future__ import annotations
 
@@ -43,23 +42,28 @@ def track_body(
     video: Video, view: View, body: Body, height: float, *, background: Any = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> OpticalTrack:  # fmt: skip
-    """Where `body` is in every frame of `video` that shows it.
+    """Find a body in every frame of a video that shows it.
 
-    Assumptions: the camera stands still, and so does everything but the body and its shadow; the body is level, its
-    middle at z = `height`; it covers no place in half of the frames or more (or `background` shows the scene without
-    it).
+    Assumptions: the camera does not move, nor does anything but the body and its shadow; the body is level, its
+    middle at z = `height`; it covers no pixel in half of the frames or more (or `background` shows the scene
+    without it).
 
     Parameters
     ----------
     video : Video
     view : View
-        From pixels to places.
+        From pixels to world positions.
     body : Body
     height : float, in m
     background : Image, optional
         The empty scene; default: the video's median.
     progress : callable, optional
-        Called with frames done and in all.
+        Called with the number of frames done and of all frames.
+
+    Returns
+    -------
+    OpticalTrack
+        On the video's clock.
 
     Raises
     ------
@@ -99,14 +103,14 @@ def track_body(
 
 
 class _Finder:
-    """Looks for the body in one frame."""
+    """Search for the body in one frame."""
 
     def __init__(self, empty: FloatArray, view: View, body: Body, height: float) -> None:
         self._empty, self._view, self._body, self._height = empty, view, body, height
         self._level = float(np.median(empty[::8, ::8]))
 
     def near(self, frame: Any, fit: Fit) -> Fit | None:
-        """The body where it was a moment ago, or None."""
+        """Fit the body near its last position; None if it is not there."""
         place = np.array([[fit.x, fit.y, self._height]])
         pixel = self._view.pixels(place)[0]
         reach = (float(np.linalg.norm(self._body.half[:2])) + MARGIN) * self._view.scale(place[0])
@@ -117,7 +121,7 @@ class _Finder:
         return found if found is not None and found.share >= BORNE_OUT else None
 
     def anywhere(self, frame: Any) -> tuple[Fit | None, float]:
-        """The body wherever it is, or None, and the area in m² of the largest thing that differs."""
+        """Search the whole frame; return the fit or None, and the area in m² of the largest object that differs."""
         import cv2
 
         empty = self._gain(frame) * self._empty
@@ -132,7 +136,7 @@ class _Finder:
         return best, largest
 
     def _among(self, frame: Any, smooth: Any) -> tuple[Fit | None, float]:
-        """The body among the blobs in which `smooth` (rows, columns) is large."""
+        """Search for the body among the blobs in which `smooth` (rows, columns) is large."""
         import cv2
 
         noise = 1.4826 * float(np.median(smooth[::4, ::4]))
@@ -156,7 +160,7 @@ class _Finder:
         return best, largest
 
     def mark(self, frame: Any, fit: Fit) -> float:
-        """How far ahead of the middle the dark mark lies, in half lengths."""
+        """Compute how far ahead of the middle the dark mark lies, in half lengths."""
         import cv2
 
         place = np.array([[fit.x, fit.y, self._height]])
@@ -165,7 +169,7 @@ class _Finder:
         return mark_moment(grey, (u0, v0), self._view, self._body, fit, self._height)
 
     def _fit_blob(self, frame: Any, blob: Any, smooth: Any, area: float) -> Fit | None:
-        """The best of the fits that start with the body's length along and across the blob's."""
+        """Return the best of the fits that start with the body along, across and diagonal to the blob."""
         rows, columns = np.nonzero(_clearest(blob, smooth, area))
         middle = np.array([columns.mean(), rows.mean()])
         spread = np.cov(np.stack([columns, rows]))
@@ -185,11 +189,11 @@ class _Finder:
         return best
 
     def _gain(self, frame: Any) -> float:
-        """How bright `frame` is, to the empty scene: lamps flicker."""
+        """Compute the brightness of a frame relative to the empty scene: lamps flicker."""
         return float(np.median(frame[::8, ::8])) / max(self._level, 1.0)
 
     def _patch(self, frame: Any, pixel: FloatArray, reach: float) -> tuple[Any, tuple[int, int], FloatArray]:
-        """Picture less background around a pixel, or None outside of it; its first pixel; the background's colour."""
+        """Return picture minus background around a pixel, its first pixel, and the background's colour."""
         u0, v0, u1, v1 = self._window(pixel, reach)
         if u1 - u0 < 8 or v1 - v0 < 8:
             return None, (0, 0), np.zeros(3)
@@ -208,8 +212,7 @@ class _Finder:
 
 
 def _clearest(blob: Any, difference: Any, area: float) -> Any:
-    """The part of a blob that differs most, as large as the body (`area` in pixels): a shadow that touches it falls
-    away."""
+    """Return the part of a blob that differs most, `area` pixels large; it excludes a touching shadow."""
     values = difference[blob]
     if len(values) <= area:
         return blob
@@ -217,7 +220,7 @@ def _clearest(blob: Any, difference: Any, area: float) -> Any:
 
 
 def _assembled(seen: list[_Seen], video: Video, view: View, body: Body, height: float) -> OpticalTrack:
-    """The track, with heads and tails told apart by the mark, over all frames between two gaps at once."""
+    """Build the track; the mark distinguishes head and tail, over all frames between two gaps at once."""
     frames = np.array([s.frame for s in seen])
     middles = np.array([[s.fit.x, s.fit.y] for s in seen])
     raw = np.array([s.fit.heading for s in seen])

@@ -1,4 +1,4 @@
-"""Reads a video, and says plainly what is wrong with one."""
+"""Read a video, and report clearly what is wrong with one."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ class Video:
     ----------
     path : Path
     fps : float, optional, in 1/s
-        Frames per second as recorded; default: as the file says. A high-speed clip's file tells the rate of playing.
+        Frames per second as recorded; default: as the file states. The file of a high-speed clip states the
+        playback rate.
 
     Attributes
     ----------
-    size : tuple of 2
+    size : tuple of int
         Width and height in pixels.
     fps : float
     frames : int
-        As many as can be read.
+        Number of readable frames.
     background : Image
         Median of frames spread over the video.
 
@@ -70,7 +71,7 @@ class Video:
         self.background: Image = _median(looks)
 
     def __iter__(self) -> Iterator[Image]:
-        """All frames, in order."""
+        """Iterate over all frames, in order."""
         capture = self._open()
         for _ in range(self.frames):
             good, frame = capture.read()
@@ -94,7 +95,7 @@ class Video:
         return capture
 
     def _read_through(self, capture: Any, promised: int | None) -> tuple[int, list[Image]]:
-        """Number of frames, and some spread evenly; every frame is decoded once."""
+        """Decode every frame once; return their number, and some that are evenly spread."""
         step = max((promised or LOOKS * LOOKS) // LOOKS, 1)
         looks: list[Image] = []
         count = 0
@@ -124,12 +125,24 @@ def _median(looks: list[Image]) -> Image:
 
 
 def read_picture(path: Path, size: tuple[int, int]) -> Image:
-    """A picture of the empty scene, as large as the video.
+    """Read a picture of the empty scene, of the same size as the video.
+
+    Parameters
+    ----------
+    path : Path
+    size : tuple of int
+        Width and height of the video in pixels.
+
+    Returns
+    -------
+    Image
 
     Raises
     ------
     InputError
         If it cannot be read or has another size.
+    MissingFileError
+        If there is no such file.
     """
     cv2 = _opencv()
     if not path.is_file():

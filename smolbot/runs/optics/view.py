@@ -1,4 +1,4 @@
-"""From pixels to places and back: a pinhole camera found from points whose places are known."""
+"""Convert between pixels and world positions with a pinhole camera found from known points."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ FOCAL = math.log(2.0)  # spread of the focal length where nothing tells it, abou
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera as it was found. Lens distortion is ignored.
+    """A camera found from known points. Lens distortion is ignored.
 
     Attributes
     ----------
     parameters : ndarray, shape (9,)
-        Logarithm of the focal length (pixels), rotation vector, place (m), where the axis meets the picture (pixels).
+        Logarithm of the focal length (pixels), rotation vector, position (m), principal point (pixels).
     covariance : ndarray, shape (9, 9)
+        Of `parameters`.
     rms : float, in pixels
-        Of what is left of the known points.
+        Rms of the residuals of the known points.
     """
 
     parameters: FloatArray
@@ -39,25 +40,65 @@ class View:
 
     @property
     def place(self) -> FloatArray:
-        """The camera's entrance pupil (3,), in m, world frame."""
+        """Position (3,) of the camera's entrance pupil in the world frame, in m."""
         return self.parameters[4:7]
 
     def pixels(self, points: FloatArray) -> FloatArray:
-        """Where world points (n, 3), in m, are seen, shape (n, 2)."""
+        """Project world points to pixels.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m
+            In the world frame.
+
+        Returns
+        -------
+        ndarray, shape (n, 2), in pixels
+        """
         return _pixels(self.parameters, points)
 
     def on_plane(self, pixels: FloatArray, height: float) -> FloatArray:
-        """Places (n, 2), in m, on the plane z = `height` that are seen at `pixels` (n, 2)."""
+        """Project pixels back to the plane z = `height`.
+
+        Parameters
+        ----------
+        pixels : ndarray, shape (n, 2)
+        height : float, in m
+
+        Returns
+        -------
+        ndarray, shape (n, 2), in m
+            x and y in the world frame.
+        """
         return _on_plane(self.parameters, pixels, height)
 
     def scale(self, point: FloatArray) -> float:
-        """Pixels per metre for level lengths at a world point (3,)."""
+        """Compute the pixels per metre of level lengths at a world point.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,), in m
+
+        Returns
+        -------
+        float, in 1/m
+        """
         step = 1e-3
         moved = self.pixels(point + np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]]))
         return math.sqrt(abs(float(np.linalg.det(moved[1:] - moved[0])))) / step
 
     def uncertainty(self, pixel: FloatArray, height: float) -> float:
-        """One standard deviation, in m, of a place on z = `height`, from what is not known of the camera."""
+        """Compute the standard deviation of a position on z = `height` from the uncertainty of the camera.
+
+        Parameters
+        ----------
+        pixel : ndarray, shape (2,)
+        height : float, in m
+
+        Returns
+        -------
+        float, in m
+        """
         steps = np.array([1e-6, *[1e-7] * 3, *[1e-7] * 3, 1e-3, 1e-3])
         pixels = np.asarray(pixel, dtype=np.float64)[None]
         jacobian = np.empty((2, 9))
@@ -73,26 +114,30 @@ def find_view(
     pixels: FloatArray, points: FloatArray, size: tuple[int, int], camera_height: float | None = None, *,
     sharp: float = SHARP, place: float = 0.0,
 ) -> View:  # fmt: skip
-    """The camera that sees known points where they were seen, most likely.
+    """Find the most likely camera for known points and their pixels.
 
-    The plane of the points fixes what is on it. What is above it is seen with parallax, for which the camera's place
-    must be known: from its height over z = 0 where that is given, otherwise as far as perspective tells it.
-    Pixels are square, the lens' axis meets the picture near its middle, distortion is ignored.
+    The plane of the points determines the view of that plane. Points above it appear with parallax, for which the
+    camera's position must be known: from its height above z = 0 if that is given, else as far as perspective
+    determines it. Pixels are square, the principal point is near the middle of the picture, distortion is ignored.
 
     Parameters
     ----------
     pixels : ndarray, shape (n, 2)
         Of at least four points.
     points : ndarray, shape (n, 3), in m
-        World frame.
-    size : tuple of 2
-        Width and height of the picture.
+        In the world frame.
+    size : tuple of int
+        Width and height of the picture in pixels.
     camera_height : float, optional, in m
-        z of the lens, by ruler.
+        z of the lens, measured by ruler.
     sharp : float, in pixels
-        To which points are seen, one standard deviation.
+        Standard deviation of the pixels.
     place : float, in m
-        To which their places are known, likewise.
+        Standard deviation of the points.
+
+    Returns
+    -------
+    View
 
     Raises
     ------
@@ -132,7 +177,19 @@ def find_view(
 
 
 def check_points(pixels: FloatArray, points: FloatArray) -> None:
-    """Refuse points that fix no plane: pixels (n, 2) and places (n, 2 or 3), fewer than four of them or on a line."""
+    """Raise if points do not determine a plane: fewer than four, or on a line.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (n, 2)
+    points : ndarray, shape (n, 2) or (n, 3)
+        Positions of the same points.
+
+    Raises
+    ------
+    InputError
+        With what is wrong.
+    """
     if len(pixels) != len(points) or len(pixels) < 4:
         raise InputError(f"Four points or more are needed, each with its place; got {len(pixels)} and {len(points)}.")
     for name, values in (("pixels", pixels), ("places", points[:, :2])):
@@ -157,7 +214,7 @@ def check_points(pixels: FloatArray, points: FloatArray) -> None:
 def _starts(
     pixels: FloatArray, points: FloatArray, middle: FloatArray, log_focal: float, camera_height: float | None
 ) -> list[FloatArray]:
-    """Parameters to start from: upright cameras of some focal lengths, turned as the points are."""
+    """List start parameters: upright cameras of some focal lengths, turned as the points are."""
     world = points[:, :2] - points[:, :2].mean(axis=0)
     seen = pixels - pixels.mean(axis=0)
     # seen from above, the picture's y runs against the world's: fit a turned and mirrored copy

@@ -1,4 +1,4 @@
-"""The picture of a run: path planned, true and localized; error over time; currents."""
+"""The picture of a run: planned, true and localized path; errors over time; currents."""
 
 from __future__ import annotations
 
@@ -30,7 +30,17 @@ if TYPE_CHECKING:
 
 
 def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
-    """Write the picture of a run to `path` (PNG, 16:9)."""
+    """Write the picture of a run (PNG, 16:9).
+
+    Parameters
+    ----------
+    mission : Mission
+    run : Run
+        With its summary.
+    trace : Trace
+    path : Path
+        File to write.
+    """
     with sheet(path, headline(mission, run), subline(run.summary)) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.0, 1.25], height_ratios=[1.0, 1.0, 1.0], wspace=0.2, hspace=0.28,
@@ -51,12 +61,32 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
 
 
 def headline(mission: Mission, run: Run) -> str:
-    """One line that says what was flown and how it ended."""
+    """Format the title: what was flown and how it ended.
+
+    Parameters
+    ----------
+    mission : Mission
+    run : Run
+        With its summary.
+
+    Returns
+    -------
+    str
+    """
     return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{label_of(run.summary)}"
 
 
 def subline(summary: dict[str, Any]) -> str:
-    """The figures that a slide needs."""
+    """Format the line below the title: the main figures of merit.
+
+    Parameters
+    ----------
+    summary : dict
+
+    Returns
+    -------
+    str
+    """
     parts = [f"{summary['duration_s']:.0f} s", f"{summary['cycles']} cycles at {summary['loop_rate_hz']:.1f} Hz"]
     if "turns" in summary:
         parts = [f"{summary['duration_s']:.0f} s", *helixpicture.subline_parts(summary)]
@@ -70,7 +100,14 @@ def subline(summary: dict[str, Any]) -> str:
 
 
 def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
-    """Planned path, true way and trusted poses, from above."""
+    """Draw planned path, true positions and trusted poses, from above.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Mission
+    trace : Trace
+    """
     planned = mission.path.points * 1e3
     axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
     heard = located(trace.moments)
@@ -83,7 +120,14 @@ def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 
 def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
-    """Distance of the true robot to the path over time."""
+    """Draw the distance of the true robot to the path over time.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Mission
+    trace : Trace
+    """
     moments = [m for m in trace.following if m.truth_at_end is not None]
     if moments:
         times = [t for m in moments for t in (m.truth.time if m.truth else m.cycle.shot.end, m.cycle.shot.end)]
@@ -97,7 +141,13 @@ def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 
 def draw_localization(axes: Axes, trace: Trace) -> None:
-    """Distance of each trusted pose, and of the tracked ones, to the truth over time."""
+    """Draw the error of each trusted pose, and of the tracked ones, over time.
+
+    Parameters
+    ----------
+    axes : Axes
+    trace : Trace
+    """
     known = compared(trace.moments)
     if known:
         times = [truth.time for _, truth in known]
@@ -115,7 +165,14 @@ def draw_localization(axes: Axes, trace: Trace) -> None:
 
 
 def draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
-    """Current of each coil in every pull."""
+    """Draw the current of each coil in every actuation window.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Mission
+    trace : Trace
+    """
     names = mission.rig.coil_names
     starts, _, currents = trace.currents(len(names))
     for index, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""The picture of a helix' run: path with propulsion axes, distance to the path, error of the axis, turns and pauses."""
+"""The picture of a helical robot's run: propulsion axes on the path, tracking and axis error, turns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,14 @@ ARROW = 3.5
 
 
 def draw_axes_on_path(axes: Axes, mission: Mission, trace: Trace) -> None:
-    """Planned path, true way, and in every pause the propulsion axis as tracked and as it is."""
+    """Draw planned path, true positions, and the tracked and true propulsion axis at every pause.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Mission
+    trace : Trace
+    """
     from matplotlib.patches import Circle
 
     for lump in mission.rig.sections.tank.get("gel", {}).get("inclusions", []):
@@ -43,12 +50,28 @@ def draw_axes_on_path(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 
 def pauses(trace: Trace) -> list[Moment]:
-    """The last cycle of every pause: the one that sends for the magnet, or ends the mission."""
+    """Find the last cycle of every pause: the one that calls for the magnet, or ends the mission.
+
+    Parameters
+    ----------
+    trace : Trace
+
+    Returns
+    -------
+    list of Moment
+    """
     return [m for m in trace.moments if m.cycle.command.mechanical or m.cycle.command.done or m.cycle.command.stuck]
 
 
 def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
-    """True robot to path, against how far along the path it is."""
+    """Draw the distance of the true robot to the path against its arc length.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Mission
+    trace : Trace
+    """
     places = [m.positions for m in trace.following]
     if places and trace.knows_truth:
         arc, distance = mission.path.project(np.vstack(places))
@@ -66,7 +89,14 @@ def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 
 def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
-    """Angle between estimated and true propulsion axis."""
+    """Draw the angle between estimated and true propulsion axis against arc length.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Mission
+    trace : Trace
+    """
     known = compared(trace.moments)
     if known:
         arc, _ = mission.path.project(np.array([truth.position for _, truth in known]))
@@ -80,7 +110,14 @@ def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 
 def draw_turns(axes: Axes, mission: Mission, trace: Trace) -> None:
-    """Turns before each pause, at the rate that they were made with, where along the path they began."""
+    """Draw the turns before each pause and their rotation frequency, against the arc length at their start.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Mission
+    trace : Trace
+    """
     bars: list[tuple[float, float, float]] = []
     for before, moment in zip(trace.moments, trace.moments[1:], strict=False):
         turned = [w for w in moment.cycle.shot.windows if isinstance(w, Rotate)]
@@ -101,7 +138,16 @@ def draw_turns(axes: Axes, mission: Mission, trace: Trace) -> None:
 
 
 def subline_parts(summary: dict[str, Any]) -> list[str]:
-    """What the line under the title says of a helix."""
+    """Format the figures of a helical robot for the line below the title.
+
+    Parameters
+    ----------
+    summary : dict
+
+    Returns
+    -------
+    list of str
+    """
     parts = [f"{summary['turns']:.0f} turns, {summary['pauses']} pauses, {summary['step_outs']} step-outs"]
     if "axis_error_deg" in summary:
         parts.append(f"axis error {summary['axis_error_deg']['mean']:.1f}°")

@@ -1,4 +1,4 @@
-"""The picture of a mission that only looks: where a device was seen, how well, how often; or how it scatters."""
+"""The picture of an observation: track and errors of a moving device, or scatter of a resting one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,17 @@ ARROWS = 36  # shown of a whole track
 
 
 def draw_observation(mission: Observation, run: Run, trace: Trace, path: Path) -> None:
-    """Write the picture of an observation to `path` (PNG, 16:9)."""
+    """Write the picture of an observation (PNG, 16:9).
+
+    Parameters
+    ----------
+    mission : Observation
+    run : Run
+        With its summary.
+    trace : Trace
+    path : Path
+        File to write.
+    """
     with sheet(path, headline(mission, run), subline(run.summary)) as figure:
         if mission.sections.observe.measurements is None:
             _draw_watched(figure, mission, trace)
@@ -34,12 +44,32 @@ def draw_observation(mission: Observation, run: Run, trace: Trace, path: Path) -
 
 
 def headline(mission: Observation, run: Run) -> str:
-    """One line that says what was looked at and how it ended."""
+    """Format the title: what was observed and how it ended.
+
+    Parameters
+    ----------
+    mission : Observation
+    run : Run
+        With its summary.
+
+    Returns
+    -------
+    str
+    """
     return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{label_of(run.summary)}"
 
 
 def subline(summary: dict[str, Any]) -> str:
-    """The figures that a slide needs."""
+    """Format the line below the title: the main figures of merit.
+
+    Parameters
+    ----------
+    summary : dict
+
+    Returns
+    -------
+    str
+    """
     parts = [f"{summary['duration_s']:.0f} s"]
     if "pose_rate_hz" in summary:
         gaps = summary["gaps"]["count"]
@@ -70,7 +100,16 @@ def _draw_watched(figure: Figure, mission: Observation, trace: Trace) -> None:
 
 
 def draw_view(axes: Axes, trace: Trace, box: ContainerSection, across: int) -> None:
-    """The track from above (`across` 1) or from the front (2), in the container."""
+    """Draw the track in the container, from above or from the front.
+
+    Parameters
+    ----------
+    axes : Axes
+    trace : Trace
+    box : ContainerSection
+    across : int
+        World axis drawn upwards: 1 (y) from above, 2 (z) from the front.
+    """
     outline(axes, box, across)
     truth = 1e3 * trace.true_positions()
     if len(truth):
@@ -89,7 +128,16 @@ def draw_view(axes: Axes, trace: Trace, box: ContainerSection, across: int) -> N
 
 
 def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None:
-    """Errors of place and orientation of each trusted pose over time."""
+    """Draw position and orientation error of each trusted pose over time.
+
+    Parameters
+    ----------
+    errors, turns : Axes
+        For position and for orientation errors.
+    trace : Trace
+    along : bool
+        Whether the moment lies along the cantilever, see `orientation_error`.
+    """
     known = compared(trace.moments)
     if known:
         times = [p.time for p, _ in known]
@@ -110,7 +158,14 @@ def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along: bool) -> None
 
 
 def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
-    """Trusted poses in every second, and shots that gave none."""
+    """Draw the trusted poses in every second, and the shots without one.
+
+    Parameters
+    ----------
+    axes : Axes
+    mission : Observation
+    trace : Trace
+    """
     times = np.array([pose.time for pose in located(trace.moments)])
     if len(times) > 1:
         edges = np.arange(times[0], times[-1] + 1e-9, 1.0)
@@ -130,13 +185,19 @@ def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
 
 
 def _draw_measured(figure: Figure, mission: Observation, trace: Trace) -> None:
-    """Each measurement from above and from the front, about their mean, with the ellipse of one standard deviation."""
+    """Draw each measurement about the mean, from above and from the front, with the one-sigma ellipse."""
     grid = figure.add_gridspec(1, 2, wspace=0.22, left=0.07, right=0.975, top=0.835, bottom=0.1)
     draw_measurements(figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1]), trace)
 
 
 def draw_measurements(above: Axes, front: Axes, trace: Trace) -> None:
-    """Each measurement about their mean, from above and from the front, and where the mean is off the truth."""
+    """Draw each measurement about the mean, from above and from the front, with the mean's error against the truth.
+
+    Parameters
+    ----------
+    above, front : Axes
+    trace : Trace
+    """
     moments = measurements(trace)
     places = 1e3 * np.array([m.cycle.pose.position for m in moments if m.cycle.pose is not None]).reshape(-1, 3)
     for axes, i, j in ((above, 0, 1), (front, 0, 2)):
@@ -154,7 +215,15 @@ def draw_measurements(above: Axes, front: Axes, trace: Trace) -> None:
 
 
 def draw_scatter(axes: Axes, places: FloatArray, names: tuple[str, str]) -> None:
-    """Measurements about their mean, with the ellipse of one standard deviation; `places` (n, 2) in mm."""
+    """Draw measurements about their mean, with the one-sigma ellipse.
+
+    Parameters
+    ----------
+    axes : Axes
+    places : ndarray, shape (n, 2), in mm
+    names : tuple of str
+        Names of the two world axes.
+    """
     away = 1e3 * (places - places.mean(axis=0))
     axes.plot(*ellipse(np.cov(away.T), n=181).T, color=TRUE, lw=1.4, label="one standard deviation")
     axes.plot(away[:, 0], away[:, 1], "o", color=LOCATED, ms=7, alpha=0.8, mew=0, label="measurements")

@@ -1,4 +1,4 @@
-"""The picture of a replay: what was located in flight, and what other settings find in the same windows."""
+"""The picture of a replay: poses located in flight, and those located with other settings in the same windows."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ RECORDED, REPLAYED, TRUE = "tab:blue", "tab:orange", "0.3"
 def draw_replay(
     path: Path, curve: Curve | None, recorded: Sequence[Moment], replayed: Sequence[Moment], changed: str
 ) -> None:
-    """Places from above, and over time: errors where the truth is known, else the distance between both; R squared.
+    """Draw positions from above, and over time errors (or the distance of both without ground truth) and R squared.
 
     Parameters
     ----------
     path : Path
         File to write.
     curve : Curve or None
-        The planned path, where there is one.
-    recorded, replayed : sequences of Moment
+        The planned path, if there is one.
+    recorded, replayed : sequence of Moment
         Of the same cycles.
     changed : str
-        What was set otherwise.
+        The settings that differ.
     """
     import matplotlib
 

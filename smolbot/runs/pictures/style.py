@@ -1,4 +1,4 @@
-"""The sheet, colours and strokes that every picture of a run shares."""
+"""Figure, colours and graphic elements that every picture of a run shares."""
 
 from __future__ import annotations
 
@@ -27,9 +27,24 @@ def sheet(
     path: Path, headline: str, subline: str, *, left: float = 0.06, heights: tuple[float, float] = (0.945, 0.905),
     sizes: tuple[float, float, float] = (11, 17, 11.5),
 ) -> Iterator[Figure]:  # fmt: skip
-    """A figure of 16:9 under two lines, which begin at `left`; written to `path` as PNG when the block ends.
+    """Yield a 16:9 figure with two title lines; write it as PNG when the block ends.
 
-    `heights` are those of the two lines, `sizes` of the type: of what stands in axes, and of the two lines.
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    headline, subline : str
+        The two lines.
+    left : float
+        Left end of the lines, as a fraction of the width.
+    heights : tuple of float
+        Heights of the two lines, as fractions of the figure's height.
+    sizes : tuple of float
+        Font sizes of axes and of the two lines, in points.
+
+    Yields
+    ------
+    Figure
     """
     import matplotlib
 
@@ -46,7 +61,12 @@ def sheet(
 
 
 def from_above(axes: Axes) -> None:
-    """Equal scales, named axes, a faint grid and a legend over it: what a map of a flight has."""
+    """Format axes as a map: equal scales, axis labels, a faint grid and a legend above.
+
+    Parameters
+    ----------
+    axes : Axes
+    """
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x in mm")
     axes.set_ylabel("y in mm")
@@ -55,7 +75,15 @@ def from_above(axes: Axes) -> None:
 
 
 def true_way(axes: Axes, places: FloatArray, beside: tuple[float, float]) -> None:
-    """The way (n, 3) in mm that a robot truly went, from above, and where it was put down."""
+    """Draw a robot's true positions from above, and its start position.
+
+    Parameters
+    ----------
+    axes : Axes
+    places : ndarray, shape (n, 3), in mm
+    beside : tuple of float
+        Offset of the start's label in points.
+    """
     if len(places):
         axes.plot(places[:, 0], places[:, 1], color=TRUE, lw=2.0, label="true", zorder=3)
         axes.plot(*places[0, :2], "o", color=TRUE, ms=8, mfc="white", mew=2, zorder=4)
@@ -65,7 +93,18 @@ def true_way(axes: Axes, places: FloatArray, beside: tuple[float, float]) -> Non
 
 
 def two_views(figure: Figure, place: SubplotSpec, box: ContainerSection) -> tuple[Axes, Axes]:
-    """Axes for a container seen from above and from the front, one over the other, of about the same scale."""
+    """Add axes for a container from above and, below them, from the front, of about the same scale.
+
+    Parameters
+    ----------
+    figure : Figure
+    place : SubplotSpec
+    box : ContainerSection
+
+    Returns
+    -------
+    above, front : Axes
+    """
     sizes = 1e3 * box.high - 1e3 * box.low + 8.0
     split = place.subgridspec(2, 1, height_ratios=sizes[1:], hspace=0.17)
     above, front = figure.add_subplot(split[0]), figure.add_subplot(split[1])
@@ -75,7 +114,15 @@ def two_views(figure: Figure, place: SubplotSpec, box: ContainerSection) -> tupl
 
 
 def outline(axes: Axes, box: ContainerSection, across: int) -> None:
-    """A container from above (`across` 1) or from the front (2), and the space around it that is shown."""
+    """Draw a container from above or from the front, and set the limits of the axes around it.
+
+    Parameters
+    ----------
+    axes : Axes
+    box : ContainerSection
+    across : int
+        World axis drawn upwards: 1 (y) from above, 2 (z) from the front.
+    """
     (x0, y0), (x1, y1) = 1e3 * box.low[[0, across]], 1e3 * box.high[[0, across]]
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PLANNED, lw=1.2)
     axes.set_aspect("equal")
@@ -86,7 +133,17 @@ def outline(axes: Axes, box: ContainerSection, across: int) -> None:
 
 
 def limit_line(axes: Axes, value: float, text: str, *, size: float = 9, zorder: float = 2) -> None:
-    """A dashed grey line at a value that is asked for, and what it is."""
+    """Draw a dashed grey line at a limit, with a label.
+
+    Parameters
+    ----------
+    axes : Axes
+    value : float
+    text : str
+    size : float, in points
+        Font size.
+    zorder : float
+    """
     axes.axhline(value, color="#999999", lw=1, ls="--", zorder=zorder)
     axes.text(1.0, value, text, color="#777777", fontsize=size, va="bottom", ha="right",
               transform=axes.get_yaxis_transform())  # fmt: skip
@@ -103,9 +160,21 @@ def dots(
     label: str | None = None,
     zorder: float = 2,
 ) -> None:
-    """Points `size` wide, in points of type, as one stroke with round caps: as vectors, thousands of them stay small.
+    """Draw many points as one stroke with round caps.
 
-    Markers would be an element of the drawing each.
+    In a vector graphic thousands of them stay small, where each marker would be an element of its own.
+
+    Parameters
+    ----------
+    axes : Axes
+    x, y : array_like, shape (n,)
+    size : float, in points
+        Diameter.
+    color : str
+    alpha : float
+    label : str, optional
+        For the legend.
+    zorder : float
     """
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
@@ -129,9 +198,21 @@ def dots(
 
 
 def ellipse(covariance: FloatArray, sigmas: float = 1.0, n: int = 49) -> FloatArray:
-    """Points (n, 2) of the ellipse `sigmas` standard deviations from the origin of a covariance (2, 2).
+    """Compute the ellipse of a covariance about the origin.
 
-    Of normal errors, one in exp(-sigmas² / 2) lies outside: 1.1 % for three.
+    A fraction exp(-sigmas² / 2) of normal errors lies outside: 1.1 % for three sigmas.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (2, 2)
+    sigmas : float
+        Size in standard deviations.
+    n : int
+        Number of points.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
     """
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, n)
@@ -141,5 +222,11 @@ def ellipse(covariance: FloatArray, sigmas: float = 1.0, n: int = 49) -> FloatAr
 
 
 def nothing(axes: Axes, text: str) -> None:
-    """A line in the middle of an empty picture that says why it is empty."""
+    """Write in the middle of empty axes why they are empty.
+
+    Parameters
+    ----------
+    axes : Axes
+    text : str
+    """
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="#888888")

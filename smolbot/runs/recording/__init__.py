@@ -1,1 +1,1 @@
-"""The record of a run, as messages: written while it goes on, sent to a live page, read again afterwards."""
+"""The record of a run as messages: written during the run, sent to a live page, read again afterwards."""

@@ -1,4 +1,4 @@
-"""Samples as a converter's counts: a quarter of their size, and exact."""
+"""Store samples as a converter's counts: exact, and a quarter of the size."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ _BLOCK = 2048  # samples of every sensor at a time
 
 @dataclass(frozen=True, eq=False)
 class Converter:
-    """What turned fields into counts.
+    """The analog-to-digital converter that turned fields into counts.
 
     Attributes
     ----------
     bits : int
     range : float, in V
-        To either side.
-    volts_per_tesla : float
+        To either side of zero.
+    volts_per_tesla : float, in V/T
         Of the sensors.
     gains : ndarray, shape (n_sensors,)
-        As believed; readings were divided by them.
+        Assumed relative gains; readings were divided by them.
     """
 
     bits: int
@@ -43,13 +43,34 @@ class Converter:
 
     @classmethod
     def of(cls, section: SensorsSection, gains: FloatArray) -> Converter:
-        """As a rig file's ``[sensors]`` describes it."""
+        """Build the converter of a rig file's ``[sensors]`` section.
+
+        Parameters
+        ----------
+        section : SensorsSection
+        gains : ndarray, shape (n_sensors,)
+            Assumed relative gains.
+
+        Returns
+        -------
+        Converter
+        """
         return cls(section.adc_bits, section.adc_range_v, section.volts_per_tesla, np.asarray(gains, float))
 
     def counts(self, field: FloatArray) -> tuple[int, Counts | None]:
-        """The scaling by which `field` (n_sensors, n), in T, are whole counts, and these; (FIELD, None) if by none.
+        """Find the scaling by which a field is a whole number of counts, and these counts.
 
-        What is returned decodes to `field` bit for bit: that is how it is found.
+        The counts decode to `field` bit for bit: that is how the scaling is found.
+
+        Parameters
+        ----------
+        field : ndarray, shape (n_sensors, n), in T
+
+        Returns
+        -------
+        int
+            The scaling; ``FIELD`` if there is none.
+        ndarray of int16, shape (n_sensors, n), or None
         """
         if self.bits > 16 or len(field) != len(self.gains) or not field.size:
             return FIELD, None
@@ -67,7 +88,17 @@ class Converter:
         return FIELD, None
 
     def field(self, scaling: int, counts: Counts) -> FloatArray:
-        """Counts (n_sensors, n) as a field, in T."""
+        """Convert counts to a field.
+
+        Parameters
+        ----------
+        scaling : int
+        counts : ndarray of int16, shape (n_sensors, n)
+
+        Returns
+        -------
+        ndarray, shape (n_sensors, n), in T
+        """
         return self._scalings[scaling](counts.astype(float))
 
     @cached_property
@@ -86,15 +117,15 @@ class Converter:
 
 
 def _blocks(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    """Views of some columns at a time: what is made of them stays in the processor's cache."""
+    """Yield views of some columns at a time, small enough for the processor's cache."""
     return (values[:, start : start + _BLOCK] for start in range(0, values.shape[1], _BLOCK))
 
 
 def _fits(counts: FloatArray) -> bool:
-    """Whether these are numbers that 16 bits hold; nan and infinity are not."""
+    """Return whether all numbers fit into 16 bits; nan and infinity do not."""
     return bool(counts.min() >= -(2.0**15) and counts.max() <= 2.0**15 - 1)
 
 
 def _same_bits(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two arrays are the same to the last bit; a zero has a sign."""
+    """Return whether two arrays are equal bit for bit; a zero has a sign."""
     return np.array_equal(a.view(np.int64), np.ascontiguousarray(b).view(np.int64))

@@ -1,4 +1,4 @@
-"""Writes a recorded run for other programs: HDF5, MATLAB, or a folder of CSV tables."""
+"""Write a recorded run for other programs: HDF5, MATLAB, or a folder of CSV tables."""
 
 from __future__ import annotations
 
@@ -27,12 +27,23 @@ _ABOUT = (
 
 
 def export(run: RecordedRun, kind: str, out: Path, *, force: bool = False, with_samples: bool = True) -> None:
-    """Write `run` to `out`, a file or (csv) a folder; numbers read back are those of the record bit for bit.
+    """Write a run to a file or (csv) a folder; the numbers equal those of the record bit for bit.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    kind : {"h5", "csv", "mat"}
+    out : Path
+        File or folder to write.
+    force : bool
+        Overwrite an earlier export.
+    with_samples : bool
+        Whether to include the samples of all sensors.
 
     Raises
     ------
     InputError
-        For an unknown format, where `out` stands there already (unless `force`), or cannot be written.
+        For an unknown format, if `out` exists (unless `force`), or if it cannot be written.
     """
     writers: dict[str, Callable[[RecordedRun, Path, bool], None]] = {"h5": _hdf5, "csv": _csv, "mat": _mat}
     if kind not in writers:
@@ -41,7 +52,21 @@ def export(run: RecordedRun, kind: str, out: Path, *, force: bool = False, with_
 
 
 def write_aside(out: Path, write: Callable[[Path], None], *, force: bool) -> None:
-    """Let `write` make a file or folder under another name first, so that `out` is there whole or not at all."""
+    """Write a file or folder under another name first, so that `out` is complete or absent.
+
+    Parameters
+    ----------
+    out : Path
+    write : callable
+        Called with the temporary path.
+    force : bool
+        Overwrite an earlier export.
+
+    Raises
+    ------
+    InputError
+        If `out` exists (unless `force`), or cannot be written.
+    """
     if out.exists() and not force:
         raise InputError(f"{out}: stands there already; name another with --out, or write over it with --force.")
     if out.is_dir() and any(out.iterdir()) and not (out / _INDEX).is_file():
@@ -122,7 +147,7 @@ def _mat(run: RecordedRun, path: Path, with_samples: bool) -> None:
 
 
 def _matlab(value: Any) -> Any:
-    """As MATLAB has it: a list of text is a cell column, a list of dictionaries a struct array."""
+    """Convert to MATLAB's types: a list of text to a cell column, a list of dictionaries to a struct array."""
     if isinstance(value, dict):
         return {name: _matlab(part) for name, part in value.items()}
     if isinstance(value, list):
@@ -156,7 +181,15 @@ def _csv(run: RecordedRun, path: Path, with_samples: bool) -> None:
 
 
 def write_samples_csv(path: Path, volts_: NDArray[np.float64], head: dict[str, float]) -> None:
-    """One recording (n_sensors, n), in V, as ``smolbot localize`` reads it."""
+    """Write one recording in the format that ``smolbot localize`` reads.
+
+    Parameters
+    ----------
+    path : Path
+    volts_ : ndarray, shape (n_sensors, n), in V
+    head : dict of str to float
+        Values of the header lines.
+    """
     lines = [f"# {name} = {value!r}" for name, value in head.items()]
     lines.append(",".join(f"sensor_{i}_v" for i in range(len(volts_))))
     lines += [",".join(map(repr, row)) for row in volts_.T.tolist()]
@@ -174,7 +207,7 @@ def _write_table(path: Path, table: Table) -> None:
 
 
 def _flat(name: str, values: Column) -> list[tuple[str, Sequence[Any]]]:
-    """A column of numbers as it is; one of vectors or matrices as several, the unit staying last."""
+    """Split a column of vectors or matrices into several of numbers, the unit at the end of each name."""
     if isinstance(values, list):
         return [(name, values)]
     if values.ndim == 1:
@@ -188,7 +221,7 @@ def _flat(name: str, values: Column) -> list[tuple[str, Sequence[Any]]]:
 
 
 def _label(name: str, index: tuple[int, ...]) -> str:
-    """x, y, z of a vector, w, x, y, z of a quaternion; else the place, counted from 0."""
+    """Label a component: x, y, z of a vector, w, x, y, z of a quaternion, else its index from 0."""
     if name == "orientation":
         return "wxyz"[index[0]]
     if name in ("position_m", "axis", "excite_a"):
@@ -197,7 +230,7 @@ def _label(name: str, index: tuple[int, ...]) -> str:
 
 
 def _cell(value: Any) -> Any:
-    """As text that reads back to the same number; nothing where there is none."""
+    """Format a value as text that reads back to the same number; empty for nan."""
     if isinstance(value, bool):
         return int(value)
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""The files that a run starts from: kept as used, with everything that they name, and read again as one mission."""
+"""The files that a run starts from, with all files that they name; stored as used, read again as a mission."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ MISSION, RIG, ROBOT = "mission.toml", "rig.toml", "robot.toml"
 
 @dataclass(frozen=True)
 class RunFiles:
-    """Contents of the files of a run folder by their names, and the settings by which the mission finds them.
+    """Contents of the files of a run folder, and the settings by which the mission finds them.
 
     Attributes
     ----------
-    contents : dict of bytes
-        ``mission.toml``, ``rig.toml``, ``robot.toml``, and what these name: a drawing, a table, calibrated sensors.
-    names : dict of str
-        ``{"rig.sensors.calibrated": "sensors.toml"}``: which setting names which of them.
+    contents : dict of str to bytes
+        ``mission.toml``, ``rig.toml``, ``robot.toml``, and the files that these name: a drawing, a table,
+        calibrated sensors.
+    names : dict of str to str
+        ``{"rig.sensors.calibrated": "sensors.toml"}``: file by the setting that names it.
     """
 
     contents: dict[str, bytes]
@@ -29,7 +30,16 @@ class RunFiles:
 
     @classmethod
     def of(cls, mission: AnyMission) -> RunFiles:
-        """Those of a mission that was loaded."""
+        """Read the files of a loaded mission.
+
+        Parameters
+        ----------
+        mission : Mission or Observation
+
+        Returns
+        -------
+        RunFiles
+        """
         documents = {MISSION: mission.document, RIG: mission.rig.document, ROBOT: mission.robot.document}
         contents = {name: document.text.encode() for name, document in documents.items()}
         names = {}
@@ -40,12 +50,23 @@ class RunFiles:
         return cls(contents, names)
 
     def load(self, folder: Path, settings: dict[str, str] | None = None) -> AnyMission:
-        """The mission of these files, which were written into `folder`; `settings` are laid over it.
+        """Load the mission from these files.
+
+        Parameters
+        ----------
+        folder : Path
+            Where they were written.
+        settings : dict of str to str, optional
+            Values that replace those of the files.
+
+        Returns
+        -------
+        Mission or Observation
 
         Raises
         ------
         InputError
-            Where the folder misses one.
+            If a file is missing from the folder.
         """
         missing = sorted(name for name in self.contents if not (folder / name).is_file())
         if missing:
@@ -56,7 +77,7 @@ class RunFiles:
 
 
 def _named(mission: AnyMission) -> Iterator[tuple[str, str, Path]]:
-    """Setting, stem of the copy, and path, of every file that the mission's files name."""
+    """Yield setting, stem of the copy, and path, of every file that the mission's files name."""
     sensors = mission.rig.sensors_file
     if sensors is not None:
         yield "rig.sensors.calibrated", "sensors", sensors

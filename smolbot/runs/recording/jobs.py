@@ -1,4 +1,4 @@
-"""What waits in a pump: objects as the loop hands them out, which become messages in the pump's own thread."""
+"""Entries of the recorder's queue: objects from the loop, converted to messages in the recorder's own thread."""
 
 from __future__ import annotations
 
@@ -35,51 +35,103 @@ class Message:
 
     @property
     def nanoseconds(self) -> int:
-        """Its time as a record has it."""
+        """Time in ns, as stored in a record."""
         return max(round(self.time * 1e9), 0)
 
 
 class Job(Protocol):
-    """What waits to be made into messages."""
+    """An entry of the queue, to be converted to messages."""
 
     @property
     def count(self) -> int:
-        """Messages that it makes."""
+        """Number of messages that it makes."""
 
     @property
     def size(self) -> int:
         """Bytes of samples that it holds."""
 
-    def messages(self, converter: Converter) -> Iterable[Message]: ...
+    def messages(self, converter: Converter) -> Iterable[Message]:
+        """Convert to messages.
+
+        Parameters
+        ----------
+        converter : Converter
+
+        Returns
+        -------
+        iterable of Message
+        """
 
 
 @dataclass(frozen=True)
 class Told:
-    """Any message, as it is."""
+    """A message that needs no conversion.
+
+    Attributes
+    ----------
+    message : Message
+    """
 
     message: Message
     count = 1
     size = 0
 
     def messages(self, converter: Converter) -> Iterable[Message]:
+        """Yield the message.
+
+        Parameters
+        ----------
+        converter : Converter
+
+        Yields
+        ------
+        Message
+        """
         yield self.message
 
 
 @dataclass(frozen=True)
 class Happened:
-    """An event."""
+    """An event.
+
+    Attributes
+    ----------
+    event : Event
+    """
 
     event: Event
     count = 1
     size = 0
 
     def messages(self, converter: Converter) -> Iterable[Message]:
+        """Convert to a message.
+
+        Parameters
+        ----------
+        converter : Converter
+
+        Yields
+        ------
+        Message
+        """
         yield Message("/events", self.event.time, messages.event_message(self.event))
 
 
 @dataclass(frozen=True)
 class Played:
-    """A shot that was played until `ended` s, and what was heard of it."""
+    """A played shot and its recording.
+
+    Attributes
+    ----------
+    number : int
+        Number of the shot.
+    shot : Shot
+    recording : Recording or None
+    ended : float, in s
+        When the shot ended, on the rig's clock.
+    heard : bool
+        Whether the rig returned samples.
+    """
 
     number: int
     shot: Shot
@@ -89,10 +141,12 @@ class Played:
 
     @property
     def count(self) -> int:
+        """Number of messages that it makes."""
         return 1 + self._samples
 
     @property
     def size(self) -> int:
+        """Bytes of samples that it holds."""
         return 0 if self.recording is None else self.recording.field.nbytes
 
     @property
@@ -100,6 +154,16 @@ class Played:
         return self.heard and self.recording is not None
 
     def messages(self, converter: Converter) -> Iterable[Message]:
+        """Convert to messages.
+
+        Parameters
+        ----------
+        converter : Converter
+
+        Yields
+        ------
+        Message
+        """
         shot = messages.shot_message(self.number, self.shot, self.ended, heard=self.heard)
         yield Message("/shots", self.shot.start, shot)
         if self._samples:
@@ -109,13 +173,33 @@ class Played:
 
 
 def is_heard(recording: Recording | None) -> bool:
-    """Whether there are samples to record."""
+    """Return whether there are samples to record.
+
+    Parameters
+    ----------
+    recording : Recording or None
+
+    Returns
+    -------
+    bool
+    """
     return recording is not None and not isinstance(recording, Sighting)
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A cycle and the number of its shot; it was over `wall` s after the record was begun."""
+    """A cycle.
+
+    Attributes
+    ----------
+    number : int
+        Number of the cycle.
+    shot : int
+        Number of its shot.
+    moment : Moment
+    wall : float, in s
+        Wall time from the start of the record to the end of the cycle.
+    """
 
     number: int
     shot: int
@@ -125,6 +209,7 @@ class Cycle:
 
     @property
     def count(self) -> int:
+        """Number of messages that it makes."""
         cycle = self.moment.cycle
         return 2 + (cycle.pose is not None) + (cycle.tracked is not None) + self._knows_truth
 
@@ -133,6 +218,16 @@ class Cycle:
         return self.moment.truth is not None or self.moment.truth_at_end is not None
 
     def messages(self, converter: Converter) -> Iterable[Message]:
+        """Convert to messages.
+
+        Parameters
+        ----------
+        converter : Converter
+
+        Yields
+        ------
+        Message
+        """
         cycle, number = self.moment.cycle, self.number
         at = min(cycle.shot.end, cycle.ended)
         if cycle.pose is not None:

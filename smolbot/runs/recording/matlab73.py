@@ -1,4 +1,4 @@
-"""MATLAB's files of version 7.3, for what is too large for those before: HDF5 with MATLAB's own marks.
+"""MATLAB files of version 7.3, for data too large for earlier versions: HDF5 with MATLAB's attributes.
 
 As MATLAB writes them: a header of 512 bytes before the HDF5 file; arrays with their axes in reverse order; text as
 16-bit characters; cells as references into ``#refs#``; structs as groups.
@@ -17,7 +17,14 @@ _NAMES = {"f": "double", "u": "uint8", "i": "int64", "b": "logical"}
 
 
 def write_matlab73(path: Path, held: dict[str, Any]) -> None:
-    """Write named arrays, numbers, text, lists (cell columns) and dictionaries (structs)."""
+    """Write named arrays, numbers, text, lists (cell columns) and dictionaries (structs).
+
+    Parameters
+    ----------
+    path : Path
+    held : dict
+        Values by name.
+    """
     import h5py
 
     with h5py.File(path, "w", userblock_size=_USERBLOCK) as file:

@@ -1,4 +1,4 @@
-"""Between what the loop hands out and the messages of a record; each pair of functions is exact both ways."""
+"""Convert between smolbot's objects and the messages of a record; each pair of functions is exact both ways."""
 
 from __future__ import annotations
 
@@ -37,7 +37,16 @@ TOPICS: dict[str, Any] = {
 
 
 def window_message(window: Window) -> pb.Window:
-    """A window of a shot."""
+    """Convert a window of a shot to a message.
+
+    Parameters
+    ----------
+    window : Window
+
+    Returns
+    -------
+    pb.Window
+    """
     match window:
         case Actuate(currents, duration):
             return pb.Window(actuate=pb.Window.Actuate(currents=currents, duration=duration))
@@ -56,7 +65,21 @@ def window_message(window: Window) -> pb.Window:
 
 
 def window_of(message: pb.Window) -> Window:
-    """The window that a message tells of."""
+    """Convert a message to a window of a shot.
+
+    Parameters
+    ----------
+    message : pb.Window
+
+    Returns
+    -------
+    Window
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind.
+    """
     match message.WhichOneof("kind"):
         case "actuate":
             return Actuate(tuple(message.actuate.currents), message.actuate.duration)
@@ -79,18 +102,54 @@ def window_of(message: pb.Window) -> Window:
 
 
 def shot_message(number: int, shot: Shot, ended: float, *, heard: bool) -> pb.Shot:
-    """A shot that was played until `ended` s."""
+    """Convert a played shot to a message.
+
+    Parameters
+    ----------
+    number : int
+        Number of the shot.
+    shot : Shot
+    ended : float, in s
+        When the shot ended, on the rig's clock.
+    heard : bool
+        Whether there are samples of it.
+
+    Returns
+    -------
+    pb.Shot
+    """
     windows = [window_message(window) for window in shot.windows]
     return pb.Shot(number=number, mode=shot.mode, start=shot.start, ended=ended, windows=windows, heard=heard)
 
 
 def shot_of(message: pb.Shot) -> Shot:
-    """The shot of a message."""
+    """Convert a message to a shot.
+
+    Parameters
+    ----------
+    message : pb.Shot
+
+    Returns
+    -------
+    Shot
+    """
     return Shot(tuple(window_of(w) for w in message.windows), message.mode, message.start)  # type: ignore[arg-type]
 
 
 def samples_message(number: int, recording: Recording, converter: Converter) -> pb.Samples:
-    """What was heard in the shot of that number."""
+    """Convert a recording to a message.
+
+    Parameters
+    ----------
+    number : int
+        Number of the shot.
+    recording : Recording
+    converter : Converter
+
+    Returns
+    -------
+    pb.Samples
+    """
     scaling, counts = converter.counts(recording.field)
     message = pb.Samples(
         number=number,
@@ -109,7 +168,19 @@ def samples_message(number: int, recording: Recording, converter: Converter) -> 
 
 
 def recording_of(message: pb.Samples, converter: Converter, shot: Shot) -> Recording:
-    """The recording of a message, which was made in `shot`."""
+    """Convert a message to a recording.
+
+    Parameters
+    ----------
+    message : pb.Samples
+    converter : Converter
+    shot : Shot
+        In which it was recorded.
+
+    Returns
+    -------
+    Recording
+    """
     shape = (message.sensors, -1)
     if message.scaling == pb.Samples.FIELD:
         field = np.frombuffer(message.field, "<f8").astype(float).reshape(shape)
@@ -122,7 +193,18 @@ def recording_of(message: pb.Samples, converter: Converter, shot: Shot) -> Recor
 
 
 def pose_message(number: int, pose: Pose) -> pb.Pose:
-    """A pose of the cycle of that number."""
+    """Convert a pose to a message.
+
+    Parameters
+    ----------
+    number : int
+        Number of the cycle.
+    pose : Pose
+
+    Returns
+    -------
+    pb.Pose
+    """
     return pb.Pose(
         number=number,
         time=pose.time,
@@ -136,7 +218,16 @@ def pose_message(number: int, pose: Pose) -> pb.Pose:
 
 
 def pose_of(message: pb.Pose) -> Pose:
-    """The pose of a message."""
+    """Convert a message to a pose.
+
+    Parameters
+    ----------
+    message : pb.Pose
+
+    Returns
+    -------
+    Pose
+    """
     pose = Pose(
         message.time,
         np.array(message.position),
@@ -153,7 +244,23 @@ def pose_of(message: pb.Pose) -> Pose:
 
 
 def truth_message(number: int, truth: Pose | None, end: Pose | None, way: FloatArray) -> pb.Truth:
-    """Where the device truly was during the cycle of that number."""
+    """Convert the ground truth during a cycle to a message.
+
+    Parameters
+    ----------
+    number : int
+        Number of the cycle.
+    truth : Pose or None
+        At the time of the pose.
+    end : Pose or None
+        At the end of the shot.
+    way : ndarray, shape (n, 3), in m
+        True positions in the world frame during a shot without listening.
+
+    Returns
+    -------
+    pb.Truth
+    """
     return pb.Truth(
         number=number,
         pose=None if truth is None else pose_message(number, truth),
@@ -163,7 +270,18 @@ def truth_message(number: int, truth: Pose | None, end: Pose | None, way: FloatA
 
 
 def command_message(number: int, command: Command) -> pb.Command:
-    """What was wanted next, after the cycle of that number."""
+    """Convert a command to a message.
+
+    Parameters
+    ----------
+    number : int
+        Number of the cycle before it.
+    command : Command
+
+    Returns
+    -------
+    pb.Command
+    """
     window = command.window
     several = isinstance(window, tuple)
     windows: Iterable[Window] = () if window is None else window if isinstance(window, tuple) else (window,)
@@ -182,7 +300,16 @@ def command_message(number: int, command: Command) -> pb.Command:
 
 
 def command_of(message: pb.Command) -> Command:
-    """The command of a message."""
+    """Convert a message to a command.
+
+    Parameters
+    ----------
+    message : pb.Command
+
+    Returns
+    -------
+    Command
+    """
     windows = tuple(window_of(w) for w in message.windows)
     window: Any = windows if message.several else windows[0] if windows else None
     return Command(
@@ -198,22 +325,49 @@ def command_of(message: pb.Command) -> Command:
 
 
 def event_message(event: Event) -> pb.Event:
-    """Something that happened."""
+    """Convert an event to a message.
+
+    Parameters
+    ----------
+    event : Event
+
+    Returns
+    -------
+    pb.Event
+    """
     return pb.Event(time=event.time, what=event.what, detail=json.dumps(event.detail, default=_plain))
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has no word for: numbers and arrays of numpy as they are, anything else as text."""
+    """Convert a value that JSON does not know: numbers and arrays of numpy to lists and numbers, others to text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def event_of(message: pb.Event) -> Event:
-    """The event of a message."""
+    """Convert a message to an event.
+
+    Parameters
+    ----------
+    message : pb.Event
+
+    Returns
+    -------
+    Event
+    """
     return Event(message.time, message.what, json.loads(message.detail))
 
 
 def converter_message(converter: Converter) -> pb.Converter:
-    """What turned fields into counts."""
+    """Convert a converter's description to a message.
+
+    Parameters
+    ----------
+    converter : Converter
+
+    Returns
+    -------
+    pb.Converter
+    """
     return pb.Converter(
         bits=converter.bits,
         range=converter.range,
@@ -223,5 +377,14 @@ def converter_message(converter: Converter) -> pb.Converter:
 
 
 def converter_of(message: pb.Converter) -> Converter:
-    """The converter of a message."""
+    """Convert a message to a converter's description.
+
+    Parameters
+    ----------
+    message : pb.Converter
+
+    Returns
+    -------
+    Converter
+    """
     return Converter(message.bits, message.range, message.volts_per_tesla, np.array(message.gains))

@@ -1,4 +1,4 @@
-"""Takes what the loop hands out, and lets a thread of its own do the rest: the loop never waits."""
+"""Pass what the loop produces to a sink in a thread of its own, so that the loop never waits."""
 
 from __future__ import annotations
 
@@ -36,38 +36,49 @@ PATIENCE = 10.0
 
 
 class Sink(Protocol):
-    """Where messages go. Called from the pump's thread only."""
+    """A destination of messages; called from the pump's thread only."""
 
-    def write(self, message: Message) -> None: ...
+    def write(self, message: Message) -> None:
+        """Write one message.
 
-    def flush(self) -> None: ...
+        Parameters
+        ----------
+        message : Message
+        """
 
-    def close(self) -> None: ...
+    def flush(self) -> None:
+        """Make everything written so far safe from a kill of the process."""
+
+    def close(self) -> None:
+        """Finish and release the destination."""
 
 
 class Pump:
-    """Makes messages of what was played and what happened, and hands them to a sink, in its own thread.
+    """Convert played shots, cycles and events to messages, and pass them to a sink in its own thread.
 
-    Its queue is bounded, in entries and in bytes of samples: what does not fit is dropped and counted. A sink that
-    fails is given no more; `error` says why, what comes is counted as dropped, and the flight goes on.
+    The queue is bounded in entries and in bytes of samples: what does not fit is dropped and counted. After an
+    error the sink gets no more messages; `error` has the reason, further messages count as dropped, and the flight
+    goes on.
 
     Parameters
     ----------
     sink : Sink
     converter : Converter
     windows : bool
-        Whether to hand on what the sensors heard; most of a record is that.
-    capacity, memory : int
-        Entries, and bytes of samples, that may wait.
+        Whether to pass on the samples, which are most of a record.
+    capacity : int
+        Largest number of waiting entries.
+    memory : int, in bytes
+        Largest size of waiting samples.
     patience : float, in s
-        How long `close` waits for what is not yet written.
+        How long `close` waits for unwritten messages.
 
     Attributes
     ----------
     error : str or None
-        Why something could not be handed on: the first reason.
+        The first reason why something could not be passed on.
     computing : float, in s
-        Processor time of its thread, once that ended.
+        Processor time of the thread, once it has ended.
     """
 
     def __init__(
@@ -103,28 +114,57 @@ class Pump:
 
     @property
     def dropped(self) -> int:
-        """Messages that could not be handed on so far."""
+        """Number of messages that could not be passed on so far."""
         return self._refused + self._lost
 
     def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
-        """A shot was played; see `smolbot.runs.run.Tape`."""
+        """Record a played shot; see `smolbot.runs.run.Tape`.
+
+        Parameters
+        ----------
+        shot : Shot
+        recording : Recording or None
+        ended : float, in s
+            On the rig's clock.
+        """
         self._put(Played(self._shots, shot, recording if self._windows else None, ended, is_heard(recording)))
         self._shots += 1
 
     def happened(self, event: Event) -> None:
-        """See `smolbot.runs.run.Tape`."""
+        """Record an event; see `smolbot.runs.run.Tape`.
+
+        Parameters
+        ----------
+        event : Event
+        """
         self._put(Happened(event))
 
     def cycle(self, number: int, moment: Moment) -> None:
-        """The cycle of that number is over; its shot was the last that was played."""
+        """Record a finished cycle, whose shot was the last one played.
+
+        Parameters
+        ----------
+        number : int
+        moment : Moment
+        """
         self._put(Cycle(number, self._shots - 1, moment, time.monotonic() - self._begun))
 
     def tell(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
-        """Any other message. One that tells of the end may `wait` for its place."""
+        """Record any other message.
+
+        Parameters
+        ----------
+        topic : str
+        when : float, in s
+            On the rig's clock.
+        content : protobuf message
+        wait : bool
+            Wait for a free place in the queue, as the last message of a run does.
+        """
         self._put(Told(Message(topic, when, content)), self._patience if wait else 0.0)
 
     def close(self) -> None:
-        """Write what still waits, then end; harmless when repeated."""
+        """Write what still waits, then end the thread; repeated calls do nothing."""
         if self._closed:
             return
         self._closed = True
@@ -217,37 +257,77 @@ def _said(error: Exception) -> str:
 
 
 class Tapes:
-    """Several pumps as one tape."""
+    """Several pumps as one recorder sink.
+
+    Parameters
+    ----------
+    pumps : tuple of Pump
+        The first is the recorder.
+    """
 
     def __init__(self, pumps: tuple[Pump, ...]) -> None:
         self._pumps = pumps
 
     def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
-        """See `smolbot.runs.run.Tape`."""
+        """Record a played shot; see `smolbot.runs.run.Tape`.
+
+        Parameters
+        ----------
+        shot : Shot
+        recording : Recording or None
+        ended : float, in s
+            On the rig's clock.
+        """
         for pump in self._pumps:
             pump.played(shot, recording, ended)
 
     def happened(self, event: Event) -> None:
-        """See `smolbot.runs.run.Tape`."""
+        """Record an event; see `smolbot.runs.run.Tape`.
+
+        Parameters
+        ----------
+        event : Event
+        """
         for pump in self._pumps:
             pump.happened(event)
 
     def cycle(self, number: int, moment: Moment) -> None:
-        """The cycle of that number is over."""
+        """Record a finished cycle.
+
+        Parameters
+        ----------
+        number : int
+        moment : Moment
+        """
         for pump in self._pumps:
             pump.cycle(number, moment)
 
     def tell(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
-        """Any other message; see `Pump.tell`."""
+        """Record any other message; see `Pump.tell`.
+
+        Parameters
+        ----------
+        topic : str
+        when : float, in s
+            On the rig's clock.
+        content : protobuf message
+        wait : bool
+            Wait for a free place in the queue.
+        """
         for pump in self._pumps:
             pump.tell(topic, when, content, wait=wait)
 
     def close(self) -> None:
-        """Let each write what still waits."""
+        """Let each pump write what still waits, then end it."""
         for pump in self._pumps:
             pump.close()
 
     def figures(self) -> dict[str, Any]:
-        """What was dropped, and what went wrong, for the summary; of the first pump, the recorder."""
+        """Collect dropped messages and the first error of the recorder, for the summary.
+
+        Returns
+        -------
+        dict
+        """
         first = self._pumps[0]
         return {"dropped": first.dropped, "error": first.error}

@@ -1,4 +1,4 @@
-"""Reads the record of a run again: whole, cut short by a kill, or not one of ours at all."""
+"""Read the record of a run: complete, cut short by a kill, or not one of smolbot's at all."""
 
 from __future__ import annotations
 
@@ -32,7 +32,16 @@ CUT_SHORT = "the record ends without an end: the process was ended from outside,
 
 @dataclass(frozen=True)
 class Played:
-    """A shot that was played: its number, until when (s), and the samples that came of it, if any were."""
+    """A played shot.
+
+    Attributes
+    ----------
+    number : int
+    shot : Shot
+    ended : float, in s
+        On the rig's clock.
+    samples : Samples message, or None
+    """
 
     number: int
     shot: Shot
@@ -40,13 +49,23 @@ class Played:
     samples: pb.Samples | None
 
     def recording(self, converter: Converter) -> Recording | None:
-        """What the sensors heard, as the rig gave it, bit for bit."""
+        """Decode the samples, bit for bit as the rig returned them.
+
+        Parameters
+        ----------
+        converter : Converter
+
+        Returns
+        -------
+        Recording or None
+            None without samples.
+        """
         return None if self.samples is None else messages.recording_of(self.samples, converter, self.shot)
 
 
 @dataclass(repr=False)
 class RecordedRun(Readable):
-    """A run as it was recorded.
+    """A recorded run.
 
     Attributes
     ----------
@@ -54,28 +73,28 @@ class RecordedRun(Readable):
         The record.
     begin : Begin message
     played : list of Played
-        Every shot, those from which noise and decay were learned too.
+        Every shot, including those from which noise and coil decay were learned.
     moments : list of Moment
-        Every cycle, with the truth where it was known.
+        Every cycle, with the ground truth where it was known.
     shot_of_cycle, number_of_cycle : list of int
-        Number of the shot of each cycle, and its own; where part of a record is lost, numbers are missing.
+        Number of the shot of each cycle, and of the cycle; numbers are missing where part of a record is lost.
     events : list of Event
     end : End message, or None
-        None where the record was cut short.
+        None if the record was cut short.
     whole : bool
-        False where the file was not finished.
+        False if the file was not finished.
     dropped : int
-        Messages that the recorder could not take.
+        Number of messages that the recorder could not take.
     messages : int
-        Messages that were read.
+        Number of messages that were read.
     nameless : int
-        Messages that were read, but of which the file does not say any more what they are.
+        Number of messages that were read, but whose topic is lost.
     lost : int
-        Bytes of the file that hold nothing that can be read.
+        Bytes of the file that cannot be read.
     recovered : Recovered message, or None
-        Where this record was written anew by ``smolbot recover``.
+        Present if ``smolbot recover`` rewrote this record.
     wall : float, in s
-        Wall time from the record's beginning to the last cycle.
+        Wall time from the start of the record to the last cycle.
     """
 
     path: Path
@@ -101,13 +120,13 @@ class RecordedRun(Readable):
 
     @cached_property
     def provenance(self) -> dict[str, Any]:
-        """Version, commit, seed, settings, what was drawn."""
+        """Version, commit, seed, settings, and sampled mismatches."""
         found: dict[str, Any] = json.loads(self.begin.provenance)
         return found
 
     @cached_property
     def converter(self) -> Converter:
-        """What turned fields into counts."""
+        """The converter that turned fields into counts."""
         return messages.converter_of(self.begin.converter)
 
     @property
@@ -116,7 +135,22 @@ class RecordedRun(Readable):
         return RunFiles(dict(self.begin.files), dict(self.begin.names))
 
     def mission(self, settings: dict[str, str] | None = None) -> AnyMission:
-        """The mission as it was flown, from the record itself; `settings` are laid over it."""
+        """Load the mission as it was flown, from the record itself.
+
+        Parameters
+        ----------
+        settings : dict of str to str, optional
+            Values that replace those of the files.
+
+        Returns
+        -------
+        Mission or Observation
+
+        Raises
+        ------
+        ConfigError
+            With a line for every fault.
+        """
         import tempfile
 
         with tempfile.TemporaryDirectory() as folder:
@@ -132,25 +166,41 @@ class RecordedRun(Readable):
 
     @property
     def knows_truth(self) -> bool:
-        """Whether a witness told where the device truly was."""
+        """Whether a witness provided the ground truth."""
         return any(moment.truth is not None or moment.truth_at_end is not None for moment in self.moments)
 
     def recordings(self) -> Iterator[tuple[Played, Recording]]:
-        """Every shot that was heard, with what was."""
+        """Decode the recording of every shot that has one.
+
+        Yields
+        ------
+        Played
+        Recording
+        """
         for played in self.played:
             recording = played.recording(self.converter)
             if recording is not None:
                 yield played, recording
 
     def trace(self) -> Trace:
-        """The cycles as they were collected in flight."""
+        """Build the trace of the cycles, as it was in flight.
+
+        Returns
+        -------
+        Trace
+        """
         trace = Trace(None)
         trace.moments = list(self.moments)
         trace.knows_truth = self.knows_truth
         return trace
 
     def run(self) -> Run:
-        """The flight as it ended; one whose record was cut short, as failed."""
+        """Build the result of the flight; one whose record was cut short counts as failed.
+
+        Returns
+        -------
+        Run
+        """
         cycles = [moment.cycle for moment in self.moments]
         last = max((p.ended for p in self.played), default=0.0)
         run = Run("failed", CUT_SHORT, last, cycles=cycles, events=list(self.events))
@@ -167,12 +217,21 @@ class RecordedRun(Readable):
 
 
 def record_path(run: str | Path) -> Path:
-    """The record of a run that is given by its folder, or by the record itself.
+    """Find the record of a run.
+
+    Parameters
+    ----------
+    run : str or Path
+        Run folder, or its record.
+
+    Returns
+    -------
+    Path
 
     Raises
     ------
     InputError
-        Where there is none.
+        If there is none.
     """
     path = Path(run)
     if path.is_dir():
@@ -213,7 +272,7 @@ def read_run(run: str | Path) -> RecordedRun:
 
 
 class _Reading:
-    """Puts messages together, whatever is missing between them."""
+    """Assemble messages to a run, whichever are missing between them."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -226,7 +285,7 @@ class _Reading:
         self._nameless = 0
 
     def take(self, told: Found) -> None:
-        """The next message."""
+        """Add the next message."""
         if told.topic is None:
             self._nameless += 1
             return
@@ -262,7 +321,7 @@ class _Reading:
             self._found.messages += 1
 
     def run(self, scan: Scan) -> RecordedRun:
-        """The run, once all was taken."""
+        """Build the run from all messages."""
         found = self._found
         if found is None:
             raise InputError(f"{self._path}: {self._beginless(scan)}")
@@ -302,12 +361,22 @@ class _Reading:
 
 
 def stream(run: str | Path) -> Iterator[tuple[str, bytes]]:
-    """Topic and bytes of every message of a record, in the order in which they were written; as far as it goes.
+    """Iterate over the messages of a record in the order in which they were written, as far as they can be read.
+
+    Parameters
+    ----------
+    run : str or Path
+        Run folder, or its record.
+
+    Returns
+    -------
+    iterator of tuple
+        Topic and bytes of each message.
 
     Raises
     ------
     InputError
-        Where there is no record, or it is no MCAP file.
+        If there is no record, or it is no MCAP file.
     """
     scan = Scan(record_path(run))
     return ((found.topic, found.data) for found in scan.messages() if found.topic is not None)

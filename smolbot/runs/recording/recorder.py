@@ -1,4 +1,4 @@
-"""Writes ``run.mcap``, the record of a run, while the run goes on."""
+"""Write ``run.mcap``, the record of a run, during the run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,17 @@ CHUNK = 4 * 2**20
 
 
 def lock(file: IO[bytes]) -> bool:
-    """Mark a record as being written, for as long as it is open; False if somebody else has."""
+    """Lock a record while it is being written, for as long as it is open.
+
+    Parameters
+    ----------
+    file : binary file
+
+    Returns
+    -------
+    bool
+        False if another process has locked it.
+    """
     try:
         import fcntl
 
@@ -41,21 +51,21 @@ def lock(file: IO[bytes]) -> bool:
 
 
 class McapFile:
-    """A record as an MCAP file. What was flushed survives the process, however that ends.
+    """A record as an MCAP file; flushed messages survive the process, however it ends.
 
-    The library that makes chunks holds Python's lock while it writes, so it writes into memory; a flush hands that on
-    to the operating system without the lock: a disk that stalls does not stall the loop.
+    The MCAP library holds Python's global lock while it writes, so it writes into memory. A flush passes that to
+    the operating system without the lock: a slow disk does not stop the loop.
 
     Parameters
     ----------
     path : Path
     flushed : callable, optional
-        Told after each flush of the messages that are in the file by then.
+        Called after each flush with the number of messages in the file.
 
     Raises
     ------
     InputError
-        If the file stands there already, or cannot be made.
+        If the file exists already, or cannot be made.
     """
 
     def __init__(self, path: Path, flushed: Callable[[int], None] | None = None) -> None:
@@ -77,23 +87,36 @@ class McapFile:
         self._torn = False
 
     def write(self, message: Message) -> None:
-        """Append one message."""
+        """Append one message.
+
+        Parameters
+        ----------
+        message : Message
+        """
         self.append(message.topic, message.nanoseconds, message.content.SerializeToString())
 
     def append(self, topic: str, nanoseconds: int, data: bytes) -> None:
-        """Append a message that is bytes already."""
+        """Append an encoded message.
+
+        Parameters
+        ----------
+        topic : str
+        nanoseconds : int, in ns
+            Time on the rig's clock.
+        data : bytes
+        """
         self._channel(topic).log(data, log_time=nanoseconds)
         self._count += 1
 
     def flush(self) -> None:
-        """Hand everything so far to the operating system."""
+        """Pass everything written so far to the operating system."""
         self._writer.flush()
         self._hand_on()
         if self._flushed is not None:
             self._flushed(self._count)
 
     def close(self) -> None:
-        """Finish the file; one that could not be written stays torn as it is."""
+        """Finish the file; after a write error it stays torn as it is."""
         try:
             self._writer.close()
             if not self._torn:
@@ -127,7 +150,7 @@ class McapFile:
 
 
 class _Made:
-    """What was made of a file and not handed on yet; looks like a file that is only appended to."""
+    """A write buffer that looks to the MCAP library like a file that is only appended to."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
@@ -144,7 +167,7 @@ class _Made:
         return end
 
     def flush(self) -> None:
-        """Nothing to do: what is made is taken."""
+        """Do nothing: the buffer is emptied by `taken`."""
 
     def taken(self) -> bytes:
         taken = bytes(self._bytes)
@@ -154,7 +177,7 @@ class _Made:
 
 
 def _schema() -> bytes:
-    """Every message's description, as MCAP wants it."""
+    """Return the description of every message in the form that MCAP requires."""
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
     found = FileDescriptorSet()
@@ -163,7 +186,18 @@ def _schema() -> bytes:
 
 
 class Recorder(Pump):
-    """The record of one run, in its folder. Hears of the run as its tape, and of every cycle."""
+    """The record of one run in its folder, notified of shots and events as a recorder sink, and of every cycle.
+
+    Parameters
+    ----------
+    folder : Path
+        The run folder.
+    converter : Converter
+    flushed : callable, optional
+        Called after each flush with the number of messages in the file.
+    **options : object
+        See `Pump`.
+    """
 
     def __init__(
         self, folder: Path, converter: Converter, flushed: Callable[[int], None] | None = None, **options: Any
@@ -173,7 +207,18 @@ class Recorder(Pump):
 
 
 def begin_message(files: RunFiles, provenance: dict[str, Any], converter: Converter) -> pb.Begin:
-    """What a run starts from: its files, where it came from, and how its samples are counted."""
+    """Build the first message of a record: files, provenance and converter.
+
+    Parameters
+    ----------
+    files : RunFiles
+    provenance : dict
+    converter : Converter
+
+    Returns
+    -------
+    pb.Begin
+    """
     return pb.Begin(
         format=messages.FORMAT,
         files=files.contents,
@@ -184,7 +229,16 @@ def begin_message(files: RunFiles, provenance: dict[str, Any], converter: Conver
 
 
 def end_message(run: Run) -> pb.End:
-    """How a run ended."""
+    """Build the last message of a record: how the run ended.
+
+    Parameters
+    ----------
+    run : Run
+
+    Returns
+    -------
+    pb.End
+    """
     return pb.End(
         status=run.status,
         stop_reason=run.stop_reason,

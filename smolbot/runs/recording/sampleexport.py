@@ -1,4 +1,4 @@
-"""Recordings of a run as a file of samples, as ``smolbot localize`` reads a lab's own."""
+"""Export recordings of a run as a file of samples, which ``smolbot localize`` reads like a lab's own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,16 @@ from smolbot.runs.recording.tables import volts
 
 
 def chosen_shots(text: str) -> list[int]:
-    """Numbers of shots.
+    """Parse numbers of shots.
+
+    Parameters
+    ----------
+    text : str
+        Numbers and ranges, separated by commas.
+
+    Returns
+    -------
+    list of int
 
     Raises
     ------
@@ -36,13 +45,24 @@ def chosen_shots(text: str) -> list[int]:
 
 
 def export_samples(run: RecordedRun, kind: str, out: Path, shots: list[int], *, force: bool = False) -> None:
-    """Write the volts of some shots: `volts`, `sample_rate_hz`, `clock_s` and, where driven, `time_since_drive_ms`.
+    """Write the samples of some shots in V, with sample rate, time and time since the drive.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    kind : {"h5", "csv", "mat"}
+    out : Path
+        File to write.
+    shots : list of int
+        Numbers of the shots.
+    force : bool
+        Overwrite an earlier export.
 
     Raises
     ------
     InputError
-        For an unknown format, shots that were not heard, or that do not go into one file; where `out` stands there
-        already (unless `force`), or cannot be written.
+        For an unknown format, shots without a recording, or shots that do not fit into one file; if `out` exists
+        (unless `force`), or cannot be written.
     """
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: is not known; known: {', '.join(FORMATS)}.")

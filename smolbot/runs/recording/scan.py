@@ -1,4 +1,4 @@
-"""The messages of an MCAP file, as many as can be had: where a part is torn or damaged, reading goes on behind it."""
+"""Read the messages of an MCAP file, as many as possible: reading goes on behind a torn or damaged part."""
 
 from __future__ import annotations
 
@@ -19,7 +19,16 @@ _FOOTER_SIZE = 9 + 20
 
 
 class Found(NamedTuple):
-    """A message: its topic (None where the file does not say it any more), log time in ns, and bytes."""
+    """A message.
+
+    Attributes
+    ----------
+    topic : str or None
+        None if the file has lost it.
+    time : int, in ns
+        Log time.
+    data : bytes
+    """
 
     topic: str | None
     time: int
@@ -36,9 +45,9 @@ class Scan:
     Attributes
     ----------
     lost : int
-        Bytes that held nothing that could be read, once all was.
+        Number of unreadable bytes, after all is read.
     finished : bool
-        Whether the file has its end and no byte of it is damaged, once all was read.
+        Whether the file has its end and no byte of it is damaged, after all is read.
 
     Raises
     ------
@@ -61,7 +70,12 @@ class Scan:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from error
 
     def messages(self) -> Iterator[Found]:
-        """Every message that is whole."""
+        """Read every intact message.
+
+        Yields
+        ------
+        Found
+        """
         data, size = self._data, len(self._data)
         self._topics = self._repeated_channels()
         position = sound = len(MAGIC)  # up to `sound`, lengths are known to be right
@@ -102,7 +116,7 @@ class Scan:
         self.lost += size - position
 
     def _inside(self, records: bytes) -> Iterator[Found]:
-        """Messages of an unpacked chunk."""
+        """Yield the messages of an unpacked chunk."""
         position = 0
         while position + 9 <= len(records):
             opcode, length = struct.unpack_from("<BQ", records, position)
@@ -123,7 +137,7 @@ class Scan:
             self._topics[number] = body[8 : 8 + length].decode("utf-8", "replace")
 
     def _repeated_channels(self) -> dict[int, str]:
-        """Topics by channel, as the end of a finished file repeats them: the first mention may be damaged."""
+        """Read the topics by channel from the end of a finished file: their first mention may be damaged."""
         data, size = self._data, len(self._data)
         self._topics = {}
         at = size - len(MAGIC) - _FOOTER_SIZE
@@ -143,7 +157,7 @@ class Scan:
         return 0 < opcode <= LAST_OPCODE and position + 9 + length <= len(self._data)
 
     def _next_chunk(self, position: int) -> int | None:
-        """Where the next chunk begins that is whole, looked for byte by byte."""
+        """Search byte by byte for the start of the next intact chunk."""
         data, size = self._data, len(self._data)
         hit = data.find(_ZSTD, position)
         while hit >= 0:
@@ -158,7 +172,7 @@ class Scan:
 
 
 def _unpacked(chunk: bytes) -> bytes | None:
-    """The records of a chunk; None where it is damaged."""
+    """Unpack the records of a chunk; None if it is damaged."""
     import zstandard
 
     try:

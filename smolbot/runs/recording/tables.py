@@ -1,4 +1,4 @@
-"""A recorded run as tables: named columns with their unit in the name, each row to the last bit as it was recorded."""
+"""A recorded run as tables: named columns with the unit in the name, each value bit for bit as it was recorded."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ class Table:
     Attributes
     ----------
     what : str
-        What a row is.
+        Meaning of a row.
     columns : dict
+        Values by column name.
     """
 
     what: str
@@ -42,9 +43,18 @@ class Table:
 
 
 def tables(run: RecordedRun) -> dict[str, Table]:
-    """Every table of a run but the samples; rows of `cycle` and `shot` numbers belong together.
+    """Build every table of a run except the samples; rows with equal `cycle` or `shot` belong together.
 
-    Vectors are in the world frame, quaternions scalar first; covariances (6, 6) of position in m and rotation in rad.
+    Vectors are in the world frame, quaternions scalar first; covariances (6, 6) of position in m and rotation in
+    rad.
+
+    Parameters
+    ----------
+    run : RecordedRun
+
+    Returns
+    -------
+    dict of str to Table
     """
     moments = list(zip(run.number_of_cycle, run.moments, strict=True))
     cycles = [(n, m.cycle) for n, m in moments]
@@ -68,9 +78,18 @@ def tables(run: RecordedRun) -> dict[str, Table]:
 
 
 def samples(run: RecordedRun) -> tuple[Table, NDArray[np.float64]]:
-    """What the sensors heard: a row for each recording, and the field of all of them (n_samples, n_sensors), in T.
+    """Build the table of recordings, and the field of all of them.
 
-    A recording's own are rows `first` to `first` + `samples` - 1 of the field, counted from 0.
+    Parameters
+    ----------
+    run : RecordedRun
+
+    Returns
+    -------
+    Table
+        A row for each recording: its samples are rows `first` to `first` + `samples` - 1 of the field, counted from
+        0.
+    ndarray, shape (n_samples, n_sensors), in T
     """
     heard = list(run.recordings())
     lengths = [recording.field.shape[1] for _, recording in heard]
@@ -91,13 +110,33 @@ def samples(run: RecordedRun) -> tuple[Table, NDArray[np.float64]]:
 
 
 def volts(run: RecordedRun, recording: Recording) -> NDArray[np.float64]:
-    """A recording as the converter's volts (n_sensors, n): the believed gains taken off, as before they were put on."""
+    """Convert a recording to the converter's volts, without the assumed gains.
+
+    Parameters
+    ----------
+    run : RecordedRun
+    recording : Recording
+
+    Returns
+    -------
+    ndarray, shape (n_sensors, n), in V
+    """
     converter = run.converter
     return recording.field * converter.gains[:, None] * converter.volts_per_tesla
 
 
 def facts(run: RecordedRun) -> dict[str, str | float | int | bool]:
-    """What is said of a run as a whole."""
+    """Collect the facts of a run that are no table: seed, status, duration, converter, provenance.
+
+    Parameters
+    ----------
+    run : RecordedRun
+
+    Returns
+    -------
+    dict of str to str, float, int or bool
+        Units are in the keys.
+    """
     flown, where = run.run(), run.provenance
     converter = run.converter
     return {
@@ -190,7 +229,7 @@ def _events(run: RecordedRun) -> Table:
 
 
 def _poses(what: str, numbered: list[tuple[int, Pose | None]]) -> Table:
-    """Poses that are there; a cycle without one has no row."""
+    """Build a table of poses; a cycle without one has no row."""
     there = [(number, pose) for number, pose in numbered if pose is not None]
     poses = [pose for _, pose in there]
     return Table(
@@ -213,7 +252,7 @@ def _wanted(window: Window | tuple[Window, ...] | None) -> tuple[Window, ...]:
 
 
 def _windows(what: str, key: str, numbered: Iterable[tuple[int, Iterable[Window]]]) -> Table:
-    """Windows by kind; what a kind does not have is nan, or -1 where it is a count."""
+    """Build a table of windows; what a kind of window does not have is nan, or -1 for a count."""
     rows = [(number, index, window) for number, windows in numbered for index, window in enumerate(windows)]
     kinds = [window for _, _, window in rows]
     n_coils = max((len(w.currents) for w in kinds if isinstance(w, Actuate)), default=0)

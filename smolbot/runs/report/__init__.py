@@ -1,1 +1,1 @@
-"""Reports: one page that says how a run went and why, pages that compare runs, and short animations of one."""
+"""Reports: a page on how a run went and why, pages that compare runs, and short animations of a run."""

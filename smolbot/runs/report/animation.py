@@ -1,4 +1,4 @@
-"""A short animation of a run: path, robot, localized pose and currents as they went."""
+"""A short animation of a run: path, robot, localized pose and currents over time."""
 
 from __future__ import annotations
 
@@ -40,7 +40,18 @@ _REST = 1.0  # s for which the last picture stays
 
 @dataclass(frozen=True)
 class Animation:
-    """What was made: length in s, pictures a second, how many times faster than the run, bytes."""
+    """A written animation.
+
+    Attributes
+    ----------
+    seconds : float, in s
+        Length.
+    fps : int, in 1/s
+        Pictures per second.
+    speed : float
+        How many times faster than the run.
+    size : int, in bytes
+    """
 
     seconds: float
     fps: int
@@ -48,26 +59,38 @@ class Animation:
     size: int
 
     def as_dict(self) -> dict[str, float]:
-        """For programs."""
+        """Convert to a dictionary for JSON output.
+
+        Returns
+        -------
+        dict of str to float
+        """
         return {"seconds": self.seconds, "fps": self.fps, "times_real_time": self.speed, "bytes": self.size}
 
 
 def make_animation(run: str | Path, path: Path, seconds: float = 10.0, fps: int = 12) -> Animation:
-    """Animation a recorded run.
+    """Write an animation of a recorded run.
 
     Parameters
     ----------
+    run : str or Path
+        Run folder, or its record.
     path : Path
         ``.gif``, or ``.mp4`` where ffmpeg is installed.
-    seconds : float
-        Its length; the run is shown as much faster as that takes.
-    fps : int
-        Pictures a second.
+    seconds : float, in s
+        Length; the run is sped up accordingly.
+    fps : int, in 1/s
+        Pictures per second.
+
+    Returns
+    -------
+    Animation
 
     Raises
     ------
     InputError
-        For another kind of file, an ``.mp4`` without ffmpeg, a run without cycles, or a file that cannot be written.
+        For another kind of file, an ``.mp4`` without ffmpeg, a run without cycles, or a file that cannot be
+        written.
     """
     _check(path)
     flight = Flight.read(run)
@@ -100,14 +123,21 @@ def _check(path: Path) -> None:
 
 
 def _span(flight: Flight) -> tuple[float, float]:
-    """From the first pose to the end of the last shot, in s."""
+    """Return the times of the first pose and of the end of the last shot, in s."""
     moments = flight.trace.moments
     first = next((m.cycle.tracked.time for m in moments if m.cycle.tracked is not None), moments[0].cycle.shot.start)
     return first, max(m.cycle.shot.end for m in moments)
 
 
 class Scene:
-    """Everything that a picture shows; drawn anew for each time."""
+    """The content of the animation, redrawn for each time.
+
+    Parameters
+    ----------
+    flight : Flight
+    speed : float
+        How many times faster than the run, for the label.
+    """
 
     def __init__(self, flight: Flight, speed: float) -> None:
         from matplotlib.figure import Figure
@@ -127,7 +157,17 @@ class Scene:
         self._draw_still()
 
     def pictures(self, times: FloatArray) -> Iterator[Any]:
-        """Each picture as an image."""
+        """Draw a picture at each time.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,), in s
+            On the rig's clock.
+
+        Yields
+        ------
+        PIL.Image.Image
+        """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from PIL import Image
 
@@ -139,7 +179,13 @@ class Scene:
             yield Image.fromarray(picture).convert("RGB")
 
     def show(self, time: float) -> None:
-        """Move everything to `time` s."""
+        """Move everything to one time.
+
+        Parameters
+        ----------
+        time : float, in s
+            On the rig's clock.
+        """
         place, ahead = self._trail.at(time)
         seen = self._trail.times <= time
         trail = 1e3 * np.vstack([self._trail.places[seen], place[None, :]])
@@ -193,7 +239,7 @@ class Scene:
         bars.tick_params(labelsize=8)
 
     def _values(self, time: float) -> list[float]:
-        """Heights of the bars: those of the shot that was played then, or the last before."""
+        """Return the heights of the bars: of the shot played at that time, or the last before."""
         values = [0.0] * len(self._names)
         for start, window in self._windows:
             if start > time:
@@ -207,7 +253,7 @@ class Scene:
         return values
 
     def _note(self, time: float) -> str:
-        """What is being done: mode of the shot, and of a helix whether the magnet turns."""
+        """Return the mode of the shot, or what the magnet does."""
         now = next((m.cycle.shot for m in reversed(self._flight.trace.moments) if m.cycle.shot.start <= time), None)
         if now is None:
             return ""
@@ -219,7 +265,7 @@ class Scene:
 
 
 def _bars_of(flight: Flight) -> tuple[tuple[str, ...], float, list[tuple[float, Window]]]:
-    """Names and limit of what bars show, and the windows that say how high they stand."""
+    """Return names and limit of the bars, and the windows that give their heights."""
     limits, names = flight.mission.rig.limits, flight.mission.rig.coil_names
     kind: type = Actuate
     top = limits.max_current
@@ -239,7 +285,7 @@ def _bars_of(flight: Flight) -> tuple[tuple[str, ...], float, list[tuple[float, 
 
 
 def _fit(axes: Axes, low: FloatArray, high: FloatArray) -> None:
-    """Show all from `low` (x, y) to `high`, one mm as long to the side as upward."""
+    """Set the limits of the axes to show all from `low` (x, y) to `high`, with equal scales."""
     box = axes.get_position()
     shape = np.array([box.width * SIZE[0], box.height * SIZE[1]])
     scale = float(np.max((high - low) / shape)) * 1.1
@@ -250,7 +296,7 @@ def _fit(axes: Axes, low: FloatArray, high: FloatArray) -> None:
 
 
 def _limits(flight: Flight, trail: Track, heard: Track) -> tuple[FloatArray, FloatArray]:
-    """What must be in the picture, in mm: the way, and the container of a device that is only watched."""
+    """Compute the corners of what to show in mm: the track, and the container of an observed device."""
     shown = [1e3 * trail.places[:, :2], 1e3 * heard.places[:, :2]]
     if flight.steered is not None:
         shown.append(1e3 * flight.steered.path.points[:, :2])
@@ -264,7 +310,7 @@ def _limits(flight: Flight, trail: Track, heard: Track) -> tuple[FloatArray, Flo
 
 
 def _write_gif(path: Path, pictures: Iterator[Any], fps: int) -> None:
-    """A GIF with one palette for all pictures, so that only what moves is stored."""
+    """Write a GIF with one palette for all pictures, so that only moving parts are stored."""
     from PIL import Image
 
     palette = Image.new("P", (1, 1))
@@ -276,7 +322,7 @@ def _write_gif(path: Path, pictures: Iterator[Any], fps: int) -> None:
 
 
 def _palette() -> list[int]:
-    """White, and every colour of the scene in some shades, as bytes of red, green and blue."""
+    """Return white and shades of every colour of the scene, as bytes of red, green and blue."""
     from matplotlib.colors import to_rgb
 
     shades = np.linspace(0.0, 1.0, SHADES + 1)[1:, None]

@@ -1,4 +1,4 @@
-"""What the localizer believed of sensors, device and coils at any time of a run, from the events of its record."""
+"""What the localizer assumed of sensors, device and coils at any time of a run, from the events of its record."""
 
 from __future__ import annotations
 
@@ -15,7 +15,17 @@ from smolbot.runs.run import Event
 
 @dataclass(frozen=True)
 class Beliefs:
-    """Frozen beliefs; `transients` are time constants in s of the excitation coils' ring-down."""
+    """What the localizer assumes at one time.
+
+    Attributes
+    ----------
+    sensors : SensorArray
+    device : Device
+    tails : CoilTails
+        Decay of the coil currents after actuation.
+    transients : tuple of float, in s
+        Time constants of the excitation coils' ring-down.
+    """
 
     sensors: SensorArray
     device: Device
@@ -24,11 +34,30 @@ class Beliefs:
 
     @classmethod
     def at_start(cls, mission: AnyMission) -> Beliefs:
-        """As the mission's files say."""
+        """Return what the mission's files state.
+
+        Parameters
+        ----------
+        mission : Mission or Observation
+
+        Returns
+        -------
+        Beliefs
+        """
         return cls(mission.rig.sensors, mission.robot.device)
 
     def after(self, event: Event) -> Beliefs:
-        """With what an event tells; the same where it tells nothing of these."""
+        """Return what is assumed after an event.
+
+        Parameters
+        ----------
+        event : Event
+
+        Returns
+        -------
+        Beliefs
+            Unchanged if the event concerns none of it.
+        """
         told: dict[str, Any] = event.detail
         if event.what == "array learned":
             gains = told.get("gains")

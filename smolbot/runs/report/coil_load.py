@@ -16,21 +16,24 @@ from smolbot.runs.report.flight import Flight
 
 @dataclass(frozen=True)
 class Strain:
-    """What coils bear.
+    """Heat and duty of the coils over time.
 
     Attributes
     ----------
     names : tuple of str
         Actuation coils, then excitation coils.
     time : ndarray, shape (n,), in s
-        Beginning and end of every window.
+        Start and end of every window.
     duty : ndarray, shape (n, n_coils)
-        Share of the `window` seconds before in which a coil was driven.
-    temperature : ndarray, shape (n, n_coils), in degrees Celsius
+        Fraction of the last `window` seconds in which a coil was driven.
+    temperature : ndarray, shape (n, n_coils), in °C
         nan for coils whose thermal constants are not known.
-    limits : tuple of float or None, in degrees Celsius
-    max_duty, window : float
-        Share, and s over which it is taken.
+    limits : tuple of float or None, in °C
+        Highest allowed temperatures.
+    max_duty : float
+        Highest allowed duty.
+    window : float, in s
+        Time over which the duty is taken.
     """
 
     names: tuple[str, ...]
@@ -43,7 +46,16 @@ class Strain:
 
 
 def strain_of(flight: Flight) -> Strain:
-    """Heat and duty over a run, coils beginning as hot as the record says."""
+    """Compute heat and duty over a run, from the start temperatures in the record.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Strain
+    """
     rig = flight.mission.rig
     safety = rig.sections.safety
     names = rig.driven
@@ -79,7 +91,7 @@ def strain_of(flight: Flight) -> Strain:
 
 
 def _windows(flight: Flight) -> Iterator[tuple[float, Window]]:
-    """Every window that was played, with its start in s."""
+    """Yield every played window with its start in s."""
     for played in flight.record.played:
         for at, window in played.shot.timed():
             yield played.shot.start + at, window

@@ -1,4 +1,4 @@
-"""Several runs of one kind of robot, side by side."""
+"""Compare several runs of one kind of robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,17 @@ from smolbot.runs.summary import orientation_error, tracking_distance
 
 @dataclass(frozen=True)
 class Compared:
-    """One figure of every run; `over_first` is by how much each exceeds that of the first."""
+    """One figure of several runs.
+
+    Attributes
+    ----------
+    key : str
+    name : str
+    of_run : list of Estimate or None
+        The value of each run.
+    over_first : list of Estimate or None
+        Its difference to that of the first run.
+    """
 
     key: str
     name: str
@@ -30,18 +40,18 @@ class Compared:
 
 @dataclass
 class Comparison:
-    """What is the same in several runs, what differs, and how they did.
+    """Differences of several runs in settings and figures.
 
     Attributes
     ----------
     flights : list of Flight
     labels : list of str
-        Short names, one for each.
-    settings : list
-        Names of settings that differ, and the value of each run.
+        Short names of the runs.
+    settings : list of tuple
+        Name of each setting that differs, and its value in each run.
     figures : list of Compared
     notes : list of str
-        What a reader must know: paths that differ, records that are cut short.
+        Warnings for the reader: different paths, records that are cut short.
     """
 
     flights: list[Flight]
@@ -51,7 +61,12 @@ class Comparison:
     notes: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
-        """For programs."""
+        """Convert to a dictionary for JSON output.
+
+        Returns
+        -------
+        dict
+        """
 
         def told(estimate: Estimate | None) -> dict[str, Any] | None:
             return None if estimate is None else {"value": estimate.value, "low": estimate.low, "high": estimate.high}
@@ -76,10 +91,19 @@ class Comparison:
 def compare(runs: Sequence[str | Path]) -> Comparison:
     """Read and compare runs.
 
+    Parameters
+    ----------
+    runs : sequence of str or Path
+        Run folders, or their records.
+
+    Returns
+    -------
+    Comparison
+
     Raises
     ------
     InputError
-        Where one cannot be read, or they are of different robots, or one steers and another only looks.
+        If one cannot be read, the robots differ, or one run steers and another only localizes.
     """
     flights = [Flight.read(run) for run in runs]
     _same_kind(flights)
@@ -116,7 +140,7 @@ def _different_paths(flights: list[Flight]) -> bool:
 
 
 def _labels(flights: list[Flight]) -> list[str]:
-    """Names of the folders, numbered where two are the same."""
+    """Return the names of the folders, numbered where two are equal."""
     names = [flight.record.folder.resolve().name or flight.record.path.stem for flight in flights]
     return [f"{n} ({i})" if names.count(n) > 1 else n for i, n in enumerate(names, 1)]
 
@@ -162,7 +186,17 @@ def _of_numbers(key: str, name: str, values: list[Any]) -> Compared:
 
 
 def series_of(flight: Flight) -> dict[str, FloatArray]:
-    """Values over time of what figures are made of, in the units of the summary; missing where not known."""
+    """Compute the values over time on which the figures are based.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        In the units of the summary; without those that are not known.
+    """
     cycles = flight.run.cycles
     poses = trusted_poses(cycles)
     out = {

@@ -1,4 +1,4 @@
-"""``comparison.html``: several runs on one page."""
+"""The page ``comparison.html`` that compares several runs."""
 
 from __future__ import annotations
 
@@ -31,10 +31,21 @@ _SMOOTH = 40  # stretches of a path over which an error is averaged
 def write_comparison(found: Comparison, path: Path) -> Path:
     """Write the page of a comparison.
 
+    Parameters
+    ----------
+    found : Comparison
+    path : Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        `path`.
+
     Raises
     ------
     InputError
-        Where it cannot be written.
+        If it cannot be written.
     """
     content = comparison_page(found)
     with writing(path, "the comparison"):
@@ -43,7 +54,17 @@ def write_comparison(found: Comparison, path: Path) -> Path:
 
 
 def comparison_page(found: Comparison) -> str:
-    """The page of several runs."""
+    """Build the page of a comparison.
+
+    Parameters
+    ----------
+    found : Comparison
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     with page_style():
         sections = [_figures(found), _settings(found), _paths(found), _errors(found), _runs(found)]
     title = " and ".join(found.labels) if len(found.labels) == 2 else f"{len(found.labels)} runs compared"
@@ -200,7 +221,7 @@ def _error_figure(found: Comparison) -> Figure:
 
 
 def _course(flight: Flight, kind: str) -> tuple[FloatArray, FloatArray]:
-    """Where along the path, in mm (or when, in s), and how large an error was, in mm."""
+    """Return arc lengths in mm (or times in s, without a path) and errors in mm."""
     mission, moments = flight.steered, flight.trace.moments
     if kind == "tracking" and mission is not None:
         places = np.vstack([np.zeros((0, 3)), *(m.positions for m in flight.trace.following)])

@@ -1,12 +1,12 @@
-"""Where the tracking error of a run comes from: an identity for every step from one pose to the next.
+"""Split the tracking error of a run into its causes, by an identity for every step from one pose to the next.
 
-Between pose k and pose m the robot was commanded once. With the true place x, the tracked place p, the place y that the
-believed model of motion expects at the end of the command, and the path's nearest point c to x_m,
+Between pose k and pose m the robot was commanded once. With the true position x, the tracked position p, the
+position y that the assumed motion model predicts for the end of the command, and the path's nearest point c to x_m,
 
     x_m - c = (y - c) + (x_k - p_k) + (x_a - x_k) + [(x_m - x_a) - (y - p_k)],
 
-where x_a is the true place when the command begins to act. Projected on the direction of the error x_m - c, the parts
-add up to the tracking error of every step, with nothing left. See docs/decisions.
+where x_a is the true position when the command begins to act. Projected on the direction of the error x_m - c, the
+parts add up exactly to the tracking error of every step. See docs/decisions.
 """
 
 from __future__ import annotations
@@ -44,22 +44,22 @@ PARTS = {
 
 @dataclass(frozen=True)
 class Step:
-    """From one pose to the next, with a command in between; positions (2,) in m, in the horizontal plane.
+    """From one pose to the next, with one command in between.
 
     Attributes
     ----------
-    tracked : ndarray
-        The pose that the command was made from, p_k.
-    true : ndarray
+    tracked : ndarray, shape (2,), in m
+        The pose that the command was computed from, p_k. All positions are horizontal, in the world frame.
+    true : ndarray, shape (2,), in m
         The truth at its time, x_k.
-    acting : ndarray
+    acting : ndarray, shape (2,), in m
         The truth at the end of its shot, x_a.
-    expected : ndarray
-        Where the believed model of motion ends, y.
-    reached : ndarray
+    expected : ndarray, shape (2,), in m
+        The end position by the assumed motion model, y.
+    reached : ndarray, shape (2,), in m
         The truth at the next pose, x_m.
     saturated : bool
-        Whether a limit cut the command short.
+        Whether a limit reduced the command.
     time : float, in s
         Of the next pose.
     """
@@ -81,10 +81,10 @@ class Budget:
     ----------
     time : ndarray, shape (n,), in s
     arc : ndarray, shape (n,), in m
-        Along the path, where the step ended.
+        Arc length of the path at the end of the step.
     error : ndarray, shape (n,), in m
-        Horizontal distance to the path; positive to the left of the way.
-    parts : dict of ndarray, shape (n,), in m
+        Horizontal distance to the path; positive to the left of the direction of travel.
+    parts : dict of str to ndarray, shape (n,), in m
         By the names of `PARTS`; they add up to `error`.
     """
 
@@ -95,7 +95,7 @@ class Budget:
 
     @property
     def total_rms(self) -> float:
-        """In m."""
+        """Root mean square of the tracking error, in m."""
         return _rms(self.error)
 
     @property
@@ -105,16 +105,27 @@ class Budget:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Part of the mean square error that goes with each part, <e e_i> / <e²>; they add up to one.
+        """Share of each part in the mean square error, <e e_i> / <e²>; they add up to one.
 
-        Negative where a part makes up for others.
+        A share is negative if the part compensates others.
         """
         square = float(np.mean(self.error**2))
         return {name: float(np.mean(self.error * values)) / square for name, values in self.parts.items()}
 
 
 def split(mission: Mission, steps: list[Step]) -> Budget | None:
-    """The budget of `steps` along the mission's path; None without any."""
+    """Compute the error budget of steps along the mission's path.
+
+    Parameters
+    ----------
+    mission : Mission
+    steps : list of Step
+
+    Returns
+    -------
+    Budget or None
+        None without any step.
+    """
     if not steps:
         return None
     reached = np.array([step.reached for step in steps])
@@ -143,9 +154,19 @@ def split(mission: Mission, steps: list[Step]) -> Budget | None:
 
 
 def steps_of(flight: Flight) -> list[Step]:
-    """Every step of a run from the path's start on, where the truth is known at both ends and no cycle is missing.
+    """Find every step of a run from the path's start on.
 
-    A helix rests between pauses, so its steps are those from the last pose of a pause to the first of the next.
+    Left out are steps without ground truth at both ends, and those over a missing cycle.
+
+    A helix rests during pauses, so its steps are those from the last pose of a pause to the first of the next.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    list of Step
     """
     mission = flight.steered
     assert mission is not None
@@ -167,7 +188,7 @@ def steps_of(flight: Flight) -> list[Step]:
 
 
 def _screwed(moments: list[tuple[int, Moment]]) -> list[Step]:
-    """Steps over each mechanical shot; the tracker's own prediction through it is in the record."""
+    """Find the steps over each mechanical shot; the tracker's own prediction for it is in the record."""
     found = []
     for (number, before), (_, moved), (last, after) in zip(moments, moments[1:], moments[2:], strict=False):
         if last != number + 2:
@@ -196,7 +217,7 @@ def _step(before: Moment, after: Moment, expected: FloatArray) -> Step:
 
 
 def _known(before: Moment, after: Moment) -> bool:
-    """Whether both were heard, and the truth is known."""
+    """Return whether both cycles have a pose and the ground truth."""
     heard = before.cycle.pose is not None and after.cycle.pose is not None
     return heard and before.truth is not None and before.truth_at_end is not None and after.truth is not None
 
@@ -204,7 +225,24 @@ def _known(before: Moment, after: Moment) -> bool:
 def believed_step(
     robot: Robot, table: FieldTable, pose: Pose, windows: tuple[Window, ...], moment_in_body: FloatArray
 ) -> FloatArray | None:
-    """Step (2,), in m, that the actuation windows cause by the believed model; None outside the table."""
+    """Predict the displacement by the actuation windows with the assumed motion model.
+
+    Parameters
+    ----------
+    robot : Robot
+    table : FieldTable
+    pose : Pose
+        At the start of the windows.
+    windows : tuple of Window
+        Of one shot.
+    moment_in_body : ndarray, shape (3,)
+        Direction of the moment in the body frame.
+
+    Returns
+    -------
+    ndarray, shape (2,), in m, or None
+        In the world frame; None outside the table.
+    """
     from lookup_tables.errors import OutsideTableError
 
     place, step = np.array(pose.position), np.zeros(2)

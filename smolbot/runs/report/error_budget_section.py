@@ -1,4 +1,4 @@
-"""The section of a report that says where the error comes from."""
+"""The section of a report that shows the causes of the error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,16 @@ COLORS = {"localization": LOCATED, "lag": "#7b2d8b", "saturation": "#f2a541", "a
 
 
 def budget_section(flight: Flight) -> Section:
-    """Error budget of a mission that steers, or of poses where nothing is steered."""
+    """Build the section: the error budget of a path, or of the poses of an observation.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Section
+    """
     section = Section("budget", "Error budget")
     if not flight.knows_truth:
         return section.missing(NO_TRUTH)
@@ -44,7 +53,16 @@ def budget_section(flight: Flight) -> Section:
 
 
 def rows_of(budget: Budget) -> list[tuple[str, str, str, str, str]]:
-    """One line for each part, and one for the total."""
+    """Format a table row for each part and one for the total.
+
+    Parameters
+    ----------
+    budget : Budget
+
+    Returns
+    -------
+    list of tuple of str
+    """
     rms, shares = budget.rms, budget.shares
     rows = [
         (name, f"{1e3 * rms[name]:.4f}", _signed(values), _percent(shares[name]), PARTS[name])
@@ -64,7 +82,19 @@ def _percent(share: float) -> str:
 
 
 def closing(budget: Budget, summary: dict[str, Any], *, helical: bool = False) -> list[str]:
-    """How far the parts explain the total, and the total the figure of the summary."""
+    """Describe how well the parts explain the total, and how the total compares with the summary.
+
+    Parameters
+    ----------
+    budget : Budget
+    summary : dict
+    helical : bool
+
+    Returns
+    -------
+    list of str
+        Sentences.
+    """
     square, alone = budget.total_rms**2, sum(value**2 for value in budget.rms.values())
     left = float(np.max(np.abs(sum(budget.parts.values()) - budget.error)))
     exact = "to rounding, so that nothing is left" if left < 1e-12 else f"to within {1e9 * left:.2g} nm"
@@ -86,7 +116,16 @@ def closing(budget: Budget, summary: dict[str, Any], *, helical: bool = False) -
 
 
 def budget_figure(budget: Budget) -> Figure:
-    """Bars of each part, and their course along the path."""
+    """Draw the rms of each part as bars, and the parts along the path.
+
+    Parameters
+    ----------
+    budget : Budget
+
+    Returns
+    -------
+    Figure
+    """
     figure = wide_figure(3.5)
     bars, course = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
     names = ["total", *budget.parts]
@@ -105,7 +144,7 @@ def budget_figure(budget: Budget) -> Figure:
 
 
 def _draw_course(axes: Axes, budget: Budget) -> None:
-    """Error and parts along the path; parts that never matter are left out."""
+    """Draw error and parts along the path; negligible parts are left out."""
     order = np.argsort(budget.arc, kind="stable")
     arc = 1e3 * budget.arc[order]
     axes.axhline(0.0, color=FAINT, lw=0.8)

@@ -1,4 +1,4 @@
-"""The figures of merit of a run as tables, every number as the summary has it."""
+"""The figures of merit of a run as tables, with the exact numbers of the summary."""
 
 from __future__ import annotations
 
@@ -54,7 +54,18 @@ _UNITS = {"mm": "mm", "deg": "°", "s": "s", "hz": "Hz", "ms": "ms", "j": "J"}
 
 
 def verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
-    """What the mission file asks of a run, what it got, and whether that is enough."""
+    """Build the table of criteria: requested limit, value of the run, and whether it is met.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    summary : dict
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     ended = summary["status"]
     rows: list[tuple[str, object, str, bool | None]] = [
         ("ended as it should", _number("status", ended), "completed", ended == "completed")
@@ -70,14 +81,33 @@ def verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
 
 
 def figures_table(summary: dict[str, Any]) -> Markup:
-    """Every figure of merit that this run has."""
+    """Build the table of all figures of merit of a run.
+
+    Parameters
+    ----------
+    summary : dict
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     return ELEMENTS.table(
         [(name, _cells(key, summary[key])) for key, name in NAMES.items() if summary.get(key) is not None]
     )
 
 
 def number(value: float) -> str:
-    """A number as people read it: three digits that matter."""
+    """Format a number with three significant digits.
+
+    Parameters
+    ----------
+    value : float
+
+    Returns
+    -------
+    str
+    """
     if isinstance(value, bool | str):
         return str(value)
     if isinstance(value, int) or abs(value) >= 1000 or (abs(value) >= 100 and value == round(value)):
@@ -86,7 +116,17 @@ def number(value: float) -> str:
 
 
 def unit_of(key: str) -> str:
-    """The unit that a figure's name carries."""
+    """Return the unit in the key of a figure.
+
+    Parameters
+    ----------
+    key : str
+
+    Returns
+    -------
+    str
+        Empty without a unit.
+    """
     return _UNITS.get(key.split(".")[0].rsplit("_", 1)[-1], "")
 
 

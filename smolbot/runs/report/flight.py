@@ -1,4 +1,4 @@
-"""A recorded run, made ready to be looked at."""
+"""A recorded run, prepared for reports."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Flight:
     run : Run
     trace : Trace
     summary : dict
-        Figures, reckoned from the record as they were after the flight.
+        Figures of merit, computed from the record as they were after the flight.
     """
 
     record: RecordedRun
@@ -44,18 +44,40 @@ class Flight:
 
     @classmethod
     def read(cls, run: str | Path, mission: AnyMission | None = None) -> Flight:
-        """Read a run by its folder or its record; a `mission` that is at hand is not loaded again.
+        """Read a run.
+
+        Parameters
+        ----------
+        run : str or Path
+            Run folder, or its record.
+        mission : Mission or Observation, optional
+            Its mission, if that is already loaded.
+
+        Returns
+        -------
+        Flight
 
         Raises
         ------
         InputError
-            Where there is no record, or it is none of smolbot's.
+            If there is no record, or it is not one of smolbot's.
         """
         return cls.of(read_run(run), mission)
 
     @classmethod
     def of(cls, record: RecordedRun, mission: AnyMission | None = None) -> Flight:
-        """The flight of a record that was read."""
+        """Build the flight of a record.
+
+        Parameters
+        ----------
+        record : RecordedRun
+        mission : Mission or Observation, optional
+            Its mission, if that is already loaded.
+
+        Returns
+        -------
+        Flight
+        """
         mission = record.mission() if mission is None else mission
         run, trace = record.run(), record.trace()
         where = record.provenance
@@ -64,27 +86,29 @@ class Flight:
 
     @cached_property
     def steered(self) -> Mission | None:
-        """The mission if it steers; None where it only looks."""
+        """The mission if it steers; None for an observation."""
         return self.mission if isinstance(self.mission, Mission) else None
 
     @property
     def helical(self) -> bool:
-        """Whether a helix is steered."""
+        """Whether a helical robot is steered."""
         return self.steered is not None and self.mission.robot.kind == "helical"
 
     @property
     def knows_truth(self) -> bool:
+        """Whether a witness provided the ground truth."""
         return self.record.knows_truth
 
     @property
     def compared(self) -> list[tuple[Pose, Pose]]:
-        """Poses that are held against the truth, and the truth: all trusted ones, or those that measured."""
+        """Pairs of pose and truth to compare: of all trusted poses, or of an observation's measurements."""
         mission = self.mission
         only = isinstance(mission, Observation) and mission.sections.observe.measurements is not None
         return compared(measurements(self.trace) if only else self.trace.moments)
 
     @property
     def seed(self) -> int:
+        """Seed of the run."""
         return int(self.record.provenance["seed"])
 
     @property

@@ -37,7 +37,18 @@ class Section:
     body: list[Markup] = field(default_factory=list)
 
     def add(self, element: Markup) -> Section:
-        """Append an element."""
+        """Append an element.
+
+        Parameters
+        ----------
+        element : str
+            HTML.
+
+        Returns
+        -------
+        Section
+            The same section.
+        """
         self.body.append(element)
         return self
 
@@ -50,7 +61,18 @@ class Section:
         return self.add(ELEMENTS.paragraph(line, kind))
 
     def missing(self, why: str) -> Section:
-        """Say why something is not shown."""
+        """Append a paragraph on why something is not shown.
+
+        Parameters
+        ----------
+        why : str
+            Plain text.
+
+        Returns
+        -------
+        Section
+            The same section.
+        """
         return self.say(why, "missing")
 
 

@@ -1,4 +1,4 @@
-"""Where a robot was at any time: poses joined by lines."""
+"""A robot's position and heading at any time, interpolated linearly between poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,16 @@ from smolbot.runs.trace import Moment
 
 @dataclass(frozen=True)
 class Track:
-    """Places (n, 3) in m and headings (n, 2) at times (n,) in s."""
+    """Positions and headings over time.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,), in s
+    places : ndarray, shape (n, 3), in m
+        In the world frame.
+    headings : ndarray, shape (n, 2)
+        Horizontal part of a body direction, in the world frame.
+    """
 
     times: FloatArray
     places: FloatArray
@@ -22,14 +31,36 @@ class Track:
 
     @classmethod
     def of(cls, poses: list[Pose], body_axis: FloatArray) -> Track:
-        """Of poses in order; a heading is the horizontal part of a direction in the body."""
+        """Build a track from poses.
+
+        Parameters
+        ----------
+        poses : list of Pose
+        body_axis : ndarray, shape (3,)
+            Body direction whose horizontal part is the heading.
+
+        Returns
+        -------
+        Track
+        """
         ordered = sorted(poses, key=lambda pose: pose.time)
         ahead = np.array([(p.rotation @ body_axis)[:2] for p in ordered]).reshape(-1, 2)
         places = np.array([p.position for p in ordered]).reshape(-1, 3)
         return cls(np.array([p.time for p in ordered]), places, ahead)
 
     def through(self, times: FloatArray, places: FloatArray) -> Track:
-        """The same, through further places (n, 3) at `times` (n,), headings between those that are known."""
+        """Add positions to the track, with headings interpolated between the known ones.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,), in s
+        places : ndarray, shape (n, 3), in m
+            In the world frame.
+
+        Returns
+        -------
+        Track
+        """
         if not len(times) or not len(self.times):
             return self
         headings = np.column_stack([np.interp(times, self.times, column) for column in self.headings.T])
@@ -41,7 +72,19 @@ class Track:
         )
 
     def at(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Place and heading at `time` s, between poses joined by lines; both nan without any pose."""
+        """Interpolate position and heading linearly.
+
+        Parameters
+        ----------
+        time : float, in s
+
+        Returns
+        -------
+        place : ndarray, shape (3,), in m
+            In the world frame; nan without any pose.
+        heading : ndarray, shape (2,)
+            nan without any pose.
+        """
         if not len(self.times):
             return np.full(3, np.nan), np.full(2, np.nan)
         values = np.column_stack([self.places, self.headings])
@@ -50,7 +93,20 @@ class Track:
 
 
 def ways(moments: list[Moment]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) and places (n, 3) on the way while a magnet turns, spread evenly: only where it moved is recorded."""
+    """Collect the true positions during magnet rotation, spread evenly in time.
+
+    The record has positions without times, and only those at which the robot moved.
+
+    Parameters
+    ----------
+    moments : list of Moment
+
+    Returns
+    -------
+    times : ndarray, shape (n,), in s
+    places : ndarray, shape (n, 3), in m
+        In the world frame.
+    """
     times, places = [np.zeros(0)], [np.zeros((0, 3))]
     for moment in moments:
         shot = moment.cycle.shot

@@ -1,4 +1,4 @@
-"""Intervals of figures of one run: a bootstrap over blocks of time, since errors of one moment resemble the next's."""
+"""Confidence intervals of a run's figures by bootstrap over blocks of time: successive errors are correlated."""
 
 from __future__ import annotations
 
@@ -25,7 +25,14 @@ Statistic = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its interval; without one where a run gives a single number."""
+    """A figure with its confidence interval.
+
+    Attributes
+    ----------
+    value : float
+    low, high : float or None
+        None if the run gives a single number.
+    """
 
     value: float
     low: float | None = None
@@ -33,25 +40,64 @@ class Estimate:
 
 
 def mean(values: FloatArray) -> FloatArray:
-    """Arithmetic mean."""
+    """Compute the arithmetic mean.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n)
+
+    Returns
+    -------
+    ndarray, shape (...)
+    """
     found: FloatArray = np.mean(values, axis=-1)
     return found
 
 
 def p95(values: FloatArray) -> FloatArray:
-    """95th percentile."""
+    """Compute the 95th percentile.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n)
+
+    Returns
+    -------
+    ndarray, shape (...)
+    """
     found: FloatArray = np.percentile(values, 95.0, axis=-1)
     return found
 
 
 def median(values: FloatArray) -> FloatArray:
-    """Median."""
+    """Compute the median.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n)
+
+    Returns
+    -------
+    ndarray, shape (...)
+    """
     found: FloatArray = np.median(values, axis=-1)
     return found
 
 
 def alike_for(values: FloatArray) -> float:
-    """Integrated autocorrelation time of a series, in samples: 1 where each is independent of the one before."""
+    """Compute the integrated autocorrelation time of a series.
+
+        tau = 1 + 2 sum_k rho(k), up to Sokal's window k >= 5 tau
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+
+    Returns
+    -------
+    float, in samples
+        1 for independent values.
+    """
     from scipy.signal import correlate
 
     n = len(values)
@@ -69,13 +115,35 @@ def alike_for(values: FloatArray) -> float:
 
 
 def block_length(values: FloatArray) -> int:
-    """Length of the blocks, at most a quarter of the series."""
+    """Compute the block length of the bootstrap.
+
+    It is twice the autocorrelation time, and at most a quarter of the series.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+
+    Returns
+    -------
+    int, in samples
+    """
     n = len(values)
     return max(min(round(max(2.0 * alike_for(values), n ** (1.0 / 3.0))), n // 4), 1)
 
 
 def resampled(values: FloatArray, rng: np.random.Generator, resamples: int = RESAMPLES) -> FloatArray:
-    """Series (resamples, n) of blocks of `values` (n,), drawn anew; the end goes on at the beginning."""
+    """Draw series from blocks of a series; blocks continue from its end to its beginning.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    rng : numpy.random.Generator
+    resamples : int
+
+    Returns
+    -------
+    ndarray, shape (resamples, n)
+    """
     n, length = len(values), block_length(values)
     starts = rng.integers(0, n, size=(resamples, -(-n // length)))
     index = (starts[:, :, None] + np.arange(length)) % n
@@ -83,7 +151,19 @@ def resampled(values: FloatArray, rng: np.random.Generator, resamples: int = RES
 
 
 def estimated(values: FloatArray, statistic: Statistic) -> Estimate:
-    """A statistic of a series with its interval."""
+    """Compute a statistic of a series with its confidence interval.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    statistic : callable
+        Along the last axis.
+
+    Returns
+    -------
+    Estimate
+        Without an interval for fewer than 8 values.
+    """
     value = float(statistic(values))
     if len(values) < 8:
         return Estimate(value)
@@ -93,7 +173,19 @@ def estimated(values: FloatArray, statistic: Statistic) -> Estimate:
 
 
 def difference(values: FloatArray, others: FloatArray, statistic: Statistic) -> Estimate:
-    """By how much the statistic of `values` exceeds that of `others`; both are drawn independently."""
+    """Compute the difference of a statistic between two independent series, with its confidence interval.
+
+    Parameters
+    ----------
+    values, others : ndarray, shape (n,)
+    statistic : callable
+        Along the last axis.
+
+    Returns
+    -------
+    Estimate
+        Of `values` minus `others`; without an interval for fewer than 8 values.
+    """
     value = float(statistic(values) - statistic(others))
     if min(len(values), len(others)) < 8:
         return Estimate(value)

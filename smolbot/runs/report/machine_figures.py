@@ -1,4 +1,4 @@
-"""Figures of what a run asked of its machines: currents, duty and heat of coils; one cycle to scale."""
+"""Figures of the load on the hardware: currents, duty and heat of coils; the timeline of a cycle."""
 
 from __future__ import annotations
 
@@ -35,7 +35,17 @@ _LETTER = 0.0042
 
 
 def coils_figure(flight: Flight, strain: Strain) -> Figure:
-    """Currents, duty and heat over time, each with its limit."""
+    """Draw currents, duty and heat over time, each with its limit.
+
+    Parameters
+    ----------
+    flight : Flight
+    strain : Strain
+
+    Returns
+    -------
+    Figure
+    """
     mission = flight.mission
     figure = wide_figure(6.2)
     currents, duty, heat = figure.subplots(3, 1, sharex=True)
@@ -75,7 +85,16 @@ MOST_SHOWN = 1.3
 
 
 def cycle_figure(flight: Flight) -> Figure:
-    """Typical shots to scale, each followed by the computing of its cycle."""
+    """Draw the timelines of typical shots, each followed by the computing time of its cycle.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Figure
+    """
     shown = typical_shots(flight)
     figure = wide_figure(0.5 + 1.25 * max(len(shown), 1))
     rows: Any = figure.subplots(max(len(shown), 1), 1, squeeze=False)
@@ -88,7 +107,17 @@ def cycle_figure(flight: Flight) -> Figure:
 
 
 def typical_shots(flight: Flight) -> list[tuple[Shot, int]]:
-    """Of the two most frequent orders of windows, the shot of median length, and how often that order was played."""
+    """Find typical shots: of median length, for the two most frequent sequences of windows.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    list of tuple
+        Shot, and how often its sequence was played.
+    """
 
     def order(shot: Shot) -> tuple[type, ...]:
         found: list[type] = []
@@ -151,7 +180,7 @@ def _said(window: Window, name: str, length: float, unit: str) -> str:
 
 
 def _draw_bursts(axes: Axes, flight: Flight) -> None:
-    """Peak currents of excitation, where no coil pulls."""
+    """Draw the peak currents of excitation, for a run without actuation coils."""
     for index, name in enumerate("xy"):
         found = [
             (cycle.shot.start, abs(window.currents[index]))

@@ -1,4 +1,4 @@
-"""What a camera saw of a run, where ``smolbot track`` left a track in its folder: a reference that a bench has too."""
+"""Poses against the optical track from ``smolbot track``: a reference that also exists on a bench."""
 
 from __future__ import annotations
 
@@ -26,15 +26,17 @@ FOLDER, TRACK = "optical", "track.csv"
 
 @dataclass(frozen=True)
 class Seen:
-    """Poses of a run beside what the camera saw at their times.
+    """Poses of a run with the optical track at the same times.
 
     Attributes
     ----------
     track : OpticalTrack
     times : ndarray, shape (n,), in s
+        On the run's clock.
     located, optical : ndarray, shape (n, 3), in m
+        Positions in the world frame.
     turned : ndarray, shape (n,), in rad
-        Azimuth of body z as located, less that as seen, within half a turn.
+        Located minus optical azimuth of body z, within half a turn.
     """
 
     track: OpticalTrack
@@ -45,18 +47,27 @@ class Seen:
 
     @property
     def apart(self) -> FloatArray:
-        """Horizontal distance (n,) between pose and camera, in m."""
+        """Horizontal distance (n,) between pose and optical position, in m."""
         found: FloatArray = np.linalg.norm((self.located - self.optical)[:, :2], axis=1)
         return found
 
 
 def seen_of(flight: Flight) -> Seen | None:
-    """Trusted poses of a flight against its track; None where it has none.
+    """Compare the trusted poses of a flight with its optical track.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Seen or None
+        None without a track.
 
     Raises
     ------
     InputError
-        Where the track cannot be read.
+        If the track cannot be read.
     """
     path = flight.record.folder / FOLDER / TRACK
     if not path.is_file():
@@ -72,7 +83,17 @@ def seen_of(flight: Flight) -> Seen | None:
 
 
 def optical_sections(flight: Flight) -> list[Section]:
-    """The section of a run with an optical track; none for one without."""
+    """Build the section on the optical track.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    list of Section
+        Empty for a run without a track.
+    """
     section = Section("optical", "Optical reference")
     try:
         seen = seen_of(flight)
@@ -93,7 +114,18 @@ def optical_sections(flight: Flight) -> list[Section]:
 
 
 def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:
-    """Errors against the camera: of poses, of headings, and of the robot as seen to its path."""
+    """Format the errors against the camera: of poses, of headings, and of the robot to its path.
+
+    Parameters
+    ----------
+    flight : Flight
+    seen : Seen
+
+    Returns
+    -------
+    list of list of str
+        A table row for each.
+    """
     rows = [
         ("pose to camera, mm", 1e3 * seen.apart),
         ("heading to camera, °", np.degrees(np.abs(seen.turned))),
@@ -109,7 +141,17 @@ def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:
 
 
 def optical_figure(flight: Flight, seen: Seen) -> Figure:
-    """Track and poses from above; distance and difference of heading over time."""
+    """Draw track and poses from above, and their differences in position and heading over time.
+
+    Parameters
+    ----------
+    flight : Flight
+    seen : Seen
+
+    Returns
+    -------
+    Figure
+    """
     figure = wide_figure(4.6)
     panels: Any = figure.subplot_mosaic([["above", "apart"], ["above", "turned"]], width_ratios=[1.0, 1.2])
     above, apart, turned = panels["above"], panels["apart"], panels["turned"]

@@ -1,4 +1,4 @@
-"""``report.html``: how a run went, and why, on one page."""
+"""The page ``report.html``: how a run went, and why."""
 
 from __future__ import annotations
 
@@ -29,12 +29,23 @@ REPORT = "report.html"
 
 
 def save_report(flight: Flight, out: Path | None = None) -> Path:
-    """Write the report of a flight; by default into its run folder.
+    """Write the report of a flight.
+
+    Parameters
+    ----------
+    flight : Flight
+    out : Path, optional
+        File to write; default: ``report.html`` in the run folder.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
     InputError
-        Where the page cannot be written.
+        If the page cannot be written.
     """
     path = flight.record.folder / REPORT if out is None else out
     content = report_of(flight)
@@ -44,7 +55,17 @@ def save_report(flight: Flight, out: Path | None = None) -> Path:
 
 
 def report_of(flight: Flight) -> str:
-    """The page of a flight."""
+    """Build the page of a flight.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     with page_style():
         sections = [
             _verdict(flight),
@@ -92,7 +113,17 @@ def _lead(flight: Flight) -> list[str]:
 
 
 def key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Value, unit and name of the figures that matter first."""
+    """Choose the most important figures of merit.
+
+    Parameters
+    ----------
+    summary : dict
+
+    Returns
+    -------
+    list of tuple of str
+        Value, unit and name; at most eight.
+    """
     shown = (
         ("tracking_error_mm", "mean", "mm", "mean tracking error"),
         ("tracking_error_mm", "p95", "mm", "95 % of the way within"),
@@ -126,7 +157,7 @@ def _verdict(flight: Flight) -> Section:
 
 
 def _where(flight: Flight) -> list[Section]:
-    """Sections on place and error; they differ with what kind of run it is."""
+    """Build the sections on position and error, which depend on the kind of run."""
     place = Section("path", "Where it went")
     sigmas = f"{whereabouts.SIGMAS:g} standard deviations"
     if isinstance(flight.mission, Observation):
@@ -196,7 +227,7 @@ def _cycle(flight: Flight) -> Section:
 
 
 def _signal(flight: Flight) -> list[Section]:
-    """Sections on signals and noise."""
+    """Build the sections on signals and noise."""
     fit, noise = Section("fit", "Signal and fit"), Section("noise", "Noise and mains")
     windows = list(windows_of(flight))
     heard: QuietNoise | None = None
@@ -232,7 +263,7 @@ def _signal(flight: Flight) -> list[Section]:
 
 
 def _lines(noise: QuietNoise) -> tuple[list[list[str]], list[str]]:
-    """Rows and header of the table of lines and floors."""
+    """Return rows and header of the table of mains lines and noise floors."""
     channels = range(noise.lines.shape[1])
     rows = [
         [f"{f:.3f} Hz", f"{1e9 * np.sqrt(np.mean(row**2)):.2f}", *(f"{1e9 * v:.2f}" for v in row)]

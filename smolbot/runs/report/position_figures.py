@@ -1,4 +1,4 @@
-"""Figures of where the robot was and was thought to be, and how far these are apart."""
+"""Figures of the robot's true and estimated position, and of their difference."""
 
 from __future__ import annotations
 
@@ -34,7 +34,16 @@ _CLOSE = 1.1  # mm to each side of what is looked at closely
 
 
 def path_figure(flight: Flight) -> Figure:
-    """The whole way from above, and the place where the robot was farthest from its path, closely."""
+    """Draw the path from above, and a close-up of where the robot was farthest from it.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Figure
+    """
     mission = flight.steered
     assert mission is not None
     figure = wide_figure(6.0)
@@ -55,7 +64,17 @@ def path_figure(flight: Flight) -> Figure:
 
 
 def track_figure(flight: Flight, mission: Observation) -> Figure:
-    """A device that was only watched: from above and from the front, and one place closely."""
+    """Draw the track of an observed device from above and from the front, and a close-up.
+
+    Parameters
+    ----------
+    flight : Flight
+    mission : Observation
+
+    Returns
+    -------
+    Figure
+    """
     figure = wide_figure(6.0)
     if mission.sections.observe.measurements is not None:
         _draw_measurements(figure, flight)
@@ -78,7 +97,16 @@ def track_figure(flight: Flight, mission: Observation) -> Figure:
 
 
 def errors_figure(flight: Flight) -> Figure:
-    """Tracking and localization error, over time and along the path."""
+    """Draw tracking and localization error, over time and along the path.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Figure
+    """
     mission = flight.steered
     assert mission is not None
     figure = wide_figure(5.0)
@@ -111,7 +139,13 @@ def errors_figure(flight: Flight) -> Figure:
 
 
 def draw_localization(over_time: Axes, along: Axes, flight: Flight) -> None:
-    """Distance of each trusted pose to the truth, and of tracked ones."""
+    """Draw the error of each trusted pose, and of the tracked ones, over time and along the path.
+
+    Parameters
+    ----------
+    over_time, along : Axes
+    flight : Flight
+    """
     mission = flight.steered
     known = [m for m in flight.trace.moments if m.cycle.trusted and m.truth]
     if mission is None or not known:
@@ -132,7 +166,17 @@ def draw_localization(over_time: Axes, along: Axes, flight: Flight) -> None:
 
 
 def watched_figure(flight: Flight, mission: Observation) -> Figure:
-    """Errors of a device that was only watched, and how steadily it was seen."""
+    """Draw errors and pose rate of an observed device over time.
+
+    Parameters
+    ----------
+    flight : Flight
+    mission : Observation
+
+    Returns
+    -------
+    Figure
+    """
     figure = wide_figure(5.4)
     errors, turns, rate = figure.subplots(3, 1, sharex=True)
     observation_picture.draw_errors(errors, turns, flight.trace, along=mission.robot.device.along_cantilever)
@@ -144,7 +188,16 @@ def watched_figure(flight: Flight, mission: Observation) -> Figure:
 
 
 def helix_figure(flight: Flight) -> Figure:
-    """What a helix adds: distance, error of its axis and turns along the path."""
+    """Draw distance, axis error and turns of a helical robot along the path.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Figure
+    """
     assert flight.steered is not None
     figure = wide_figure(5.4)
     distance, axis, turns = figure.subplots(3, 1, sharex=True)
@@ -158,7 +211,18 @@ def helix_figure(flight: Flight) -> Figure:
 
 
 def draw_ellipses(axes: Axes, poses: list[Pose], *, width: float = 0.8, label: str | None = None) -> None:
-    """Ellipses of the horizontal covariance of `poses`, `SIGMAS` standard deviations wide, in mm."""
+    """Draw ellipses of the horizontal covariance of poses, `SIGMAS` standard deviations in size.
+
+    Parameters
+    ----------
+    axes : Axes
+        In mm.
+    poses : list of Pose
+    width : float, in points
+        Line width.
+    label : str, optional
+        For the legend.
+    """
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
@@ -171,13 +235,24 @@ def draw_ellipses(axes: Axes, poses: list[Pose], *, width: float = 0.8, label: s
 
 
 def spread(poses: list[Pose | None], most: int) -> list[Pose]:
-    """At most `most` of the trusted ones, equally spread."""
+    """Choose trusted poses at equal steps.
+
+    Parameters
+    ----------
+    poses : list of Pose or None
+    most : int
+        Largest number of poses.
+
+    Returns
+    -------
+    list of Pose
+    """
     good = [pose for pose in poses if pose is not None and pose.trusted]
     return good[:: max(-(-len(good) // most), 1)]
 
 
 def _draw_close(axes: Axes, flight: Flight, center: FloatArray, half: float, mission: Mission | None) -> None:
-    """One place of the way: path, truth, each pose, and what the tracker made of it with its ellipse."""
+    """Draw a close-up: path, truth, each pose, and tracked poses with their ellipses."""
     if mission is not None:
         planned = 1e3 * mission.path.points
         axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=5, solid_capstyle="round", label="planned", zorder=1)
@@ -211,7 +286,7 @@ def _draw_measurements(figure: Figure, flight: Flight) -> None:
 
 
 def _listened(flight: Flight) -> list[Moment]:
-    """Cycles in which something was heard: in others the tracker only foretells."""
+    """Return the cycles with a recording; in others the tracker only predicts."""
     return [m for m in flight.trace.moments if m.cycle.shot.listen is not None]
 
 
@@ -223,7 +298,7 @@ def _frame(axes: Axes, center: FloatArray, half: float) -> None:
 
 
 def _worst(flight: Flight, mission: Mission) -> tuple[FloatArray, float] | None:
-    """Where (x, y) in mm the robot, or its tracked pose, was farthest from the path, and how far."""
+    """Find where (x, y) in mm the robot, or its tracked pose, was farthest from the path, and how far."""
     moments = flight.trace.following
     known = [m.truth if m.truth is not None else m.cycle.tracked for m in moments if m.cycle.tracked is not None]
     places = np.array([p.position for p in known if p is not None]).reshape(-1, 3)
@@ -235,7 +310,7 @@ def _worst(flight: Flight, mission: Mission) -> tuple[FloatArray, float] | None:
 
 
 def _times(moment: Moment) -> FloatArray:
-    """Times of `Moment.positions`: those on the way are spread over the shot."""
+    """Return the times of `Moment.positions`; those without recorded times are spread over the shot."""
     shot = moment.cycle.shot
     on_way = np.linspace(shot.start, shot.end, len(moment.way) + 2)[1:-1]
     known = [p.time for p in (moment.truth, moment.truth_at_end) if p is not None]

@@ -1,4 +1,4 @@
-"""The sections of a report that say what happened and where a run came from."""
+"""The sections of a report on events and provenance."""
 
 from __future__ import annotations
 
@@ -19,7 +19,16 @@ LABELS = {
 
 
 def events_section(flight: Flight) -> Section:
-    """What changed beliefs, or was done to the flight; runs of the same event as one line."""
+    """Build the section on events; a series of equal events is shortened.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Section
+    """
     section = Section("events", "Events")
     events = flight.record.events
     recovered = {kind: times for kind, times in flight.run.recovered.items() if times}
@@ -43,7 +52,16 @@ def events_section(flight: Flight) -> Section:
 
 
 def provenance_section(flight: Flight) -> Section:
-    """Version, commit, seed, settings, what was drawn, packages, and the files themselves."""
+    """Build the section on version, commit, seed, settings, sampled mismatches, packages, and the files themselves.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    Section
+    """
     section = Section("provenance", "Provenance")
     found = dict(flight.record.provenance)
     world, packages = found.pop("world", {}), found.pop("packages", {})

@@ -1,4 +1,4 @@
-"""The noise as it was heard before the first cycle, with nothing driven."""
+"""The background noise recorded before the first cycle, with nothing driven."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from smolbot.runs.report.flight import Flight
 
 @dataclass(frozen=True)
 class QuietNoise:
-    """Noise of every channel.
+    """Background noise of every channel.
 
     Attributes
     ----------
-    seconds : float
-        Listened to in all.
+    seconds : float, in s
+        Total length of the recordings.
     frequencies : ndarray, shape (n,), in Hz
-    density : ndarray, shape (n_sensors, n), in T per root of Hz
-        With lines; one channel's mains stand as high as the length of a recording makes them.
+    density : ndarray, shape (n_sensors, n), in T/√Hz
+        Mains lines included; their height depends on the length of the recording.
     line_frequencies : ndarray, shape (n_lines,), in Hz
     lines : ndarray, shape (n_lines, n_sensors), in T
-        Peak of each line in each channel, root mean square over the recordings.
-    floor : ndarray, shape (n_sensors,), in T per root of Hz
-        Between the lines, median from 20 Hz to 200 Hz.
+        Peak of each mains line in each channel, rms over the recordings.
+    floor : ndarray, shape (n_sensors,), in T/√Hz
+        Median between the lines, from 20 Hz to 200 Hz.
     """
 
     seconds: float
@@ -41,7 +41,16 @@ class QuietNoise:
 
 
 def quiet_recordings(flight: Flight) -> list[Recording]:
-    """Those of shots that only listened, with samples: a reduced world makes none."""
+    """Return the background noise recordings of a run; a reduced world has none.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    list of Recording
+    """
     return [
         recording
         for played, recording in flight.record.recordings()
@@ -52,12 +61,21 @@ def quiet_recordings(flight: Flight) -> list[Recording]:
 
 
 def heard_noise(recordings: list[Recording]) -> QuietNoise | None:
-    """The noise of quiet recordings; None without any.
+    """Estimate the background noise from recordings.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+
+    Returns
+    -------
+    QuietNoise or None
+        None without any recording.
 
     Raises
     ------
     InputError
-        Where nothing can be learned from them; see `NoiseModel.learn`.
+        If nothing can be learned from them; see `NoiseModel.learn`.
     """
     if not recordings:
         return None

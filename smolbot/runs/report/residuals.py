@@ -28,16 +28,17 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class Window:
-    """One recording and its model, both less what is free in every channel; in T.
+    """One recording and its model, both without the trend that is free in every channel.
 
     Attributes
     ----------
     time : float, in s
-    seconds : ndarray, shape (n,)
+        Middle of the recording, on the rig's clock.
+    seconds : ndarray, shape (n,), in s
         Since the first sample.
-    heard, model : ndarray, shape (n_sensors, n)
+    heard, model : ndarray, shape (n_sensors, n), in T
     used : ndarray of bool, shape (n_sensors,)
-        Those that were not saturated.
+        False for saturated channels.
     """
 
     time: float
@@ -53,13 +54,25 @@ class Window:
 
     @property
     def r_squared(self) -> float:
-        """Of this fit, each sample counting the same: the flight's own is of whitened ones."""
+        """R squared of this fit with equal weights; that of the flight is of whitened samples."""
         heard = self.heard[self.used]
         return 1.0 - float(np.sum(self.left**2) / np.sum(heard**2))
 
 
 def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
-    """Some windows of a run with a trusted pose, in order, under what was believed then."""
+    """Compute model and residuals of some recordings with a trusted pose, with what was assumed at their time.
+
+    Parameters
+    ----------
+    flight : Flight
+    most : int
+        Largest number of recordings, chosen at equal steps.
+
+    Yields
+    ------
+    Window
+        In order of time.
+    """
     beliefs, record, mission = Beliefs.at_start(flight.mission), flight.record, flight.mission
     events = sorted(record.events, key=lambda event: event.time)
     played = {shot.number: shot for shot in record.played}
@@ -83,12 +96,22 @@ def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
 
 
 def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0) -> Window:
-    """A recording beside its model at `pose`; amplitude and phase are fitted, each channel is free by a polynomial.
+    """Compute the model of a recording at a given pose.
+
+    Amplitude and phase are fitted, and a polynomial in each channel.
 
     Parameters
     ----------
+    recording : Recording
+    pose : Pose
+    beliefs : Beliefs
+        Sensors, device and coils as assumed.
     trend : int
-        Degree of that polynomial; where coils still ring, their decays are free as well.
+        Degree of the polynomial; where coils still ring, their decays are fitted as well.
+
+    Returns
+    -------
+    Window
     """
     size = max(round(BLOCK * recording.sample_rate), 1)
     n = recording.field.shape[1] // size
@@ -121,7 +144,7 @@ def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0)
 
 
 def _swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: BoolArray, top: float) -> FloatArray:
-    """Amplitude times (cos, sin) of the phase that fit best, in rad: Gauss-Newton, begun where the model is linear."""
+    """Fit amplitude times (cos, sin) of the phase, in rad, by Gauss-Newton from the linearized solution."""
     tiny = 1e-3 * top
     rest = model(np.zeros(2))[used]
     columns = np.column_stack([(model(tiny * axis)[used] - rest).ravel() / tiny for axis in np.eye(2)])
@@ -136,7 +159,20 @@ def _swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: B
 
 
 def low_passed(field: FloatArray, step: float, lag: float) -> FloatArray:
-    """The field as a first-order low pass with time constant `lag` s says it, exact between samples joined by lines."""
+    """Apply the sensors' first-order low pass, exact for a field that is linear between samples.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n_sensors, n), in T
+    step : float, in s
+        Between samples.
+    lag : float, in s
+        Time constant.
+
+    Returns
+    -------
+    ndarray, shape (n_sensors, n), in T
+    """
     if lag <= 0.0:
         return field
     from scipy.signal import lfilter
@@ -150,13 +186,18 @@ def low_passed(field: FloatArray, step: float, lag: float) -> FloatArray:
 
 
 def density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatArray]:
-    """Frequencies, and spectral density, root mean square over channels and windows, in T per root of Hz.
+    """Compute the spectral density, rms over channels and windows.
 
     Parameters
     ----------
-    windows : list of ndarray, shape (n_channels, n)
-        Of one length; shorter ones set it.
+    windows : list of ndarray, shape (n_channels, n), in T
+        All are cut to the length of the shortest.
     rate : float, in Hz
+
+    Returns
+    -------
+    frequencies : ndarray, shape (m,), in Hz
+    density : ndarray, shape (m,), in T/√Hz
     """
     from scipy.signal import periodogram
 
@@ -166,7 +207,20 @@ def density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatAr
 
 
 def cut_quiet(recordings: list[Recording], n: int, trend: int) -> list[FloatArray]:
-    """Quiet recordings cut into windows of `n` blocks, each less the polynomial that a fit leaves free."""
+    """Cut background noise recordings into windows, each without the polynomial that a fit leaves free.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+    n : int
+        Length of a window, in blocks.
+    trend : int
+        Degree of the polynomial.
+
+    Returns
+    -------
+    list of ndarray, shape (n_channels, n), in T
+    """
     basis = np.linalg.qr(np.column_stack([np.linspace(-1.0, 1.0, n) ** k for k in range(trend + 1)]))[0]
     found = []
     for recording in recordings:

@@ -1,4 +1,4 @@
-"""What differs between runs: every setting of their files, gains with their defaults, seeds and versions."""
+"""Differences between runs: every setting of their files, gains with their defaults, seeds and versions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,17 @@ def settings_of(flight: Flight) -> Flat:
 
 
 def changed(flights: list[Flight]) -> list[tuple[str, list[str | None]]]:
-    """Names of settings that differ between `flights`, and their values; None for a run that has none."""
+    """Find the settings that differ between runs.
+
+    Parameters
+    ----------
+    flights : list of Flight
+
+    Returns
+    -------
+    list of tuple
+        Name, and the value of each run; None for a run without it.
+    """
     told = [settings_of(flight) for flight in flights]
     names = dict.fromkeys(name for one in told for name in one)
     rows = [(name, [one.get(name) for one in told]) for name in names]
@@ -43,7 +53,18 @@ def changed(flights: list[Flight]) -> list[tuple[str, list[str | None]]]:
 
 
 def flattened(data: dict[str, Any], prefix: str = "") -> Flat:
-    """A nested dictionary with dotted names.
+    """Flatten a nested dictionary to dotted names.
+
+    Parameters
+    ----------
+    data : dict
+    prefix : str, optional
+        Put before all names.
+
+    Returns
+    -------
+    dict of str to str
+        Values as JSON.
 
     Examples
     --------
@@ -63,7 +84,7 @@ def flattened(data: dict[str, Any], prefix: str = "") -> Flat:
 
 
 def _gains(flight: Flight) -> dict[str, float]:
-    """Gains as flown; only the given ones where the law is not installed here."""
+    """Return the gains as flown; without defaults if the law is not installed here."""
     assert flight.steered is not None
     given = dict(flight.steered.gains)
     try:

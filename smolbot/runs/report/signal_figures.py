@@ -1,4 +1,4 @@
-"""Figures of what was heard: how much of it a fit explains, what it leaves, and the noise before the first cycle."""
+"""Figures of the signals: explained share, fit residuals, and background noise."""
 
 from __future__ import annotations
 
@@ -38,7 +38,16 @@ def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figu
 
 
 def noise_figure(noise: QuietNoise) -> Figure:
-    """Spectral density of every channel, with the lines that were learned."""
+    """Draw the spectral density of every channel's background noise, with the learned mains lines.
+
+    Parameters
+    ----------
+    noise : QuietNoise
+
+    Returns
+    -------
+    Figure
+    """
     figure = wide_figure(3.6)
     axes = figure.subplots()
     shown = noise.frequencies <= HIGHEST
@@ -135,12 +144,12 @@ def _mark_lines(axes: Axes, lines: FloatArray) -> None:
 
 
 def _thinned(frequencies: FloatArray) -> Places:
-    """Where to begin each stretch of a spectrum, so that on a logarithmic axis none is narrower than a line."""
+    """Choose where each stretch of a spectrum begins; none is narrower than a line on a logarithmic axis."""
     edges = np.unique(np.searchsorted(frequencies, np.geomspace(frequencies[0], frequencies[-1], 420)))
     return edges[edges < len(frequencies)]
 
 
 def _highest(values: FloatArray, edges: Places) -> FloatArray:
-    """The highest value of each stretch: a line must not get lost."""
+    """Return the highest value of each stretch, so that no mains line is lost."""
     found: FloatArray = np.maximum.reduceat(values, edges)
     return found

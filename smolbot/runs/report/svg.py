@@ -1,4 +1,4 @@
-"""Figures as drawings that stand inside a page: no file beside it, and colours that follow the reader's choice."""
+"""Figures as SVG elements inside a page, with colours that follow the reader's light or dark mode."""
 
 from __future__ import annotations
 
@@ -58,7 +58,12 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def page_style() -> Iterator[None]:
-    """Within it, figures are drawn as the pages' own."""
+    """Apply the pages' figure style within a ``with`` block.
+
+    Yields
+    ------
+    None
+    """
     import matplotlib
 
     with matplotlib.rc_context(_STYLE):
@@ -66,14 +71,37 @@ def page_style() -> Iterator[None]:
 
 
 def wide_figure(height: float) -> Figure:
-    """An empty figure as wide as a page, `height` inches high, which lays itself out."""
+    """Make an empty figure of the width of a page, with automatic layout.
+
+    Parameters
+    ----------
+    height : float, in inches
+
+    Returns
+    -------
+    Figure
+    """
     from matplotlib.figure import Figure
 
     return Figure(figsize=(11.2, height), layout="constrained")
 
 
 def svg_of(figure: Figure, name: str, alternative: str) -> Markup:
-    """A figure as an ``svg`` element; `name` keeps its parts apart from those of other figures of the page."""
+    """Convert a figure to an ``svg`` element.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        Unique in the page; it keeps the ids of the figure's parts apart from those of others.
+    alternative : str
+        Description for screen readers.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     import matplotlib
     from markupsafe import Markup
 
@@ -84,7 +112,7 @@ def svg_of(figure: Figure, name: str, alternative: str) -> Markup:
 
 
 def _embedded(text: str, alternative: str) -> str:
-    """Without what only a file of its own needs: declarations, metadata, names that nothing refers to."""
+    """Remove from an SVG what a page does not need: declarations, metadata, unused ids."""
     import html
 
     body = text[text.index("<svg") :]

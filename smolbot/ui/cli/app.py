@@ -1,4 +1,4 @@
-"""``smolbot``: the commands of every installed package, and how errors become exit codes."""
+"""``smolbot``: the commands of every installed package, and the exit codes of errors."""
 
 from __future__ import annotations
 
@@ -21,20 +21,57 @@ DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3
 
 
 class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
-    """Lists our own commands and those that entry points of ``smolbot.commands`` bring."""
+    """Command group with our own commands and those of the entry points ``smolbot.commands``."""
 
     def list_commands(self, ctx: Any) -> list[str]:
+        """List the names of all commands, our own first.
+
+        Parameters
+        ----------
+        ctx : click.Context
+
+        Returns
+        -------
+        list of str
+        """
         own = super().list_commands(ctx)
         return own + [name for name in names("commands") if name not in own]
 
     def invoke(self, ctx: Any) -> Any:
-        """Carry out a command; Ctrl-C outside of a flight ends it with our message and code, not with typer's."""
+        """Run a command; Ctrl-C outside of a flight ends it with our message and exit code, not with typer's.
+
+        Parameters
+        ----------
+        ctx : click.Context
+
+        Returns
+        -------
+        object
+            What the command returns.
+
+        Raises
+        ------
+        OperatorStopError
+            On Ctrl-C.
+        """
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as stop:
             raise OperatorStopError(f"{str(stop) or CTRL_C}; nothing was moving") from None
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command by its name; one of an entry point is loaded first.
+
+        Parameters
+        ----------
+        ctx : click.Context
+        cmd_name : str
+
+        Returns
+        -------
+        click.Command or None
+            None if there is none. For one that cannot be loaded, a command that prints why.
+        """
         found = super().get_command(ctx, cmd_name)
         if found is not None:
             return found
@@ -54,7 +91,7 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
 
 
 def _broken(name: str, message: str) -> Any:
-    """A command that cannot be loaded says why when it is called, and does not hide the others."""
+    """Make a command that prints why another one could not be loaded, so that it does not hide the others."""
 
     def explain(**_: Any) -> None:
         typer.echo(message, err=True)
@@ -90,7 +127,7 @@ def _root(
 
 
 def register_own() -> None:
-    """Add the commands that are no entry points; once, however often the command line is called."""
+    """Add the commands that are not entry points; once, however often it is called."""
     if app.registered_commands:
         return
     from smolbot.ui.cli import check, console, missions
@@ -103,7 +140,7 @@ def register_own() -> None:
 
 
 def main() -> None:
-    """Entry point of the console script; every error on purpose is one message and an exit code."""
+    """Run the command line; our own errors print one message and set the exit code."""
     register_own()
     try:
         app()

@@ -1,4 +1,4 @@
-"""``smolbot calibrate-array``: gains, axes and places of the sensors, from a device on a known track."""
+"""``smolbot calibrate-array``: gains, axes and positions of the sensors, from a device on a known track."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 DEFAULT_POSES = 60
 FAR = 5e-3
-"""Held-out error, in m, with which track and recordings do not seem to belong together."""
+"""Held-out error, in m, above which track and recordings probably do not belong together."""
 
 
 def calibrate_array(
@@ -45,18 +45,18 @@ def calibrate_array(
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Find gains, axes and places of the sensors from a device at known poses; writes a sensors file.
+    """Calibrate gains, axes and positions of the sensors with a device at known poses; writes a sensors file.
 
     TRACK has named columns: x_mm, y_mm, z_mm of the cantilever's rotation centre in the rig's world frame; along_x,
     along_y, along_z and swing_x, swing_y, swing_z, the directions of the cantilever and of its swing (or qw, qx, qy,
-    qz); and, unless --samples is given, file: the samples of the row, as smolbot localize reads them. Some sixty
-    poses, over the volume and over headings. Every fourth takes no part and says whether anything was gained.
+    qz); and, unless --samples is given, file: the samples of the row, as smolbot localize reads them. Give some
+    sixty poses, over the volume and over headings. Every fourth is held out and shows whether anything was gained.
 
-    Not to be known, but found along: the amplitude and phase of each drive, the device's resonance and damping,
-    and how it sits in its holder (to 0.3 mm and 1 degree). To be known: where the stage is, to some 20 um, and l0.
-    A gain common to all sensors cannot be told from the drive and stays 1.
+    Estimated along with the sensors: amplitude and phase of each drive, the device's resonance and damping, and its
+    pose in the holder (to 0.3 mm and 1 degree). Needed: the position of the stage, to some 20 um, and l0. A gain
+    common to all sensors cannot be distinguished from the drive and stays 1.
 
-    Without TRACK the rig's own stage visits places by itself; the simulated tank has one.
+    Without TRACK the rig's own stage moves to the poses by itself; the simulated tank has one.
     """
     from smolbot.bench.calibration.stage_recordings import from_files, on_stage, ringing
     from smolbot.config.rig import load_rig
@@ -87,7 +87,17 @@ def calibrate_array(
 
 
 def sensors_file(found: ArrayCalibration, rig: RigConfig) -> SensorsFile:
-    """What is to be written: places, axes and gains as found, everything else of the rig's own section."""
+    """Build the sensors file: calibrated positions, axes and gains, everything else from the rig file.
+
+    Parameters
+    ----------
+    found : ArrayCalibration
+    rig : RigConfig
+
+    Returns
+    -------
+    SensorsFile
+    """
     import numpy as np
 
     from smolbot.config.sensors import SensorsFile, UncertaintySection

@@ -1,4 +1,4 @@
-"""``smolbot check``: is this rig fit to be used?"""
+"""``smolbot check``: test of a rig before it is used."""
 
 from __future__ import annotations
 
@@ -18,7 +18,12 @@ if TYPE_CHECKING:
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command."""
+    """Add the command.
+
+    Parameters
+    ----------
+    app : typer.Typer
+    """
     app.command("check")(check)
 
 
@@ -31,7 +36,7 @@ def check(
     seed: Annotated[int, typer.Option(min=0, help="Which tank, where it is a simulated one.")] = 1,
     json: JsonOption = False,
 ) -> None:
-    """Read back every device, listen, drive each coil faintly: noise, offsets, wiring, relays; and what to look at."""
+    """Check a rig: read back every device, record noise, drive each coil weakly; list what a person must verify."""
     from smolbot.bench.check.checkup import check_rig
     from smolbot.config.plugins import load_world
     from smolbot.config.rig import load_rig
@@ -54,7 +59,7 @@ def check(
 
 
 def _robot_of(config: RigConfig) -> str:
-    """The robot of the first shipped mission on this rig, or on one of the same make."""
+    """Return the robot of the first shipped mission on this rig, or a robot that suits it."""
     from smolbot.config.library import open_file, shipped
 
     missions = [open_file(name, "missions").data for name in shipped("missions")]
@@ -65,7 +70,17 @@ def _robot_of(config: RigConfig) -> str:
 
 
 def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
-    """What ``--json`` prints."""
+    """Build the JSON output of a check.
+
+    Parameters
+    ----------
+    found : Checkup
+    config : RigConfig
+
+    Returns
+    -------
+    dict
+    """
     from smolbot.bench.check import checkup
 
     expected = found.expected
@@ -120,7 +135,15 @@ def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
 
 
 def show(found: Checkup, config: RigConfig, *, err: bool = False) -> None:
-    """Print the tables: devices, sensors, coils, verdict, and what only a person can verify."""
+    """Print the tables: devices, sensors, coils, verdict, and what only a person can verify.
+
+    Parameters
+    ----------
+    found : Checkup
+    config : RigConfig
+    err : bool
+        Print on standard error, since standard output is kept for JSON.
+    """
     from rich.text import Text
 
     shown = console(err=err)
@@ -165,7 +188,7 @@ def _grid(title: str, columns: list[tuple[str, str]]) -> Table:
 
 
 def _mark(faulty: bool) -> Any:
-    """The last cell of a row; what is wrong stands in full below the tables."""
+    """Make the last cell of a row; faults are listed in full below the tables."""
     from rich.text import Text
 
     return Text("bad", "bold red") if faulty else Text("ok", "green")

@@ -1,4 +1,4 @@
-"""``console`` and ``stop``: a page that shows missions, and the end of all of them without one."""
+"""``console`` and ``stop``: a page that shows missions, and a command that stops all of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from smolbot.ui.cli.show import echo_json, table
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
+    """Add the commands of this module.
+
+    Parameters
+    ----------
+    app : typer.Typer
+    """
     app.command("console")(console)
     app.command("stop")(stop)
 
@@ -29,7 +34,7 @@ def console(
     follow: Annotated[bool, typer.Option("--follow", help="End once no mission and no page is left.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object once the page is open.")] = False,
 ) -> None:
-    """Open a page to watch, start, pause and stop missions, draw paths, and look through runs."""
+    """Open a page to watch, start, pause and stop missions, draw paths, and browse runs."""
     try:
         from smolbot.ui.console.console import OpenConsole, ending
     except ImportError as error:
@@ -53,7 +58,7 @@ def console(
 def stop(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
 ) -> None:
-    """Stop every mission that a console of this user watches: outputs to zero, at once, without a browser."""
+    """Stop every mission that is connected to a console of this user: outputs to zero at once."""
     from smolbot.ui.link.consoles import answering
     from smolbot.ui.link.frames import LinkError
     from smolbot.ui.link.gate import stop_through

@@ -1,4 +1,4 @@
-"""``--live``: a mission's link to its console, for as long as it flies."""
+"""``--live``: the link of a mission to its console during the flight."""
 
 from __future__ import annotations
 
@@ -20,12 +20,28 @@ if TYPE_CHECKING:
 def watched(
     mission: AnyMission, seed: int, latch: Latch, say: Callable[[str], object]
 ) -> Iterator[tuple[Pause, Callable[[Converter], Pump]]]:
-    """Join a console; yields what `fly` takes as its pause and its live pump.
+    """Connect a mission to a console while a ``with`` block runs.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    seed : int
+    latch : Latch
+        Tripped by a stop from the console.
+    say : callable
+        Called with the console's address, in a sentence.
+
+    Yields
+    ------
+    pause : Pause
+        For `fly`: held and released from the console.
+    live : callable
+        For `fly`: makes the recorder sink of the console.
 
     Raises
     ------
     InputError
-        If there is none, and none can be opened. Nothing has moved by then.
+        If there is no console, and none can be opened. Nothing has moved by then.
     """
     console, opened = find_console()
     pause = Pause()

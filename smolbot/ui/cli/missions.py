@@ -35,13 +35,18 @@ GROUPS = {
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
+    """Add the commands of this module.
+
+    Parameters
+    ----------
+    app : typer.Typer
+    """
     for name, function in (("preview", preview), ("list", list_), ("init", init)):
         app.command(name)(function)
 
 
 def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = None, json: JsonOption = False) -> None:
-    """Time a mission on paper: a cycle's timeline, rate, duration, reach of force; go or no-go with reasons."""
+    """Predict a mission, nothing moves: timeline of a cycle, rate, duration, force; go or no-go with reasons."""
     from smolbot.config.load import load_mission
     from smolbot.config.mission import Mission
     from smolbot.flight.preview.helix import HelixPreview

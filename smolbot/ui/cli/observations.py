@@ -1,4 +1,4 @@
-"""How the commands show a mission that only looks."""
+"""Output of the commands for observations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,18 @@ if TYPE_CHECKING:
 
 
 def observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """What an observation's summary adds to the table of a run; nothing for a mission that steers."""
+    """Build the rows that an observation adds to the table of a run.
+
+    Parameters
+    ----------
+    summary : dict
+        Summary of the run.
+
+    Returns
+    -------
+    list of (str, str)
+        Empty for a mission that steers.
+    """
     rows: list[tuple[str, str]] = []
     if "pose_rate_hz" in summary:
         gaps = summary["gaps"]
@@ -47,7 +58,14 @@ def observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def show_observation_preview(mission: AnyMission, seen: ObservationPreview, json: bool) -> None:
-    """The table or JSON of ``smolbot preview``; exits with 0 for go, 1 for no-go."""
+    """Print the table or the JSON of a preview, and exit with 0 for go, 1 for no-go.
+
+    Parameters
+    ----------
+    mission : Observation
+    seen : ObservationPreview
+    json : bool
+    """
     error = 1e3 * seen.noise_error
     rows = [
         ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
@@ -68,7 +86,16 @@ def show_observation_preview(mission: AnyMission, seen: ObservationPreview, json
 
 
 def cycle_figures(seen: Preview | ObservationPreview) -> dict[str, Any]:
-    """What ``--json`` says of a cycle."""
+    """Build the JSON output about a cycle.
+
+    Parameters
+    ----------
+    seen : Preview or ObservationPreview
+
+    Returns
+    -------
+    dict
+    """
     return {
         "cycle": str(seen.shot),
         "cycle_ms": seen.shot.duration * 1e3,
@@ -83,7 +110,21 @@ def show_verdict(
     rows: list[tuple[str, str]],
     figures: dict[str, Any] | None,
 ) -> None:
-    """Print the table of a preview, and its JSON if there are `figures`; exits with 0 for go, 1 for no-go."""
+    """Print the table of a preview, and its JSON if there are `figures`; exit with 0 for go, 1 for no-go.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    seen : Preview, HelixPreview or ObservationPreview
+    rows : list of (str, str)
+    figures : dict or None
+        None for no JSON.
+
+    Raises
+    ------
+    typer.Exit
+        Always.
+    """
     rows = [*rows, ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons))]
     table(f"preview of {mission.name} on {mission.rig.name}", rows, err=figures is not None)
     if figures is not None:

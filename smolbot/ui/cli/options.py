@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share, and what ``--set`` means."""
+"""Arguments and options that several commands share, and the parsing of ``--set``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,16 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 
 
 def settings_from(pairs: list[str] | None) -> dict[str, str]:
-    """``key=value`` options as a dictionary; ``@gains.toml`` stands for all that the file holds.
+    """Parse the options ``--set``; ``@gains.toml`` stands for all settings in the file.
+
+    Parameters
+    ----------
+    pairs : list of str or None
+        Each ``key=value`` or ``@FILE``.
+
+    Returns
+    -------
+    dict of str
 
     Raises
     ------
@@ -52,7 +61,7 @@ def settings_from(pairs: list[str] | None) -> dict[str, str]:
 
 
 def _settings_of(path: Path) -> dict[str, str]:
-    """What a TOML file holds, as settings."""
+    """Read the settings of a TOML file."""
     import json
     import tomllib
 

@@ -1,4 +1,4 @@
-"""What a person sees while a mission flies: how far, where, how well, how fast, how long still."""
+"""Progress of a flying mission on the terminal: share done, position, error, rate and time left."""
 
 from __future__ import annotations
 
@@ -13,9 +13,20 @@ from smolbot.runs.run import CycleRecord
 
 
 class Shown:
-    """Hears every cycle and says so: a bar on a terminal, a line now and then elsewhere.
+    """Shows every cycle: as a bar on a terminal, as a line now and then elsewhere.
 
-    What `total` counts in, and what is said of a cycle, is each kind of mission's own.
+    Subclasses define what is counted and what is printed about a cycle.
+
+    Parameters
+    ----------
+    name : str
+        Name of the mission.
+    total : float
+        What `done` reaches at the end.
+    every : float, in s
+        Time between two updates on a terminal.
+    quiet_every : float, in s
+        Time between two lines elsewhere.
     """
 
     def __init__(self, name: str, total: float, every: float = 0.1, quiet_every: float = 10.0) -> None:
@@ -41,16 +52,18 @@ class Shown:
         self._cycles = 0
 
     def start(self) -> None:
+        """Show the bar, on a terminal."""
         if self._terminal:
             self._bar.start()
 
     def stop(self) -> None:
+        """Remove the bar."""
         if self._terminal:
             self._bar.stop()
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Out of the way while the block asks or tells something."""
+        """Hide the bar while a ``with`` block prints or asks something."""
         self.stop()
         try:
             yield
@@ -58,6 +71,12 @@ class Shown:
             self.start()
 
     def __call__(self, record: CycleRecord) -> None:
+        """Count a cycle, and update what is shown if it is time to.
+
+        Parameters
+        ----------
+        record : CycleRecord
+        """
         self._cycles += 1
         self.hear(record)
         now = time.monotonic()
@@ -71,19 +90,51 @@ class Shown:
             self._console.print(f"{self._name}: {100.0 * done / self._total:.0f} %  {state}")
 
     def hear(self, record: CycleRecord) -> None:
-        """Keep what later ones need; called for every cycle."""
+        """Store what later cycles need; called for every cycle.
+
+        Parameters
+        ----------
+        record : CycleRecord
+        """
 
     def done(self, record: CycleRecord) -> float:
-        """How much of the total lies behind."""
+        """Return how much of the total is done.
+
+        Parameters
+        ----------
+        record : CycleRecord
+
+        Returns
+        -------
+        float
+        """
         raise NotImplementedError
 
     def describe(self, record: CycleRecord) -> str:
-        """One line about a cycle."""
+        """Describe a cycle in one line.
+
+        Parameters
+        ----------
+        record : CycleRecord
+
+        Returns
+        -------
+        str
+        """
         raise NotImplementedError
 
 
 class Progress(Shown):
-    """Of a robot on a path."""
+    """Progress of a robot on a path.
+
+    Parameters
+    ----------
+    mission : Mission
+    every : float, in s
+        Time between two updates on a terminal.
+    quiet_every : float, in s
+        Time between two lines elsewhere.
+    """
 
     def __init__(self, mission: Mission, every: float = 0.1, quiet_every: float = 10.0) -> None:
         super().__init__(mission.name, mission.path.length, every, quiet_every)
@@ -91,17 +142,40 @@ class Progress(Shown):
         self._begun: tuple[float, float] | None = None
 
     def hear(self, record: CycleRecord) -> None:
-        """When the path was begun."""
+        """Store when the path was begun.
+
+        Parameters
+        ----------
+        record : CycleRecord
+        """
         command = record.command
         if self._begun is None and command.phase == "follow" and command.window is not None:
             self._begun = (record.shot.end, command.progress)
 
     def done(self, record: CycleRecord) -> float:
-        """Arc length, in m."""
+        """Return the arc length that is done.
+
+        Parameters
+        ----------
+        record : CycleRecord
+
+        Returns
+        -------
+        float, in m
+        """
         return record.command.progress
 
     def describe(self, record: CycleRecord) -> str:
-        """Pose, error to the path as believed, loop rate, time left."""
+        """Describe pose, distance of the tracked pose from the path, loop rate and time left.
+
+        Parameters
+        ----------
+        record : CycleRecord
+
+        Returns
+        -------
+        str
+        """
         parts: list[str] = [record.shot.mode]
         pose = record.tracked
         if pose is not None:
@@ -124,7 +198,16 @@ class Progress(Shown):
 
 
 class Watching(Shown):
-    """Of a device that is only watched: seconds, or measurements."""
+    """Progress of an observation, in seconds or in measurements.
+
+    Parameters
+    ----------
+    mission : Observation
+    every : float, in s
+        Time between two updates on a terminal.
+    quiet_every : float, in s
+        Time between two lines elsewhere.
+    """
 
     def __init__(self, mission: Observation, every: float = 0.1, quiet_every: float = 10.0) -> None:
         section = mission.sections.observe
@@ -134,20 +217,43 @@ class Watching(Shown):
         self._made = 0
 
     def hear(self, record: CycleRecord) -> None:
-        """When the device was first seen, and what was measured."""
+        """Store when the device was first located, and count the measurements.
+
+        Parameters
+        ----------
+        record : CycleRecord
+        """
         if record.pose is None or not record.pose.trusted:
             return
         self._begun = record.shot.end if self._begun is None else self._begun
         self._made += record.shot.mode == "hold"
 
     def done(self, record: CycleRecord) -> float:
-        """Seconds, or measurements."""
+        """Return the seconds or the measurements that are done.
+
+        Parameters
+        ----------
+        record : CycleRecord
+
+        Returns
+        -------
+        float
+        """
         if self._counts:
             return float(self._made)
         return 0.0 if self._begun is None else record.shot.end - self._begun
 
     def describe(self, record: CycleRecord) -> str:
-        """Mode, pose, and how far."""
+        """Describe mode, pose and progress.
+
+        Parameters
+        ----------
+        record : CycleRecord
+
+        Returns
+        -------
+        str
+        """
         parts: list[str] = [record.shot.mode]
         if record.pose is not None:
             x, y, z = 1e3 * record.pose.position
@@ -162,7 +268,17 @@ class Watching(Shown):
 
 @contextmanager
 def shown_progress(mission: AnyMission) -> Iterator[Shown]:
-    """Progress that is shown while the block runs."""
+    """Show the progress of a mission while a ``with`` block runs.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+
+    Yields
+    ------
+    Shown
+        To be called with the record of each cycle.
+    """
     progress = Watching(mission) if isinstance(mission, Observation) else Progress(mission)
     progress.start()
     try:

@@ -1,4 +1,4 @@
-"""``smolbot recover``: a run that was killed, made whole as far as its record goes."""
+"""``smolbot recover``: completes a run that was killed, as far as its record goes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def recover(
     run: Annotated[Path, typer.Argument(help="Run folder, or the record in it.", metavar="RUN")],
     json: JsonOption = False,
 ) -> None:
-    """Complete the folder of a run that was killed: record, summary, cycles, picture. A whole run is left as it is."""
+    """Complete the folder of a killed run: record, summary, cycles, picture. A complete run is not changed."""
     from smolbot.runs.recover import recover as make_whole
     from smolbot.ui.cli.show import echo_json, table
 
@@ -29,7 +29,16 @@ def recover(
 
 
 def as_told(done: Recovery) -> dict[str, Any]:
-    """What was found, what is missing, what was done."""
+    """Build the JSON output of a recovery: what was found, what is missing, what was done.
+
+    Parameters
+    ----------
+    done : Recovery
+
+    Returns
+    -------
+    dict
+    """
     found = done.found
     flown = found.run()
     numbers = found.number_of_cycle

@@ -1,4 +1,4 @@
-"""``smolbot replay``: locates again in what a run heard."""
+"""``smolbot replay``: locates again in the recordings of a run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def replay(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Locate again in what a run heard: the same poses bit for bit, or those of other settings, compared."""
+    """Locate again in the recordings of a run: the same poses bit for bit, or those of other settings, compared."""
     from smolbot.config.plugins import names
     from smolbot.flight.replay import apart, figures
     from smolbot.flight.replay import replay as play

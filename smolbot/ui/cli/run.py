@@ -1,4 +1,4 @@
-"""``smolbot run``: flies a mission, and tells how it went."""
+"""``smolbot run``: flies a mission and prints its result."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(
     report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
     json: JsonOption = False,
 ) -> None:
-    """Fly a mission, closed loop, or watch a device; leave a run folder with figures and picture."""
+    """Fly a mission in closed loop, or observe a device; leaves a run folder with figures and picture."""
     from smolbot.config.load import load_mission
     from smolbot.core.operator import TerminalOperator
     from smolbot.flight.safety.stop_latch import Latch
@@ -119,7 +119,7 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
 
 
 def _coils(summary: dict[str, Any]) -> str:
-    """How long and how hot: of all coils, the one that came nearest to its limit from 20 °C."""
+    """Describe the highest duty cycle, and the coil that came nearest to its limit, counted from 20 °C."""
     duty: dict[str, float] = summary["duty_peak"]
     busiest = max(duty, key=lambda name: duty[name])
     told = f"driven for at most {100 * duty[busiest]:.0f} % of the time ({busiest})"
@@ -135,7 +135,7 @@ def _recovered(summary: dict[str, Any]) -> str:
 
 
 def _not_recorded(recording: Any) -> str:
-    """What the record lacks, and why; nothing where it lacks nothing.
+    """Describe what is missing from the record, and why; empty if nothing is.
 
     Examples
     --------

@@ -15,7 +15,19 @@ if TYPE_CHECKING:
 
 
 def console(*, err: bool = False, width: int = 120) -> Console:
-    """Standard output, or standard error where that is kept for JSON; `width` wide where it is no terminal."""
+    """Make a console for standard output or standard error.
+
+    Parameters
+    ----------
+    err : bool
+        Use standard error, since standard output is kept for JSON.
+    width : int
+        Width in characters, where the output is no terminal.
+
+    Returns
+    -------
+    rich.console.Console
+    """
     from rich.console import Console
 
     found = Console(stderr=err, highlight=False)
@@ -24,7 +36,20 @@ def console(*, err: bool = False, width: int = 120) -> Console:
 
 @contextmanager
 def spinner(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """Something that says, on a terminal, what is going on; nothing elsewhere, or where it is to be quiet."""
+    """Show on a terminal what is going on while a ``with`` block runs.
+
+    Parameters
+    ----------
+    text : str
+        What to show at first.
+    quiet : bool
+        Show nothing.
+
+    Yields
+    ------
+    callable
+        To be called with a new text.
+    """
     shown = console(err=True)
     if quiet or not shown.is_terminal:
         yield lambda _: None
@@ -35,7 +60,23 @@ def spinner(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]
 
 @contextmanager
 def bar(name: str, *columns: Any, total: float | None = None, quiet: bool = False) -> Iterator[Callable[..., None]]:
-    """A bar on a terminal, nothing elsewhere; yields what is told ``completed``, ``advance`` or ``description``."""
+    """Show a progress bar on a terminal while a ``with`` block runs.
+
+    Parameters
+    ----------
+    name : str
+    *columns : rich.progress.ProgressColumn
+        Those of rich unless given.
+    total : float, optional
+        What ``completed`` reaches at the end.
+    quiet : bool
+        Show nothing.
+
+    Yields
+    ------
+    callable
+        To be called with ``completed``, ``advance`` or ``description``.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
@@ -48,7 +89,15 @@ def bar(name: str, *columns: Any, total: float | None = None, quiet: bool = Fals
 
 
 def table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> None:
-    """A two-column table on standard output, or on standard error where that is kept for JSON."""
+    """Print a table of two columns.
+
+    Parameters
+    ----------
+    title : str
+    rows : sequence of (str, str)
+    err : bool
+        Print on standard error, since standard output is kept for JSON.
+    """
     from rich.table import Table
     from rich.text import Text
 
@@ -61,7 +110,12 @@ def table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> 
 
 
 def echo_json(data: Any) -> None:
-    """One JSON object on standard output."""
+    """Print one JSON object on standard output.
+
+    Parameters
+    ----------
+    data : object
+    """
     sys.stdout.write(json_text(data))
 
 

@@ -1,4 +1,4 @@
-"""A key that stops: reads the terminal while a mission runs, and leaves it as it was."""
+"""A key that stops: reads the terminal while a mission runs, and restores it afterwards."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 STOP_KEYS = (b"q", b"Q", b"\x1b")
-"""q, or Esc by itself: what arrow and function keys send begins with an Esc too, and stops nothing."""
+"""q, or Esc by itself. Arrow and function keys also send an Esc first; they stop nothing."""
 
 KEY = "stopped by the operator (key)"
 
@@ -23,15 +23,21 @@ _FOLLOWS = 0.05  # s within which the rest of an arrow key's sequence has come
 
 
 class Keyboard:
-    """While the block runs, a stop key calls `stop`, in a thread of its own.
+    """Calls a function when a stop key is pressed while a ``with`` block runs, from a thread of its own.
 
-    Does nothing where standard input is no terminal, where this process is in its background, and on Windows.
+    Does nothing if standard input is no terminal, if this process is in its background, and on Windows.
 
     Parameters
     ----------
     stop : callable
+        Takes no arguments.
     number : int, optional
         File descriptor of the terminal; standard input's unless given.
+
+    Attributes
+    ----------
+    active : bool
+        Whether the terminal is read.
     """
 
     def __init__(self, stop: Callable[[], object], number: int | None = None) -> None:
@@ -73,7 +79,7 @@ class Keyboard:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """The terminal as it was, for a question and its answer."""
+        """Restore the terminal while a ``with`` block asks a question."""
         if self._thread is None:
             yield
             return
@@ -128,7 +134,7 @@ class Keyboard:
                 self._stop()
 
     def _pressed(self) -> bool:
-        """Whether a stop key was pressed; whatever else was is dropped."""
+        """Return whether a stop key was pressed; other keys are dropped."""
         import select
 
         assert self._number is not None
@@ -143,11 +149,19 @@ class Keyboard:
 
 
 def stops(keys: bytes) -> bool:
-    """Whether a stop key is among what was typed.
+    r"""Return whether a stop key is among the typed keys.
+
+    Parameters
+    ----------
+    keys : bytes
+
+    Returns
+    -------
+    bool
 
     Examples
     --------
-    >>> stops(b"xq"), stops(b"\\x1b"), stops(b"x\\x1b[A\\x1bOP\\x1b[15~"), stops(b"\\x1b[Aq")
+    >>> stops(b"xq"), stops(b"\x1b"), stops(b"x\x1b[A\x1bOP\x1b[15~"), stops(b"\x1b[Aq")
     (True, True, False, True)
     """
     typed = re.sub(_SEQUENCE, b"", keys)
@@ -155,7 +169,7 @@ def stops(keys: bytes) -> bool:
 
 
 def _in_front(number: int) -> bool:
-    """Whether this process may use its terminal: one in the background would be halted."""
+    """Return whether this process may use its terminal; one in the background would be suspended."""
     try:
         return os.tcgetpgrp(number) == os.getpgrp()
     except OSError:

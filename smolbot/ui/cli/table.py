@@ -1,4 +1,4 @@
-"""`smolbot table`: build, look at, convert and draw field tables."""
+"""`smolbot table`: builds, describes, converts and draws field tables."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def build_command(
     layout: Layout = "spreadsheet",
     as_json: Json = False,
 ) -> None:
-    """Compute the table of a rig's coils, as its file says, and write it."""
+    """Compute the field table of a rig's coils from its rig file, and write it."""
     with _bad_input_exits():
         table = _load(rig, is_rig=True)
         table.write(out, layout)
@@ -39,7 +39,7 @@ def info_command(
     file: Annotated[str, typer.Argument(help="Table: COMSOL's text, or .npz.")],
     as_json: Json = False,
 ) -> None:
-    """Print the coils, mesh, field strengths and faithfulness of a table."""
+    """Print the coils, mesh, field strengths and accuracy of a table."""
     with _bad_input_exits():
         _report(_load(file, is_rig=False), {"source": file}, as_json)
 
@@ -54,7 +54,7 @@ def import_command(
     layout: Layout = "spreadsheet",
     as_json: Json = False,
 ) -> None:
-    """Check an export, bring it to the world frame and to 1 A, and write it."""
+    """Check an export, convert it to the world frame and to 1 A, and write it."""
     with _bad_input_exits():
         from lookup_tables import FieldTable
 
@@ -87,7 +87,7 @@ def plot_command(
 
 @contextmanager
 def _bad_input_exits() -> Iterator[None]:
-    """Print the message of an error raised on purpose and leave with exit code 2."""
+    """Print the message of one of our errors and exit with code 2."""
     from lookup_tables.errors import OutsideTableError, TableError
     from smolbot.errors import SmolbotError
 
@@ -109,7 +109,7 @@ def _load(source: str, *, is_rig: bool) -> FieldTable:
 
 
 def _millimetres(text: str) -> tuple[float, float, float]:
-    """Three numbers with commas between, in mm, as m."""
+    """Parse three comma-separated numbers in mm; return them in m."""
     from lookup_tables import TableError
 
     try:
@@ -120,10 +120,19 @@ def _millimetres(text: str) -> tuple[float, float, float]:
 
 
 def summary(table: FieldTable) -> dict[str, Any]:
-    """What `info` prints, as plain values.
+    """Build the JSON output of ``smolbot table info``.
 
     ``curl_residual`` is the largest part of the samples that no field without curl can have, relative to the coil's
-    largest field; ``divergence_residual`` the largest |div B| between the nodes, relative to the largest gradient.
+    largest field; ``divergence_residual`` the largest ``|div B|`` between the nodes, relative to the largest
+    gradient.
+
+    Parameters
+    ----------
+    table : FieldTable
+
+    Returns
+    -------
+    dict
     """
     import numpy as np
 

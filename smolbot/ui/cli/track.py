@@ -1,4 +1,4 @@
-"""``smolbot track``: what a camera saw, for comparison with a run or with a clip of the cantilever."""
+"""``smolbot track``: tracks a robot in a camera's video, or the swing of a cantilever in a high-speed clip."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def track(
 ) -> None:
     """Find the robot in a video from above: a track in mm, and a run's errors against it.
 
-    The robot is what differs from the scene that stands still and has the robot's outline; its head is told from its
-    tail by its magnet. Markers (--fiducials) or four points (--corners, --corners-mm) say where pixels are. The video
-    is aligned with the run by the best match of their displacements. Leaves track.csv, track.json and track.png; a
+    The robot is what differs from the static scene and has the robot's outline; its magnet distinguishes head and
+    tail. Markers (--fiducials) or four points (--corners, --corners-mm) relate pixels to positions. The video is
+    aligned with the run by the best match of their displacements. Leaves track.csv, track.json and track.png; a
     track in RUN/optical is the run's optical reference.
 
     Frames that do not show the robot are counted and left out.

@@ -1,4 +1,4 @@
-"""``smolbot track --deflection``: what a high-speed clip tells of a cantilever's swing."""
+"""``smolbot track --deflection``: the swing of a cantilever in a high-speed clip."""
 
 from __future__ import annotations
 
@@ -20,7 +20,26 @@ SLOW = 400.0  # frames per second: less is a rate of playing, not of recording
 def measure_swing(
     clip: Video, told: bool, from_s: float | None, to_s: float | None, folder: Path, json: bool
 ) -> None:  # fmt: skip
-    """Measure, print, and leave swing.csv, swing.json and swing.png in `folder`; `told` if the frame rate was given."""
+    """Measure the swing, print the figures, and write swing.csv, swing.json and swing.png.
+
+    Parameters
+    ----------
+    clip : Video
+    told : bool
+        Whether the frame rate was given by the user.
+    from_s : float or None, in s
+        Start of the free swing; None to find it.
+    to_s : float or None, in s
+        End of the free swing; None to find it.
+    folder : Path
+    json : bool
+        Also print one JSON object on standard output.
+
+    Raises
+    ------
+    InputError
+        If the clip has a frame rate of playback, not of recording.
+    """
     from smolbot.core.results import json_text
     from smolbot.runs.optics.deflection import follow_swing
     from smolbot.runs.optics.ringing import fit_ringing

@@ -1,4 +1,4 @@
-"""The bar over the page: how the mission is, in a word, and the buttons that must work whatever else does not."""
+"""The bar above the page: the state of the mission in a word, and the buttons that must always work."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from smolbot.ui.console.flight import Flight
 from smolbot.ui.link.frames import Kind
 
 EVERY = 0.2
-"""Seconds between two looks at the mission."""
+"""Seconds between two updates of the bar."""
 
 GREEN, BLUE, AMBER, RED, GREY = "#15803d", "#1d4ed8", "#b45309", "#dc2626", "#5b6675"
 
@@ -31,7 +31,20 @@ Order = Callable[[Kind, str], None]
 
 
 def state_of(flight: Flight, time_: float | None = None) -> tuple[str, str]:
-    """A run's state in a word, and its colour."""
+    """Return the state of a run in a word, and its colour.
+
+    Parameters
+    ----------
+    flight : Flight
+    time_ : float, in s, optional
+        On the rig's clock; the latest unless given.
+
+    Returns
+    -------
+    word : str
+    colour : str
+        As in CSS.
+    """
     ended = flight.ending
     if ended is not None and (time_ is None or time_ >= flight.latest):
         return ended.status.upper(), _ENDINGS.get(ended.status, RED)
@@ -50,7 +63,7 @@ def state_of(flight: Flight, time_: float | None = None) -> tuple[str, str]:
 def told(
     flight: Flight | None, flying: bool, waiting: str, time_: float | None = None, replay: str = ""
 ) -> dict[str, Any]:
-    """What the bar shows, as its script wants it.
+    """Build what the bar shows, for its script.
 
     Parameters
     ----------
@@ -58,11 +71,15 @@ def told(
     flying : bool
         Whether a mission is connected that can be paused.
     waiting : str
-        Of a mission that was started and has not joined yet.
-    time_ : float, optional
-        In s on the rig's clock; the latest unless given.
+        Name of a mission that was started and has not joined yet; empty if there is none.
+    time_ : float, in s, optional
+        On the rig's clock; the latest unless given.
     replay : str
-        What to say beside the name of a run that is over.
+        Text beside the name of a run that is over.
+
+    Returns
+    -------
+    dict
     """
     if flight is None:
         word = ("STARTING", BLUE) if waiting else ("IDLE", GREY)
@@ -112,17 +129,25 @@ def _bar(state: tuple[str, str], mission: str, note: str, *, flying: bool, **fig
 
 
 class Bar:
-    """Answers for the page itself and for what its bar asks, in the event loop of the page's server.
+    """Answers requests for the page itself and for its bar, in the event loop of the page's server.
 
     Parameters
     ----------
     look : callable
-        What to show, see `told`.
+        Returns what to show; see `told`.
     order : callable
-        Passes an order on to every mission; must not wait.
+        Passes an order on to every mission, without waiting.
     may_order : callable
-        Whether a path shows the key of a page that was let in.
+        Whether a request's path has the key of an authenticated page.
     key : str
+        Key for the page's script.
+
+    Attributes
+    ----------
+    heard : list of float, in s
+        Times of the stop orders on the monotonic clock.
+    open : int
+        Number of open pages.
     """
 
     def __init__(
@@ -134,7 +159,17 @@ class Bar:
         self.open = 0
 
     def answer(self, path: str) -> tuple[int, str, bytes] | None:
-        """Of plain requests; see `door.open_viser`."""
+        """Answer a plain request; see `door.open_viser`.
+
+        Parameters
+        ----------
+        path : str
+
+        Returns
+        -------
+        (int, str, bytes) or None
+            Status, content type and body; None if the request is not ours.
+        """
         place = path.partition("?")[0]
         if place in ("/", "/index.html"):
             return 200, "text/html; charset=utf-8", self._page
@@ -146,7 +181,12 @@ class Bar:
         return 200, "text/plain", b"stopping\n"
 
     async def serve(self, connection: Any) -> None:
-        """The socket of one page's bar."""
+        """Serve the websocket of one page's bar until it closes.
+
+        Parameters
+        ----------
+        connection : websockets.asyncio.server.ServerConnection
+        """
         if not self._may_order(connection.request.path):
             await connection.close(1008, "only a page of this console may use this")
             return
@@ -176,7 +216,17 @@ class Bar:
 
 
 def page(key: str) -> bytes:
-    """viser's page with our bar over it."""
+    """Build the page: that of viser with our bar above it.
+
+    Parameters
+    ----------
+    key : str
+        Key for the page's script.
+
+    Returns
+    -------
+    bytes
+    """
     import viser
 
     html = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Numbers that come in one by one and are looked at as arrays."""
+"""Time series that grow row by row and are read as arrays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from smolbot.core.arrays import FloatArray
 
 
 class Columns:
-    """Rows of equal width behind a time that does not fall. Grows by doubling, so that a look costs nothing.
+    """Rows of equal width, each with a time that does not decrease.
+
+    Grows by doubling, so that reading copies nothing.
+
+    Parameters
+    ----------
+    width : int
+        Number of values in a row.
 
     Examples
     --------
@@ -28,7 +35,14 @@ class Columns:
         return self._count
 
     def append(self, time: float, values: Sequence[float] | FloatArray) -> None:
-        """Add a row; a time before the last one counts as the last one's."""
+        """Add a row.
+
+        Parameters
+        ----------
+        time : float, in s
+            A time before that of the last row is replaced by it.
+        values : sequence of float, length width
+        """
         if self._count == len(self._data):
             self._data = np.vstack([self._data, np.empty_like(self._data)])
         row = self._data[self._count]
@@ -37,15 +51,45 @@ class Columns:
         self._count += 1
 
     def until(self, time: float | None = None) -> int:
-        """How many rows there are, or were at `time`."""
+        """Count the rows up to a time.
+
+        Parameters
+        ----------
+        time : float, in s, optional
+            All rows unless given.
+
+        Returns
+        -------
+        int
+        """
         if time is None:
             return self._count
         return int(np.searchsorted(self._data[: self._count, 0], time, side="right"))
 
     def times(self, time: float | None = None) -> FloatArray:
-        """Times (n,)."""
+        """Return the times of the rows up to a time.
+
+        Parameters
+        ----------
+        time : float, in s, optional
+            All rows unless given.
+
+        Returns
+        -------
+        ndarray, shape (n,), in s
+        """
         return self._data[: self.until(time), 0]
 
     def values(self, time: float | None = None) -> FloatArray:
-        """Rows (n, width)."""
+        """Return the values of the rows up to a time.
+
+        Parameters
+        ----------
+        time : float, in s, optional
+            All rows unless given.
+
+        Returns
+        -------
+        ndarray, shape (n, width)
+        """
         return self._data[: self.until(time), 1:]

@@ -1,4 +1,4 @@
-"""Opens a console and keeps it open: gate, page, and the file by which it is found."""
+"""Opens a console and keeps it open: the link for missions, the page, and the file by which it is found."""
 
 from __future__ import annotations
 
@@ -19,28 +19,30 @@ from smolbot.ui.link.consoles import Console, new_secret, read, running, write_d
 from smolbot.ui.link.gate import Gate
 
 PORT = 8420
-"""Of the page, unless another one is named."""
+"""Default port of the page."""
 
 LINGER = 5.0
-"""Seconds that a console that a mission has opened stays without a mission and without a page."""
+"""Seconds that a console that a mission has opened stays open without a mission and without a page."""
 
 AWAIT = 30.0
-"""Seconds that it waits for that mission."""
+"""Seconds that such a console waits for its mission."""
 
 
 class OpenConsole:
-    """A console from when it is made until it is closed.
+    """A console, from when it is made until it is closed.
 
     Parameters
     ----------
-    host, port : str, int
-        Of the page.
+    host : str
+        Address of the page.
+    port : int
+        Port of the page.
     token : str, optional
-        That a page must show; one is made for a host that others can reach.
+        Token that a browser must show; by default one is made if other machines can reach the host.
     runs : Path
         Folder of the runs that it shows.
     tell : callable
-        Told what happens, in lines.
+        Called with each line of the log.
 
     Raises
     ------
@@ -76,7 +78,15 @@ class OpenConsole:
         self.file = self.hub.file = write_down(self.console)
 
     def wait(self, over: threading.Event, *, follow: bool = False) -> None:
-        """Until `over` is set; where it is to `follow`, until no mission and no page is left."""
+        """Wait until the console is to end.
+
+        Parameters
+        ----------
+        over : threading.Event
+            Ends it when set.
+        follow : bool
+            End also once no mission and no page is left.
+        """
         left = 0.0
         seen = False
         while not over.wait(0.25):
@@ -86,7 +96,7 @@ class OpenConsole:
                 return
 
     def close(self) -> None:
-        """Stop every mission, and end."""
+        """Stop every mission, and close page and link."""
         self.hub.close()
         if read(self.file) == self.console:
             self.file.unlink(missing_ok=True)
@@ -95,7 +105,12 @@ class OpenConsole:
 
 @contextlib.contextmanager
 def ending() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set."""
+    """Make an event that Ctrl-C and SIGTERM set while a ``with`` block runs.
+
+    Yields
+    ------
+    threading.Event
+    """
     over = threading.Event()
     before = {number: signal.signal(number, lambda *_: over.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

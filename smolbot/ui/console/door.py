@@ -1,8 +1,8 @@
-"""Who may open the page: a guard in front of viser's server, which has none of its own.
+"""Authentication of the page: every request is checked before it reaches viser's server, which checks none.
 
-viser answers whoever reaches its port, takes the next port where one is busy, and would open a tunnel to its makers'
-host when a page asks for it. Here every request is looked at first, the port is the one that was asked for or none,
-and no page opens anything.
+By itself, viser answers anyone who reaches its port, takes the next port if one is busy, and would open a tunnel to
+its makers' host if a page asked for it. Here every request is checked first, the port is the requested one or none,
+and no page opens a tunnel.
 """
 
 from __future__ import annotations
@@ -27,12 +27,22 @@ if TYPE_CHECKING:
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 LARGEST = 1_000_000
-"""Bytes of the largest message that a page may send; clicks and drawn paths are some hundreds."""
+"""Largest message, in bytes, that a page may send; clicks and drawn paths have some hundreds."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """What somebody is told who may not come in; `cookie` is set where the way in is to ask again with it."""
+    """Answer to a request that is refused.
+
+    Attributes
+    ----------
+    status : int
+        HTTP status.
+    words : str
+        Text of the answer, or location of a redirection.
+    cookie : str
+        Cookie of a redirection: the request is to be repeated with it. Empty otherwise.
+    """
 
     status: int
     words: str
@@ -41,16 +51,16 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Door:
-    """Where the page is, and who may open it.
+    """Address of the page, and authentication of its requests.
 
     Attributes
     ----------
     host : str
     port : int
     token : str
-        That a page must show; empty where whoever reaches the port may come in.
+        Token that a browser must show; empty if whoever reaches the port may use the page.
     key : str
-        Written into every page that was let in: what moves or stops a robot by a plain request must show it.
+        Key in every page that was delivered: a request that moves or stops a robot must show it.
     """
 
     host: str
@@ -64,18 +74,29 @@ class Door:
 
     @property
     def address(self) -> str:
-        """Of the page, token and all."""
+        """Address of the page, with its token."""
         name = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname(), "::1": "[::1]"}.get(self.host, self.host)
         return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     @property
     def cookie(self) -> str:
+        """Name of the cookie that holds the token."""
         return f"smolbot_console_{self.port}"
 
     def refusal(self, path: str, headers: Mapping[str, str]) -> Refusal | None:
-        """Why a request is not answered; None if it is.
+        """Check a request.
 
-        A page of another site that runs in the operator's browser is stopped by the names that the browser sends.
+        A page of another site in the operator's browser is refused by the names that the browser sends.
+
+        Parameters
+        ----------
+        path : str
+        headers : mapping
+
+        Returns
+        -------
+        Refusal or None
+            None if the request is allowed.
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
         if self.host in LOOPBACK and urlsplit(f"//{host}").hostname not in LOOPBACK:
@@ -94,7 +115,16 @@ class Door:
         return Refusal(401, "This console asks for its token: open the address that it printed when it was started.")
 
     def may_order(self, path: str) -> bool:
-        """Whether a request shows the key of a page that was let in."""
+        """Return whether a request shows the key of a page that was delivered.
+
+        Parameters
+        ----------
+        path : str
+
+        Returns
+        -------
+        bool
+        """
         return hmac.compare_digest(parse_qs(urlsplit(path).query).get("key", [""])[0].encode(), self.key.encode())
 
     def _is_token(self, shown: str) -> bool:
@@ -102,11 +132,17 @@ class Door:
 
 
 def must_be_free(host: str, port: int) -> None:
-    """Raise a clear error where nothing can listen.
+    """Check that a port is free.
+
+    Parameters
+    ----------
+    host : str
+    port : int
 
     Raises
     ------
     InputError
+        If nothing can listen there.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
@@ -124,7 +160,7 @@ Handler = Callable[[Any], Awaitable[None]]
 
 @contextlib.contextmanager
 def _guarded(door: Door, pages: Answer, sockets: Mapping[str, Handler], tell: Callable[[str], None]) -> Iterator[None]:
-    """While the block runs, a server that is made with `websockets` gets our guard in front."""
+    """Put our checks in front of a server that is made with `websockets` while a ``with`` block runs."""
     import websockets.asyncio.server as module
     from websockets.datastructures import Headers
     from websockets.http11 import Response
@@ -168,16 +204,21 @@ def _guarded(door: Door, pages: Answer, sockets: Mapping[str, Handler], tell: Ca
 
 
 def open_viser(door: Door, pages: Answer, sockets: Mapping[str, Handler], tell: Callable[[str], None]) -> ViserServer:
-    """A viser server behind the door.
+    """Open a viser server whose requests are authenticated.
 
     Parameters
     ----------
+    door : Door
     pages : callable
         Answers plain requests by their path: status, content type and body, or None to leave it to viser.
     sockets : mapping
-        Handlers of websockets by their path; viser has the others.
+        Handlers of websockets by their path; viser handles the others.
     tell : callable
-        Told in one line of everything that was refused.
+        Called with one line for everything that was refused.
+
+    Returns
+    -------
+    viser.ViserServer
 
     Raises
     ------

@@ -22,11 +22,22 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 NEAREST = 0.1
-"""Two clicks nearer than this, in mm, are one."""
+"""Distance, in mm, below which two clicks count as one."""
 
 
 def on_surface(origin: FloatArray, direction: FloatArray, height: float) -> FloatArray | None:
-    """Where a ray (in mm) meets the level plane at `height`: (x, y) in mm; None if it does not.
+    """Compute where a ray meets the horizontal plane at a height.
+
+    Parameters
+    ----------
+    origin : ndarray, shape (3,), in mm
+    direction : ndarray, shape (3,)
+    height : float, in mm
+
+    Returns
+    -------
+    ndarray, shape (2,), in mm, or None
+        None if it does not meet the plane.
 
     Examples
     --------
@@ -40,7 +51,22 @@ def on_surface(origin: FloatArray, direction: FloatArray, height: float) -> Floa
 
 
 class Drawing:
-    """Made in the container that is open. What is drawn takes the path's place in the mission that is chosen."""
+    """Panel in the current GUI container; the drawn path replaces that of the chosen mission.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    scene : Scene
+    starting : Starting
+        Panel of the chosen mission.
+    folder : Path
+        Folder for the files of drawn missions.
+
+    Attributes
+    ----------
+    points : list of (float, float), in mm
+        Corners in the world frame.
+    """
 
     def __init__(self, server: ViserServer, scene: Scene, starting: Starting, folder: Path) -> None:
         self._server, self._scene, self._starting, self._folder = server, scene, starting, folder
@@ -81,7 +107,7 @@ class Drawing:
         self.show()
 
     def show(self) -> None:
-        """Draw what was clicked so far."""
+        """Show the corners that were clicked so far."""
         points = np.array([(x, y, self._scene.height + 0.6) for x, y in self.points]).reshape(-1, 3)
         self._scene.trail("drawn", points, PLANNED, 4.0)
         self._scene.mark("drawn", points, PLANNED)
@@ -89,12 +115,16 @@ class Drawing:
         self.said.content = panel("note", f"{len(points)} corners, {steps.sum():.1f} mm") if len(points) else ""
 
     def write(self) -> Path:
-        """A mission file with this drawing as its path.
+        """Write a mission file with this drawing as its path.
+
+        Returns
+        -------
+        Path
 
         Raises
         ------
         InputError
-            If there is nothing to follow, or the chosen mission follows nothing.
+            If there are fewer than two points, or the chosen mission follows no path.
         """
         if len(self.points) < 2:
             raise InputError("Click two points at least: the path's start, and where it goes.")
@@ -106,11 +136,11 @@ class Drawing:
         return path
 
     def preview(self) -> None:
-        """Go or no-go."""
+        """Write the drawing and show its preview."""
         self._starting.preview(str(self.write()), self.said)
 
     def fly(self) -> None:
-        """Go, if the preview says so."""
+        """Write the drawing and fly it, if its preview says go."""
         path = str(self.write())
         if self._starting.preview(path, self.said):
             self._starting.start(path, self.said)
@@ -123,7 +153,21 @@ class Drawing:
 
 
 def mission_text(mission: AnyMission, points: list[tuple[float, float]], radius: float, name: str) -> str:
-    """A mission file like `mission`, along `points` (mm).
+    """Format a mission file with the settings of a mission and another path.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    points : list of (float, float), in mm
+        Corners in the world frame.
+    radius : float, in mm
+        Corner radius.
+    name : str
+
+    Returns
+    -------
+    str
+        TOML.
 
     Raises
     ------

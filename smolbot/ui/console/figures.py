@@ -1,4 +1,4 @@
-"""The live figures of a flight: a table, and how four of them went over the last seconds."""
+"""The live figures of a flight: a table, and plots of four of them over the last seconds."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 SHOWN = 400
-"""Points of a plot; more are thinned."""
+"""Largest number of points of a plot; more are thinned."""
 
 LAST = 20.0
-"""Seconds of currents that are shown: they change with every pull."""
+"""Seconds of currents that are shown, since they change with every actuation."""
 
 ALLOWED, FONT = "allowed", "11px sans-serif"
 
@@ -29,13 +29,30 @@ COLORS = ("#2563eb", "#ea580c", "#16a34a", "#9333ea", "#0891b2", "#be123c")
 
 
 def color_of(name: str, place: int) -> str:
-    """Of a line: a coil has the same one wherever it is drawn or named."""
+    """Return the colour of a line; a coil has the same one everywhere.
+
+    Parameters
+    ----------
+    name : str
+    place : int
+        Index of the colour for a line that is no coil.
+
+    Returns
+    -------
+    str
+        As in CSS.
+    """
     known = {"+x": 0, "-x": 1, "+y": 2, "-y": 3, "excitation x": 4, "excitation y": 5}
     return COLORS[known.get(name, place) % len(COLORS)]
 
 
 class Figures:
-    """A table and four plots in the container that is open when this is made."""
+    """A table and four plots in the current GUI container.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    """
 
     def __init__(self, server: ViserServer) -> None:
         self._gui: Any = server.gui
@@ -45,7 +62,14 @@ class Figures:
         self._folder = self._gui.add_folder("Over time, s")
 
     def show(self, flight: Flight, time: float | None = None) -> None:
-        """What is known of a flight, up to a time on the rig's clock in s."""
+        """Show the figures of a flight.
+
+        Parameters
+        ----------
+        flight : Flight
+        time : float, in s, optional
+            On the rig's clock; the latest unless given.
+        """
         self._table.content = table(flight, time)
         shape = (flight.steers, flight.coils, flight.heated)
         if shape != self._shape:
@@ -87,7 +111,19 @@ class Figures:
 
 
 def series(flight: Flight, time: float | None) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Times (n,) and values (n, lines) of each plot, thinned."""
+    """Collect the data of each plot, thinned.
+
+    Parameters
+    ----------
+    flight : Flight
+    time : float or None, in s
+        On the rig's clock; None for the latest.
+
+    Returns
+    -------
+    dict
+        Times (n,) in s and values (n, lines) by the name of the plot.
+    """
     with flight.lock:
         cycles, at = flight.cycles.values(time), flight.cycles.times(time)
         if flight.steers:
@@ -110,14 +146,36 @@ def _last(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def thinned(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Every so manieth row, the last one always; copies."""
+    """Keep at most `SHOWN` evenly spaced rows, with the last one; returns copies.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+    values : ndarray, shape (n, lines)
+
+    Returns
+    -------
+    times : ndarray, shape (m,)
+    values : ndarray, shape (m, lines)
+    """
     step = max(-(-len(times) // SHOWN), 1)
     keep = np.arange(len(times) - 1, -1, -step)[::-1]
     return times[keep].copy(), values[keep].copy()
 
 
 def table(flight: Flight, time: float | None) -> str:
-    """The figures of now, as HTML."""
+    """Format the current figures as HTML.
+
+    Parameters
+    ----------
+    flight : Flight
+    time : float or None, in s
+        On the rig's clock; None for the latest.
+
+    Returns
+    -------
+    str
+    """
     with flight.lock:
         tracked, cycles = flight.tracked.values(time)[-1:], flight.cycles.values(time)
         currents, heat = flight.currents.values(time)[-1:], flight.heat.values(time)[-1:]

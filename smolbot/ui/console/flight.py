@@ -1,4 +1,4 @@
-"""One run as the page sees it, made of the stream of its record: the same for one that flies and one on disk."""
+"""State of one run for the page, built from the messages of its record, live or from disk."""
 
 from __future__ import annotations
 
@@ -22,12 +22,26 @@ from smolbot.runs.recording.files import RunFiles
 from smolbot.ui.console.columns import Columns
 
 RATE_OVER = 12
-"""Cycles over which the rate is taken."""
+"""Number of cycles over which the rate is averaged."""
 
 
 @dataclass(frozen=True)
 class Said:
-    """What a cycle said in words."""
+    """Texts of one cycle.
+
+    Attributes
+    ----------
+    time : float, in s
+        On the rig's clock.
+    mode : str
+        Mode of the shot.
+    phase : str
+        Phase of the command.
+    note : str
+        Note of the command.
+    rig : str
+        Status line of the rig.
+    """
 
     time: float
     mode: str
@@ -38,7 +52,15 @@ class Said:
 
 @dataclass(frozen=True)
 class Ending:
-    """How a run ended."""
+    """End of a run.
+
+    Attributes
+    ----------
+    status : str
+    reason : str
+    time : float, in s
+        On the rig's clock.
+    """
 
     status: str
     reason: str
@@ -46,26 +68,31 @@ class Ending:
 
 
 class Flight:
-    """Takes the messages of one run; what it holds may be looked at from any thread, whole or up to a time.
+    """Collects the messages of one run. It may be read from any thread, completely or up to a time.
+
+    Parameters
+    ----------
+    name : str
+        Name to show until the first message has come.
 
     Attributes
     ----------
     name : str
-        For people.
+        Name to show.
     mission : Mission, Observation or None
-        None until the record's first message came.
+        None until the record's first message has come.
     tracked : Columns
         Position in mm (3), quaternion (4), sigma in mm, whether it is trusted.
     raw : Columns
         Position in mm (3).
     true : Columns
-        Position in mm (3): empty in a world that does not tell.
+        Position in mm (3); empty in a world without ground truth.
     cycles : Columns
-        Error to the path in mm (nan off the path), R², progress (0 to 1), computing in ms.
+        Error to the path in mm (nan off the path), R², progress (0 to 1), compute time in ms.
     currents : Columns
-        Of each actuation coil during a shot's pull, in A; of the magnet, turns in Hz, where a rig has one.
+        Current of each actuation coil during a shot, in A; if the rig has a magnet, its turns per second.
     heat : Columns
-        Temperature of each coil whose constants are known, in degrees Celsius.
+        Temperature of each coil with known thermal constants, in degrees Celsius.
     """
 
     def __init__(self, name: str = "") -> None:
@@ -90,7 +117,14 @@ class Flight:
         self._cooled = 0.0
 
     def take(self, topic: str, data: bytes) -> None:
-        """One message of the record. Topics that a page has no use for are left aside."""
+        """Add one message of the record. Topics that the page does not use are ignored.
+
+        Parameters
+        ----------
+        topic : str
+        data : bytes
+            Serialized protobuf message.
+        """
         kind = messages.TOPICS.get(topic)
         if kind is None or topic == "/windows":
             return
@@ -185,34 +219,83 @@ class Flight:
 
     @property
     def steers(self) -> bool:
+        """True for a mission that follows a path."""
         return isinstance(self.mission, Mission)
 
     @property
     def tolerance(self) -> float | None:
-        """In mm; None where no path is followed."""
+        """Tolerance in mm; None if no path is followed."""
         return 1e3 * self.mission.tolerance if isinstance(self.mission, Mission) else None
 
     def rate(self, time: float | None = None) -> float:
-        """Cycles a second, of the last ones; nan before there are two."""
+        """Compute the cycle rate over the last `RATE_OVER` cycles.
+
+        Parameters
+        ----------
+        time : float, in s, optional
+            On the rig's clock; the latest unless given.
+
+        Returns
+        -------
+        float, in Hz
+            nan before there are two cycles.
+        """
         times = self.cycles.times(time)[-RATE_OVER:]
         return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 and times[-1] > times[0] else np.nan
 
     def word(self, time: float | None = None) -> Said | None:
-        """What the last cycle said."""
+        """Return the texts of the last cycle.
+
+        Parameters
+        ----------
+        time : float, in s, optional
+            On the rig's clock; the latest unless given.
+
+        Returns
+        -------
+        Said or None
+            None before the first cycle.
+        """
         n = self.cycles.until(time)
         return self.said[n - 1] if n else None
 
     def paused(self, time: float | None = None) -> bool:
-        """Whether it was held."""
+        """Return whether the run was paused.
+
+        Parameters
+        ----------
+        time : float, in s, optional
+            On the rig's clock; the latest unless given.
+
+        Returns
+        -------
+        bool
+        """
         known = self.events(time)
         return next((what == "paused" for _, what in reversed(known) if what in ("paused", "resumed")), False)
 
     def events(self, time: float | None = None) -> list[tuple[float, str]]:
-        """What happened, and when, in order."""
+        """Return the events in order.
+
+        Parameters
+        ----------
+        time : float, in s, optional
+            On the rig's clock; the latest unless given.
+
+        Returns
+        -------
+        list of (float, str)
+            Time in s, and what happened.
+        """
         if time is None:
             return list(self.happened)
         return self.happened[: bisect.bisect_right([at for at, _ in self.happened], time)]
 
     def heat_limits(self) -> FloatArray:
-        """Of each coil in `heated`, in degrees Celsius."""
+        """Return the temperature limit of each coil in `heated`.
+
+        Returns
+        -------
+        ndarray, shape (n,), in degrees Celsius
+        """
         return np.array([coil.limit for coil in self._heat.coils if coil is not None]) if self._heat else np.zeros(0)

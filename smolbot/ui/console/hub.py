@@ -1,4 +1,4 @@
-"""The missions that a console watches: those that joined it, and those that it has started."""
+"""The missions of a console: those that joined it, and those that it has started."""
 
 from __future__ import annotations
 
@@ -22,15 +22,25 @@ from smolbot.ui.link.frames import Kind
 from smolbot.ui.link.gate import Gate, Line
 
 ANSWER = 1.0
-"""Seconds that a mission has to say that its outputs are at zero; after that, what is said is that it did not."""
+"""Seconds within which a mission must report that its outputs are at zero, or counts as not answering."""
 
 KEPT = 200
-"""Lines of the log."""
+"""Number of lines that the log keeps."""
 
 
 @dataclass
 class Child:
-    """A mission that this console has started."""
+    """A mission that this console has started.
+
+    Attributes
+    ----------
+    process : subprocess.Popen
+    name : str
+    output : file
+        What it prints.
+    joined : bool
+        Whether it has connected to this console.
+    """
 
     process: subprocess.Popen[bytes]
     name: str
@@ -38,13 +48,24 @@ class Child:
     joined: bool = False
 
     def words(self) -> str:
-        """The last lines that it said."""
+        """Return the end of what it has printed.
+
+        Returns
+        -------
+        str
+        """
         self.output.seek(0)
         return self.output.read().decode(errors="replace").strip()[-2000:]
 
 
 class Log:
-    """What the console has to say, newest last; each line is also handed to `also`, but no more than some a second."""
+    """Lines of the console's log, newest last. Each is also passed on, but only some per second.
+
+    Parameters
+    ----------
+    also : callable
+        Called with each line.
+    """
 
     def __init__(self, also: Callable[[str], None]) -> None:
         self.lines: deque[str] = deque(maxlen=KEPT)
@@ -52,6 +73,12 @@ class Log:
         self._second, self._said = 0, 0
 
     def __call__(self, line: str) -> None:
+        """Add a line.
+
+        Parameters
+        ----------
+        line : str
+        """
         second = int(time.monotonic())
         self._said = self._said + 1 if second == self._second else 0
         self._second = second
@@ -61,14 +88,18 @@ class Log:
 
 
 class Hub:
-    """Hears of missions in the threads of their lines, and gives orders to all of them.
+    """Keeps track of the missions of a console, and gives orders to all of them.
+
+    Parameters
+    ----------
+    log : Log
 
     Attributes
     ----------
     gate : Gate
-        Set by whoever opens it, once the hub is there to hear.
+        Set by whoever opens it, once the hub exists.
     live : Flight or None
-        The one that joined last.
+        The run that joined last.
     """
 
     def __init__(self, log: Log) -> None:
@@ -81,7 +112,12 @@ class Hub:
         self._lock = threading.Lock()
 
     def joined(self, line: Line) -> None:
-        """See `Missions`."""
+        """Add a mission; see `Missions`.
+
+        Parameters
+        ----------
+        line : Line
+        """
         about = line.about
         flight = Flight(str(about.get("mission", "a mission")))
         with self._lock:
@@ -92,7 +128,15 @@ class Hub:
         self.log(f"{flight.name} joined (process {about.get('process')}).")
 
     def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None:
-        """See `Missions`."""
+        """Pass a message on to its flight; see `Missions`.
+
+        Parameters
+        ----------
+        line : Line
+        topic : str
+        time_ns : int
+        data : bytes
+        """
         flight = self._flights[line]
         try:
             flight.take(topic, data)
@@ -101,7 +145,12 @@ class Hub:
             self.log(f"A message of {topic} cannot be shown: {type(error).__name__}: {error}")
 
     def stopped(self, line: Line) -> None:
-        """See `Missions`."""
+        """Log that a mission has stopped; see `Missions`.
+
+        Parameters
+        ----------
+        line : Line
+        """
         told = line.stopped or {}
         took = 1e3 * (told.get("zero", 0.0) - told.get("heard", 0.0))
         self.log(
@@ -109,7 +158,14 @@ class Hub:
         )
 
     def left(self, line: Line, why: str) -> None:
-        """See `Missions`."""
+        """Remove a mission; see `Missions`.
+
+        Parameters
+        ----------
+        line : Line
+        why : str
+            Empty if it ended as planned.
+        """
         with self._lock:
             flight = self._flights.pop(line)
         if flight.ending is None:
@@ -118,18 +174,27 @@ class Hub:
 
     @property
     def flying(self) -> bool:
-        """Whether any mission is connected."""
+        """True while a mission is connected."""
         return bool(self._flights)
 
     @property
     def busy(self) -> str:
-        """Which mission flies or is about to; empty where none."""
+        """Names of the missions that fly or are starting; empty if there is none."""
         names = [flight.name for flight in list(self._flights.values())]
         names += [child.name for child in self._alive() if not child.joined]
         return ", ".join(names)
 
     def order(self, kind: Kind, words: str = "") -> None:
-        """To every mission, without waiting for an answer; one that has not joined yet is ended."""
+        """Send an order to every mission, without waiting for an answer.
+
+        A stop also ends those that have not joined yet.
+
+        Parameters
+        ----------
+        kind : Kind
+        words : str
+            Who gives the order.
+        """
         for line in self.gate.lines if self.gate else []:
             line.order(kind, words)
         if kind is Kind.STOP:
@@ -138,7 +203,18 @@ class Hub:
                     child.process.terminate()
 
     def stop(self, asked: str) -> list[dict[str, Any]]:
-        """Stop every mission and wait for what each says; for ``smolbot stop``."""
+        """Stop every mission, and wait for their answers; for ``smolbot stop``.
+
+        Parameters
+        ----------
+        asked : str
+            Who gives the order.
+
+        Returns
+        -------
+        list of dict
+            For each mission: name, process, whether it stopped, and the time that it took in ms.
+        """
         lines = self.gate.lines if self.gate else []
         waiting = [child for child in self._alive() if not child.joined]
         begun = time.monotonic()
@@ -154,7 +230,18 @@ class Hub:
         return told
 
     def start(self, arguments: Sequence[str], name: str) -> Child:
-        """Start ``smolbot run`` with these arguments as a process of its own, which joins this console.
+        """Start ``smolbot run`` as a process of its own, which joins this console.
+
+        Parameters
+        ----------
+        arguments : sequence of str
+            Of the command.
+        name : str
+            Name of the mission.
+
+        Returns
+        -------
+        Child
 
         Raises
         ------
@@ -177,7 +264,7 @@ class Hub:
         return child
 
     def close(self) -> None:
-        """Have every mission stop, and wait for those that this console has started."""
+        """Stop every mission, and wait for those that this console has started."""
         self.order(Kind.STOP, "the console was ended")
         for child in self._alive():
             try:

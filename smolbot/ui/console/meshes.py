@@ -1,4 +1,4 @@
-"""Triangles of what stands on a rig: hollow coils, round and square. In mm, in the world frame."""
+"""Meshes of the parts of a rig, such as hollow coils. In mm, in the world frame."""
 
 from __future__ import annotations
 
@@ -10,11 +10,20 @@ from smolbot.core.arrays import FloatArray
 IntArray = npt.NDArray[np.int64]
 
 AROUND = 48
-"""Corners of a circle."""
+"""Number of corners of a circle."""
 
 
 def turned(axis: FloatArray) -> FloatArray:
-    """Rotation (3, 3) whose third column is along `axis` (3,); the first lies level."""
+    """Compute a rotation whose third column is along an axis; its first column is horizontal.
+
+    Parameters
+    ----------
+    axis : ndarray, shape (3,)
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+    """
     ahead = axis / np.linalg.norm(axis)
     level = np.array([-ahead[1], ahead[0], 0.0])
     level = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(level) < 1e-9 else level / np.linalg.norm(level)
@@ -22,7 +31,18 @@ def turned(axis: FloatArray) -> FloatArray:
 
 
 def tube(inner: FloatArray, outer: FloatArray, length: float) -> tuple[FloatArray, IntArray]:
-    """What lies between two closed outlines (n, 2), `length` long about the origin along z: vertices and faces.
+    """Build the mesh between two closed outlines, extruded along z and centered at the origin.
+
+    Parameters
+    ----------
+    inner : ndarray, shape (n, 2), in mm
+    outer : ndarray, shape (n, 2), in mm
+    length : float, in mm
+
+    Returns
+    -------
+    vertices : ndarray, shape (4 n, 3), in mm
+    faces : ndarray of int, shape (8 n, 3)
 
     Examples
     --------
@@ -42,23 +62,65 @@ def tube(inner: FloatArray, outer: FloatArray, length: float) -> tuple[FloatArra
 
 
 def circle(radius: float) -> FloatArray:
-    """Corners (n, 2) of a circle."""
+    """Build the outline of a circle about the origin.
+
+    Parameters
+    ----------
+    radius : float, in mm
+
+    Returns
+    -------
+    ndarray, shape (AROUND, 2), in mm
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def rectangle(width: float, height: float) -> FloatArray:
-    """Corners (4, 2) of a rectangle about the origin."""
+    """Build the outline of a rectangle about the origin.
+
+    Parameters
+    ----------
+    width : float, in mm
+    height : float, in mm
+
+    Returns
+    -------
+    ndarray, shape (4, 2), in mm
+    """
     return 0.5 * np.array([[width, height], [-width, height], [-width, -height], [width, -height]])
 
 
 def placed(vertices: FloatArray, center: FloatArray, axis: FloatArray) -> FloatArray:
-    """Vertices (n, 3) with their z along `axis` and their origin at `center`."""
+    """Rotate vertices so that z is along an axis, and shift their origin.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (n, 3), in mm
+    center : ndarray, shape (3,), in mm
+    axis : ndarray, shape (3,)
+
+    Returns
+    -------
+    ndarray, shape (n, 3), in mm
+    """
     return vertices @ turned(np.asarray(axis, dtype=float)).T + np.asarray(center)
 
 
 def ribbon(points: FloatArray, half: float) -> tuple[FloatArray, IntArray]:
-    """A level band along `points` (n, 3), `half` to each side: vertices and faces."""
+    """Build the mesh of a horizontal band along a line.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), in mm
+    half : float, in mm
+        Half width.
+
+    Returns
+    -------
+    vertices : ndarray, shape (2 n, 3), in mm
+    faces : ndarray of int, shape (2 n - 2, 3)
+    """
     steps = np.gradient(points[:, :2], axis=0)
     aside = np.column_stack([-steps[:, 1], steps[:, 0]])
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)

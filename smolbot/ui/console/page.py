@@ -1,4 +1,4 @@
-"""The page: the scene, the panels, and the thread that brings both up to date."""
+"""The page: the scene, the panels, and the thread that updates both."""
 
 from __future__ import annotations
 
@@ -23,20 +23,29 @@ from smolbot.ui.console.starting import Starting
 from smolbot.ui.link.feed import BEAT
 
 EVERY = 0.2
-"""Seconds between two looks at the robot."""
+"""Seconds between two updates of the scene."""
 
 FIGURES_EVERY = 3
-"""Looks between two of the figures: people do not read faster."""
+"""Updates of the scene per update of the figures: people read no faster."""
 
 ABOVE = np.array([0.0, 0.0, 0.3])
-"""mm by which what is believed is drawn above what is true, to be seen."""
+"""Offset, in mm, of the tracked trace above the true one, so that both are visible."""
 
 POINTS = 3000
-"""Of a trace; longer ones are thinned."""
+"""Largest number of points of a trace; longer ones are thinned."""
 
 
 class Page:
-    """Everything that a browser sees. Opens its port when it is made.
+    """Everything that a browser shows. Opens its port when it is made.
+
+    Parameters
+    ----------
+    door : Door
+    hub : Hub
+    runs : Path
+        Folder of the runs to browse.
+    mission : str
+        Mission to draw at first.
 
     Raises
     ------
@@ -79,11 +88,16 @@ class Page:
 
     @property
     def flight(self) -> Flight | None:
-        """The run that is looked at: a recorded one, or the one that joined last."""
+        """The run that is shown: a recorded one, or the one that joined last."""
         return self.runs.flight or self.hub.live
 
     def look(self) -> dict[str, Any]:
-        """What the bar shows."""
+        """Build what the bar shows.
+
+        Returns
+        -------
+        dict
+        """
         replayed = self.runs.flight
         at = self.runs.at.value if replayed is not None else None
         shown = told(
@@ -92,31 +106,41 @@ class Page:
         return {**shown, "drawn": bool(self.drawing.points)}
 
     def draw(self, mission: AnyMission) -> None:
-        """Draw a mission, in the place of what is there."""
+        """Draw a mission in place of the current one.
+
+        Parameters
+        ----------
+        mission : Mission or Observation
+        """
         self.scene.draw(mission)
         self._drawn = mission
         self.drawing.show()
 
     def choose(self, mission: AnyMission) -> None:
-        """Draw a mission that is not flown yet; what flew before it is over and is not looked at any more."""
+        """Draw a mission that is not flown yet, and leave the run that was shown.
+
+        Parameters
+        ----------
+        mission : Mission or Observation
+        """
         self.runs.leave()
         if not self.hub.flying:
             self.hub.live = None
         self.draw(mission)
 
     def _shown_is(self, flight: Flight | None) -> None:
-        """Another run is looked at."""
+        """Show another run from now on."""
         self._seen = (-1, None)
 
     def close(self) -> None:
-        """Show nothing any more."""
+        """End the thread and close the port."""
         self._over.set()
         self._thread.join(2.0)
         self._beating.cancel()
         self.server.stop()
 
     async def _beat(self) -> None:
-        """Signs of life come from where a STOP passes through: if that hangs, missions must stop by themselves."""
+        """Send heartbeats from the event loop that passes on a STOP: if it hangs, missions stop by themselves."""
         while not self._over.is_set():
             if self.hub.gate is not None:
                 self.hub.gate.beat()
@@ -153,7 +177,7 @@ class Page:
             self.figures.show(flight, at)
 
     def _move(self, flight: Flight, at: float | None) -> None:
-        """The robot, its traces and the coils."""
+        """Move the robot, draw its traces and colour the coils."""
         with flight.lock:
             tracked, true = flight.tracked.values(at), flight.true.values(at)
             believed, truth = _thinned(tracked[:, :3]), _thinned(true)

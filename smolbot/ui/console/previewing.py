@@ -1,4 +1,4 @@
-"""Previews a mission in a process of its own: computing here would keep a STOP waiting."""
+"""Preview of a mission in a process of its own: computing in this process would delay a STOP."""
 
 from __future__ import annotations
 
@@ -15,16 +15,21 @@ from smolbot.core.markup import load_template
 TEMPLATE = Path(__file__).with_name("panels.html")
 
 LONGEST = 120.0
-"""Seconds that a preview may take."""
+"""Time limit of a preview, in s."""
 
 
 def preview(arguments: Sequence[str]) -> tuple[bool, str]:
-    """Whether to go, and what ``smolbot preview`` says, as HTML.
+    """Run ``smolbot preview`` and format its result as HTML.
 
     Parameters
     ----------
     arguments : sequence of str
         Of the command: the mission, and options.
+
+    Returns
+    -------
+    go : bool
+    html : str
     """
     command = [sys.executable, "-P", "-m", "smolbot", "preview", *arguments, "--json"]
     if os.name == "posix":
@@ -41,7 +46,18 @@ def preview(arguments: Sequence[str]) -> tuple[bool, str]:
 
 
 def rows_of(seen: dict[str, Any]) -> list[tuple[str, str]]:
-    """What a person wants to know first; what a kind of mission does not say is left out."""
+    """Select the most important figures of a preview; those that it lacks are left out.
+
+    Parameters
+    ----------
+    seen : dict
+        JSON output of ``smolbot preview``.
+
+    Returns
+    -------
+    list of (str, str)
+        Name and value with unit.
+    """
     found: list[tuple[str, str]] = []
 
     def add(name: str, key: str, form: str) -> None:

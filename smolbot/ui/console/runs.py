@@ -1,4 +1,4 @@
-"""The panel in which recorded runs are opened and looked through."""
+"""The panel in which recorded runs are opened and browsed."""
 
 from __future__ import annotations
 
@@ -21,17 +21,37 @@ if TYPE_CHECKING:
 
 NONE = "–"
 SHOWN = 100
-"""Runs that are offered, the newest first."""
+"""Largest number of runs in the list, the newest first."""
 
 
 def runs_in(folder: Path) -> list[str]:
-    """Names of the run folders with a record, the newest first."""
+    """List the run folders that have a record, the newest first.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    list of str
+        Names of at most `SHOWN` folders.
+    """
     found = [path.parent for path in folder.glob(f"*/{RECORD}")]
     return [path.name for path in sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)[:SHOWN]]
 
 
 def described(folder: Path) -> str:
-    """A run in a line, of its summary."""
+    """Describe a run in one line, from its summary.
+
+    Parameters
+    ----------
+    folder : Path
+        Run folder.
+
+    Returns
+    -------
+    str
+    """
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -43,7 +63,16 @@ def described(folder: Path) -> str:
 
 
 def read_flight(path: Path) -> Flight:
-    """A recorded run, through the very messages that it was made of.
+    """Read a recorded run, message by message.
+
+    Parameters
+    ----------
+    path : Path
+        Run folder, or its record.
+
+    Returns
+    -------
+    Flight
 
     Raises
     ------
@@ -57,7 +86,21 @@ def read_flight(path: Path) -> Flight:
 
 
 class Runs:
-    """Made in the container that is open. `show` is told of the run that is looked at, or None for the live one."""
+    """Panel in the current GUI container.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    folder : Path
+        Folder of the runs.
+    show : callable
+        Called with the run that is shown from now on; None for the live one.
+
+    Attributes
+    ----------
+    flight : Flight or None
+        The recorded run that is shown.
+    """
 
     def __init__(self, server: ViserServer, folder: Path, show: Callable[[Flight | None], None]) -> None:
         self._folder, self._show = folder, show
@@ -79,20 +122,26 @@ class Runs:
         back.on_click(lambda _: self.leave())
 
     def refresh(self) -> None:
-        """Offer runs that came since."""
+        """Add runs that are new to the list."""
         kept = self.choice.value
         self.choice.options = (NONE, *runs_in(self._folder))
         self.choice.value = kept if kept in self.choice.options else NONE
 
     def leave(self) -> None:
-        """Back to what flies."""
+        """Return to the live mission."""
         self.playing.value = False
         if self.choice.value != NONE:
             self.choice.value = NONE
         self.open(NONE)
 
     def open(self, name: str) -> None:
-        """Read a run, and show its end."""
+        """Read a run, and show its end.
+
+        Parameters
+        ----------
+        name : str
+            Name of its folder; `NONE` for the live mission.
+        """
         with self._lock:
             if name == NONE:
                 self.flight = None
@@ -119,7 +168,13 @@ class Runs:
         self._since = time.monotonic()
 
     def now(self) -> float | None:
-        """The time that is looked at, in s on that run's clock; None of a live one. Moves on while it plays."""
+        """Return the time to show; it advances while the run plays.
+
+        Returns
+        -------
+        float or None, in s
+            On the clock of the recorded run; None for the live one.
+        """
         if self.flight is None:
             return None
         if self.playing.value:

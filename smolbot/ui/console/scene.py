@@ -1,4 +1,4 @@
-"""The 3-D scene: tank, coils, sensors and path of a mission, and where its robot was seen to go. In mm."""
+"""The 3-D scene: tank, coils, sensors and path of a mission, and the trace of its robot. In mm."""
 
 from __future__ import annotations
 
@@ -27,13 +27,24 @@ SENSOR = (71, 85, 105)
 PLANNED = (124, 58, 237)
 
 AT_REST = 0.2
-"""Opacity of a coil that does not pull: what it stands in front of is to be seen."""
+"""Opacity of a coil without current, so that what is behind it stays visible."""
 
 Color = tuple[int, int, int]
 
 
 def mixed(a: Color, b: Color, share: float) -> Color:
-    """A colour between two; `share` 0 is the first.
+    """Mix two colours.
+
+    Parameters
+    ----------
+    a : Color
+    b : Color
+    share : float
+        Share of the second colour, from 0 to 1.
+
+    Returns
+    -------
+    Color
 
     Examples
     --------
@@ -46,7 +57,17 @@ def mixed(a: Color, b: Color, share: float) -> Color:
 
 
 class Scene:
-    """What viser shows; drawn anew for each mission, moved for each look at its flight."""
+    """The objects that viser shows; built anew for each mission, moved with each update of a flight.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+
+    Attributes
+    ----------
+    height : float, in mm
+        z of the liquid's surface.
+    """
 
     def __init__(self, server: ViserServer) -> None:
         self.server = server
@@ -64,7 +85,12 @@ class Scene:
         camera.near, camera.far = 1.0, 5000.0
 
     def draw(self, mission: AnyMission) -> None:
-        """Everything that stands still."""
+        """Draw everything that does not move, in place of the last mission.
+
+        Parameters
+        ----------
+        mission : Mission or Observation
+        """
         with self.server.atomic():
             for handle in [*self._handles, *self._trails.values()]:
                 handle.remove()
@@ -183,7 +209,7 @@ class Scene:
         self._keep(self.server.scene.add_icosphere("/path/start", 0.7, color=PATH, position=tuple(points[0])))
 
     def _draw_robot(self, mission: AnyMission) -> None:
-        """A body with an arrow ahead; hidden until it was seen."""
+        """Draw a body with an arrow ahead; it is hidden until the robot is located."""
         scene, robot = self.server.scene, mission.robot
         self._robot = self._keep(scene.add_frame("/robot", show_axes=False, visible=False))
         section = robot.sections.body
@@ -206,7 +232,16 @@ class Scene:
         return self.server.scene.add_line_segments(name, pieces, color, thickness=width, thickness_units="screen")
 
     def trail(self, name: str, points: FloatArray, color: Color, width: float = 3.0) -> None:
-        """Draw a line through `points` (n, 3) in mm, in the place of the one of that name."""
+        """Draw a line in place of the one with the same name.
+
+        Parameters
+        ----------
+        name : str
+        points : ndarray, shape (n, 3), in mm
+        color : Color
+        width : float
+            In pixels.
+        """
         before = self._trails.pop(name, None)
         if len(points) > 1:
             self._trails[name] = self._line(f"/trails/{name}", points, color, width)
@@ -214,7 +249,15 @@ class Scene:
             before.remove()
 
     def place_robot(self, position: FloatArray | None, orientation: FloatArray | None) -> None:
-        """Where it is believed to be: (3,) in mm, and a quaternion; None where it is not known."""
+        """Move the robot to its tracked pose.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in mm, or None
+            None if it is not known; the robot is then hidden.
+        orientation : ndarray, shape (4,), or None
+            Unit quaternion, scalar first, from body to world.
+        """
         if self._robot is None:
             return
         self._robot.visible = position is not None
@@ -222,7 +265,13 @@ class Scene:
             self._robot.position, self._robot.wxyz = tuple(position), tuple(orientation)
 
     def drive(self, shares: FloatArray) -> None:
-        """Colour the coils by their currents (n_coils,), as shares of what is allowed."""
+        """Colour the coils by their currents.
+
+        Parameters
+        ----------
+        shares : ndarray, shape (n_coils,)
+            Currents over the highest allowed one.
+        """
         for handle, share in zip(self._coils, np.abs(shares), strict=False):
             wanted = mixed(COPPER, GLOW, float(share))
             if tuple(handle.color) != wanted:
@@ -230,7 +279,14 @@ class Scene:
                 handle.opacity = AT_REST + 0.4 * min(float(share), 1.0)
 
     def mark(self, name: str, points: FloatArray, color: Color) -> None:
-        """Draw dots at `points` (n, 3) in mm, in the place of those of that name."""
+        """Draw dots in place of those with the same name.
+
+        Parameters
+        ----------
+        name : str
+        points : ndarray, shape (n, 3), in mm
+        color : Color
+        """
         key = f"{name} dots"
         before = self._trails.pop(key, None)
         if before is not None:

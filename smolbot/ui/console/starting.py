@@ -1,4 +1,4 @@
-"""The panel from which a mission is chosen, previewed and started."""
+"""The panel in which a mission is chosen, previewed and started."""
 
 from __future__ import annotations
 
@@ -21,7 +21,17 @@ OWN = "its own"
 
 
 class Starting:
-    """Made in the container that is open; `show` is told of a mission that was chosen, to draw it."""
+    """Panel in the current GUI container.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    hub : Hub
+    runs : Path
+        Folder of the runs.
+    show : callable
+        Called with a mission that was chosen, to draw it.
+    """
 
     def __init__(self, server: ViserServer, hub: Hub, runs: Path, show: Callable[[AnyMission], None]) -> None:
         self._hub, self._runs, self._show = hub, runs, show
@@ -39,7 +49,12 @@ class Starting:
         fly.on_click(lambda _: self.start())
 
     def missions(self) -> list[str]:
-        """Shipped ones by name, then those of the folder in which the console was started, and what was drawn."""
+        """List the missions: shipped ones by name, then files of the current folder and drawn ones by path.
+
+        Returns
+        -------
+        list of str
+        """
         folders = (Path(), Path("missions"), self._runs / "drawn")
         own = [str(path) for folder in folders for path in folder.glob("*.toml")]
         return [
@@ -48,7 +63,17 @@ class Starting:
         ]
 
     def arguments(self, mission: str | None = None) -> list[str]:
-        """Of the command, as the panel stands."""
+        """Build the arguments of a command from the panel.
+
+        Parameters
+        ----------
+        mission : str, optional
+            The chosen one unless given.
+
+        Returns
+        -------
+        list of str
+        """
         found = [mission or self.mission.value]
         if self.rig.value != OWN:
             found += ["--rig", self.rig.value]
@@ -57,17 +82,27 @@ class Starting:
         return found
 
     def loaded(self, mission: str | None = None) -> AnyMission:
-        """The mission as the panel stands.
+        """Load a mission with the rig and the settings of the panel.
+
+        Parameters
+        ----------
+        mission : str, optional
+            The chosen one unless given.
+
+        Returns
+        -------
+        Mission or Observation
 
         Raises
         ------
         SmolbotError
+            If it cannot be loaded.
         """
         pairs = dict(pair.partition("=")[::2] for pair in shlex.split(self.settings.value))
         return load_mission(mission or self.mission.value, None if self.rig.value == OWN else self.rig.value, pairs)
 
     def choose(self) -> None:
-        """Draw what was chosen, unless a mission flies."""
+        """Draw the chosen mission, unless one flies."""
         if self._hub.busy:
             return
         try:
@@ -77,14 +112,35 @@ class Starting:
             self.said.content = panel("verdict", False, str(error).splitlines())
 
     def preview(self, mission: str | None = None, said: Any = None) -> bool:
-        """Say go or no-go."""
+        """Show the preview of a mission.
+
+        Parameters
+        ----------
+        mission : str, optional
+            The chosen one unless given.
+        said : viser.GuiHtmlHandle, optional
+            Where to show it; in this panel unless given.
+
+        Returns
+        -------
+        bool
+            True for go.
+        """
         said = self.said if said is None else said
         said.content = panel("note", "previewing …")
         go, said.content = preview(self.arguments(mission))
         return go
 
     def start(self, mission: str | None = None, said: Any = None) -> None:
-        """Start it, in a process of its own."""
+        """Start a mission in a process of its own.
+
+        Parameters
+        ----------
+        mission : str, optional
+            The chosen one unless given.
+        said : viser.GuiHtmlHandle, optional
+            Where to show remarks; in this panel unless given.
+        """
         said = self.said if said is None else said
         try:
             arguments, seed = self.arguments(mission), int(self.seed.value)

@@ -1,1 +1,1 @@
-"""The mission's side of a live page: what it sends, and the orders that it takes. Knows no page."""
+"""The link between a mission and a console: messages one way, orders the other. Independent of the page."""

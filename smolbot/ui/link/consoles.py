@@ -1,4 +1,4 @@
-"""Where the consoles of this user are written down, so that missions and ``smolbot stop`` find them."""
+"""Files that list the consoles of this user, by which missions and ``smolbot stop`` find them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from smolbot.ui.link.frames import Kind, LinkError, frame
 from smolbot.ui.link.handshake import PATIENCE, call
 
 ENVIRONMENT = "SMOLBOT_CONSOLE"
-"""Names the file of the console that a mission belongs to, where a console has started it."""
+"""Environment variable with the file of the console that has started a mission."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class Console:
     link : int
         Loopback port for missions and for ``smolbot stop``.
     secret : str
-        That both ends of a link prove to know, in hexadecimal.
+        Shared secret by which both ends of a link authenticate, in hexadecimal.
     address : str
-        Of its page, with the token where it has one.
+        Address of its page, with the token if it has one.
     port : int
-        Of its page.
+        Port of its page.
     runs : str
-        Folder whose runs it shows.
+        Folder of the runs that it shows.
     """
 
     process: int
@@ -45,7 +45,11 @@ class Console:
     runs: str
 
     def connect(self) -> socket.socket:
-        """A connection that was proved from both ends, with `PATIENCE` as its timeout.
+        """Open a mutually authenticated connection, with `PATIENCE` as its timeout.
+
+        Returns
+        -------
+        socket.socket
 
         Raises
         ------
@@ -66,12 +70,23 @@ class Console:
 
 
 def new_secret() -> str:
-    """Of 256 bits, in hexadecimal."""
+    """Make a random secret of 256 bits.
+
+    Returns
+    -------
+    str
+        In hexadecimal.
+    """
     return secrets.token_hex(32)
 
 
 def kept_in() -> Path:
-    """The folder of the files: the session's own where there is one, else in the user's cache."""
+    """Return the folder of the files: that of the login session if there is one, else in the user's cache.
+
+    Returns
+    -------
+    Path
+    """
     session = os.environ.get("XDG_RUNTIME_DIR")
     if session and Path(session).is_dir():
         return Path(session) / "smolbot"
@@ -81,7 +96,16 @@ def kept_in() -> Path:
 
 
 def write_down(console: Console) -> Path:
-    """Keep a file of it that only this user can read; its path."""
+    """Write the file of a console; only this user can read it.
+
+    Parameters
+    ----------
+    console : Console
+
+    Returns
+    -------
+    Path
+    """
     folder = kept_in()
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     path = folder / f"console-{console.port}.json"
@@ -95,7 +119,17 @@ def write_down(console: Console) -> Path:
 
 
 def read(path: Path) -> Console | None:
-    """The console of a file; None if it is none."""
+    """Read the file of a console.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Console or None
+        None if it cannot be read.
+    """
     try:
         return Console(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
@@ -103,9 +137,20 @@ def read(path: Path) -> Console | None:
 
 
 def answering(silent: list[str] | None = None) -> Iterator[tuple[Console, socket.socket]]:
-    """Every console of this user that answers, the newest first, with a connection that was proved.
+    """Connect to every console of this user that answers, the newest first.
 
-    Files of those that ended are cleared away; those that hang are added to `silent`, in words.
+    Files of consoles that have ended are removed.
+
+    Parameters
+    ----------
+    silent : list of str, optional
+        Extended by a sentence for each console that does not answer.
+
+    Yields
+    ------
+    console : Console
+    sock : socket.socket
+        An authenticated connection.
     """
     found: list[tuple[float, Console, Path]] = []
     for path in kept_in().glob("console-*.json"):
@@ -126,7 +171,12 @@ def answering(silent: list[str] | None = None) -> Iterator[tuple[Console, socket
 
 
 def running() -> list[Console]:
-    """Every console of this user that answers, the newest first."""
+    """List the consoles of this user that answer, the newest first.
+
+    Returns
+    -------
+    list of Console
+    """
     found = []
     for console, sock in answering():
         with contextlib.suppress(OSError), sock:

@@ -1,4 +1,4 @@
-"""Sends a mission's stream to its console and takes the console's orders, without ever keeping the loop waiting."""
+"""The mission's end of the link: it sends messages and executes the console's orders, and never blocks the loop."""
 
 from __future__ import annotations
 
@@ -15,49 +15,51 @@ from smolbot.flight.safety.stop_latch import Latch
 from smolbot.ui.link.frames import LONGEST, LONGEST_ORDER, Kind, LinkError, frame, message, receive
 
 SILENCE = 2.0
-"""Seconds without a sign of life after which a console counts as hung."""
+"""Seconds without a heartbeat after which a console counts as hung."""
 
 BEAT = 0.25
-"""Seconds between two signs of life."""
+"""Seconds between two heartbeats."""
 
 WAITING = 4096
-"""Messages that may wait to be sent, some minutes of a mission; more are dropped and counted."""
+"""Largest number of queued messages, some minutes of a mission; more are dropped and counted."""
 
 TOGETHER = 64
-"""Messages that are sent in one go."""
+"""Largest number of messages that are sent at once."""
 
 CONSOLE = "stopped by the operator (console)"
 
 
 class Pausing(Protocol):
-    """What holds a loop, and lets it go."""
+    """Protocol of what pauses and resumes a loop."""
 
-    def hold(self) -> None: ...
+    def hold(self) -> None:
+        """Only listen, from the next cycle on."""
 
-    def resume(self) -> None: ...
+    def resume(self) -> None:
+        """Steer again, from the next cycle on."""
 
 
 class Feed:
     """One mission's end of the link.
 
-    From `begin` to `end`, an order to stop, a console that is gone, and one that says nothing for `SILENCE` s shut the
-    latch in the thread that hears of it. `put` may be called from any thread and never waits.
+    From `begin` to `end`, the latch is tripped by an order to stop, by a console that is gone, and by one that
+    sends nothing for `SILENCE` s. `put` may be called from any thread and never waits.
 
     Parameters
     ----------
     sock : socket
-        Connected to a console that has proved itself, see `consoles.Console.connect`.
+        Authenticated connection to a console, see `consoles.Console.connect`.
     about : mapping
-        What the mission is, for the console: JSON.
+        Description of the mission, which is sent as JSON.
     latch : Latch
     pause : Pausing
     clock : callable
-        Of the stamps that the console is told, in s.
+        Returns the time in s, for the times that are sent to the console.
 
     Attributes
     ----------
     dropped : int
-        Messages that were not sent, since the console did not keep up.
+        Number of messages that were not sent, since the console was too slow.
     """
 
     def __init__(
@@ -81,19 +83,27 @@ class Feed:
         ]
 
     def begin(self) -> None:
-        """Send and listen from now on."""
+        """Send and receive from now on."""
         for thread in self._threads:
             thread.start()
 
     def put(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Let a message of the record's stream be sent."""
+        """Queue a message of the record for sending.
+
+        Parameters
+        ----------
+        topic : str
+        time_ns : int
+        data : bytes
+            Serialized protobuf message.
+        """
         if self._waiting.qsize() >= WAITING or len(data) > LONGEST // 2:
             self.dropped += 1
             return
         self._waiting.put(message(topic, time_ns, data))
 
     def end(self) -> None:
-        """Send what waits, say good-bye; from here on nothing that the console does matters."""
+        """Send what is queued, and close the connection; the console has no effect any more."""
         self._over.set()
         self._waiting.put(frame(Kind.BYE))
         self._waiting.put(None)
@@ -147,7 +157,7 @@ class Feed:
             self._lost("it was ended")
 
     def _lost(self, why: str) -> None:
-        """Nobody can stop the robot from the page any more."""
+        """Trip the latch, since nobody can stop the robot from the page any more."""
         if not self._over.is_set() and not self._latch.over:
             self._over.set()
             self._latch.shut(f"the console is gone: {why}")

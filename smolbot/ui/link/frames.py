@@ -1,4 +1,4 @@
-"""Frames of the link between a mission and its console: a length, a kind, and no more than is allowed."""
+"""Frames of the link between a mission and its console: length, kind and payload, with a limit on the length."""
 
 from __future__ import annotations
 
@@ -9,66 +9,97 @@ from enum import IntEnum
 from smolbot.errors import SmolbotError
 
 LONGEST = 4_000_000
-"""Bytes of the longest frame that a console takes: far above a cycle's messages, far below what would hurt."""
+"""Largest frame, in bytes, that a console accepts: far above a cycle's messages, far below what would do harm."""
 
 LONGEST_ORDER = 4096
-"""Bytes of the longest frame that a mission takes: an order is some tens."""
+"""Largest frame, in bytes, that a mission accepts; an order has some tens."""
 
 
 class LinkError(SmolbotError, ConnectionError):
-    """A peer that is gone, that does not prove itself, or that says what makes no sense."""
+    """The peer is gone, is not authenticated, or sends invalid frames."""
 
 
 class Kind(IntEnum):
-    """What a frame holds."""
+    """Kind of a frame."""
 
     HELLO = 1
     """JSON: who connects, and what for."""
     MESSAGE = 2
-    """Of the record's stream: topic, time and bytes."""
+    """A message of the record: topic, time and bytes."""
     BEAT = 3
-    """Still here; nothing else."""
+    """A heartbeat."""
     STOP = 4
-    """Stop at once; the payload says who asks, in words."""
+    """Order to stop at once; the payload names who gives it."""
     PAUSE = 5
     RESUME = 6
     STOPPED = 7
     """Outputs are at zero; JSON."""
     STATE = 8
-    """JSON: how the mission is, by itself."""
+    """JSON: state of the mission."""
     BYE = 9
-    """The end, on purpose; words."""
+    """Planned end; text."""
     ERROR = 10
-    """Why the connection is closed; words."""
+    """Why the connection is closed; text."""
 
 
 _HEAD = struct.Struct("!IB")
 
 
 def frame(kind: Kind, payload: bytes = b"") -> bytes:
-    """A frame as it is sent.
+    r"""Build a frame.
+
+    Parameters
+    ----------
+    kind : Kind
+    payload : bytes
+
+    Returns
+    -------
+    bytes
 
     Examples
     --------
     >>> frame(Kind.STOP, b"key")
-    b'\\x00\\x00\\x00\\x03\\x04key'
+    b'\x00\x00\x00\x03\x04key'
     """
     return _HEAD.pack(len(payload), kind) + payload
 
 
 def message(topic: str, time_ns: int, data: bytes) -> bytes:
-    """One message of the record's stream, as a frame."""
+    """Build the frame of one message of the record.
+
+    Parameters
+    ----------
+    topic : str
+    time_ns : int
+    data : bytes
+        Serialized protobuf message.
+
+    Returns
+    -------
+    bytes
+    """
     name = topic.encode()
     return frame(Kind.MESSAGE, struct.pack("!BQ", len(name), time_ns) + name + data)
 
 
 def parse_message(payload: bytes) -> tuple[str, int, bytes]:
-    """Topic, time in ns and bytes of a message.
+    """Parse the payload of a message frame.
+
+    Parameters
+    ----------
+    payload : bytes
+
+    Returns
+    -------
+    topic : str
+    time_ns : int
+    data : bytes
 
     Raises
     ------
     LinkError
-        If it is cut short.
+        If it is incomplete.
     """
     try:
         length, time_ns = struct.unpack_from("!BQ", payload)
@@ -81,14 +112,25 @@ def parse_message(payload: bytes) -> tuple[str, int, bytes]:
 
 
 def receive(sock: socket.socket, longest: int) -> tuple[Kind, bytes]:
-    """The next frame.
+    """Receive the next frame.
+
+    Parameters
+    ----------
+    sock : socket.socket
+    longest : int
+        Largest allowed payload, in bytes.
+
+    Returns
+    -------
+    kind : Kind
+    payload : bytes
 
     Raises
     ------
     TimeoutError
         If nothing came within the socket's timeout.
     LinkError
-        If the peer is gone, or what it sends is no frame.
+        If the peer is gone, or sends an invalid frame.
     """
     length, number = _HEAD.unpack(exactly(sock, _HEAD.size))
     if length > longest:
@@ -99,7 +141,24 @@ def receive(sock: socket.socket, longest: int) -> tuple[Kind, bytes]:
 
 
 def exactly(sock: socket.socket, count: int) -> bytes:
-    """That many bytes; of a frame cut short by a silence, `LinkError`."""
+    """Receive a given number of bytes.
+
+    Parameters
+    ----------
+    sock : socket.socket
+    count : int
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    TimeoutError
+        If they did not come within the socket's timeout.
+    LinkError
+        If the connection was closed or broke.
+    """
     parts: list[bytes] = []
     missing = count
     while missing:

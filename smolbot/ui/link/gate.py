@@ -1,4 +1,4 @@
-"""The console's end of the link: takes missions and stop orders in, and anything else is shown the door."""
+"""The console's end of the link: it authenticates connections, and serves missions and stop orders."""
 
 from __future__ import annotations
 
@@ -14,18 +14,34 @@ from smolbot.ui.link.frames import LONGEST, LONGEST_ORDER, Kind, LinkError, fram
 from smolbot.ui.link.handshake import PATIENCE, welcome
 
 STRANGERS = 16
-"""Connections at a time that have not proved themselves; more are closed unheard."""
+"""Largest number of connections that are not authenticated yet; more are closed at once."""
 
 QUIET = 10.0
-"""Seconds after which a mission that says nothing counts as gone."""
+"""Seconds without a message after which a mission counts as gone."""
 
 
 ROLES = ("mission", "stop", "look")
-"""What a peer may come for; one that only looks whether a console is there says nothing more."""
+"""Roles of a peer; one with the role ``look`` only tests whether a console is there."""
 
 
 class Line:
-    """One mission, as its console reaches it."""
+    """Connection of a console to one mission.
+
+    Parameters
+    ----------
+    sock : socket.socket
+    about : dict
+        Description that the mission sent.
+
+    Attributes
+    ----------
+    open : bool
+        False once the mission is gone.
+    stopped : dict or None
+        The mission's answer to a stop order.
+    answered : threading.Event
+        Set once the mission has answered, or is gone.
+    """
 
     def __init__(self, sock: socket.socket, about: dict[str, Any]) -> None:
         self._sock = sock
@@ -36,7 +52,19 @@ class Line:
         self.answered = threading.Event()
 
     def order(self, kind: Kind, words: str = "") -> bool:
-        """Send one order; False if the mission is gone."""
+        """Send one order.
+
+        Parameters
+        ----------
+        kind : Kind
+        words : str
+            Who gives the order.
+
+        Returns
+        -------
+        bool
+            False if the mission is gone.
+        """
         try:
             with self._sending:
                 self._sock.sendall(frame(kind, words.encode()))
@@ -46,15 +74,45 @@ class Line:
 
 
 class Missions(Protocol):
-    """Who hears of missions; called in the threads of their lines."""
+    """Protocol of what receives the events of missions; called in the threads of their connections."""
 
-    def joined(self, line: Line) -> None: ...
+    def joined(self, line: Line) -> None:
+        """Receive that a mission has joined.
 
-    def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None: ...
+        Parameters
+        ----------
+        line : Line
+        """
 
-    def stopped(self, line: Line) -> None: ...
+    def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None:
+        """Receive a message of a mission's record.
 
-    def left(self, line: Line, why: str) -> None: ...
+        Parameters
+        ----------
+        line : Line
+        topic : str
+        time_ns : int
+        data : bytes
+            Serialized protobuf message.
+        """
+
+    def stopped(self, line: Line) -> None:
+        """Receive that a mission has stopped; `Line.stopped` has its answer.
+
+        Parameters
+        ----------
+        line : Line
+        """
+
+    def left(self, line: Line, why: str) -> None:
+        """Receive that a mission is gone.
+
+        Parameters
+        ----------
+        line : Line
+        why : str
+            Empty if it ended as planned.
+        """
 
 
 class Gate:
@@ -63,12 +121,16 @@ class Gate:
     Parameters
     ----------
     secret : str
-        In hexadecimal; who does not know it is not heard.
+        Shared secret in hexadecimal; a peer that does not know it is refused.
     missions : Missions
     stop : callable
-        Carries out the order of ``smolbot stop``: told who asks, returns what was stopped, as JSON holds it.
+        Executes the order of ``smolbot stop``: takes who gives it, returns the stopped missions as JSON data.
     tell : callable
-        Told in one line why somebody was shown the door.
+        Called with one line for each connection that was refused.
+
+    Attributes
+    ----------
+    port : int
     """
 
     def __init__(
@@ -88,16 +150,16 @@ class Gate:
 
     @property
     def lines(self) -> list[Line]:
-        """Missions that are connected."""
+        """Connections to missions."""
         return list(self._lines)
 
     def beat(self) -> None:
-        """A sign of life to every mission: whoever must be alive for a STOP to get through calls this."""
+        """Send a heartbeat to every mission; called from the thread that must work for a STOP to get through."""
         for line in self.lines:
             line.order(Kind.BEAT)
 
     def close(self) -> None:
-        """Say good-bye to every mission, which ends it, and listen no more."""
+        """Tell every mission that the console ends, which ends the mission too, and stop listening."""
         for line in self.lines:
             line.order(Kind.BYE)
         with contextlib.suppress(OSError):
@@ -135,7 +197,7 @@ class Gate:
                     sock.sendall(frame(Kind.STOPPED, json.dumps(told).encode()))
 
     def _admit(self, sock: socket.socket) -> dict[str, Any]:
-        """What a peer says of itself, once it has proved itself."""
+        """Authenticate a peer; return its description of itself."""
         sock.settimeout(PATIENCE)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         welcome(sock, self._secret)
@@ -176,7 +238,20 @@ class Gate:
 
 
 def stop_through(sock: socket.socket, asked: str, timeout: float = 5.0) -> list[dict[str, Any]]:
-    """Have a console stop its missions, over a connection that was proved; what it says of each.
+    """Let a console stop its missions.
+
+    Parameters
+    ----------
+    sock : socket.socket
+        Authenticated connection to the console.
+    asked : str
+        Who gives the order.
+    timeout : float, in s
+
+    Returns
+    -------
+    list of dict
+        The console's report on each mission.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Both ends of a link prove that they know its secret, without saying it."""
+"""Mutual authentication of both ends of a link by a shared secret, which is not sent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GREETING = b"smolbot link 1\n"
 _NONCE = 32
 
 PATIENCE = 2.0
-"""Seconds that a peer has for each step."""
+"""Time limit of each step, in s."""
 
 
 def _proof(secret: bytes, role: bytes, ours: bytes, theirs: bytes) -> bytes:
@@ -21,12 +21,17 @@ def _proof(secret: bytes, role: bytes, ours: bytes, theirs: bytes) -> bytes:
 
 
 def welcome(sock: socket.socket, secret: bytes) -> None:
-    """The accepting end: nothing that the other sends is looked at before it has proved itself.
+    """Authenticate as the accepting end; nothing else that the peer sends is read before.
+
+    Parameters
+    ----------
+    sock : socket.socket
+    secret : bytes
 
     Raises
     ------
     LinkError
-        If it did not.
+        If the peer does not know the secret.
     """
     nonce = os.urandom(_NONCE)
     sock.sendall(GREETING + nonce)
@@ -37,12 +42,17 @@ def welcome(sock: socket.socket, secret: bytes) -> None:
 
 
 def call(sock: socket.socket, secret: bytes) -> None:
-    """The connecting end.
+    """Authenticate as the connecting end.
+
+    Parameters
+    ----------
+    sock : socket.socket
+    secret : bytes
 
     Raises
     ------
     LinkError
-        If the other is no console, or not ours.
+        If the peer is no console, or not ours.
     """
     try:
         greeting = exactly(sock, len(GREETING))

@@ -1,4 +1,4 @@
-"""A mission joins the console that watches it, and opens one where none runs."""
+"""Connects a mission to the console that shows it, and opens a console if none runs."""
 
 from __future__ import annotations
 
@@ -21,33 +21,56 @@ if TYPE_CHECKING:
     from smolbot.runs.recording.jobs import Message
 
 PATIENCE = 30.0
-"""Seconds that a console has to open its page."""
+"""Seconds within which a new console must open its page."""
 
 
 class Sent:
-    """A sink of a record's messages: those of a mission go to its console."""
+    """Recorder sink that sends the messages of a mission to its console.
+
+    Parameters
+    ----------
+    feed : Feed
+    """
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
 
     def write(self, message: Message) -> None:
-        """Let one be sent."""
+        """Queue a message for sending.
+
+        Parameters
+        ----------
+        message : Message
+        """
         self._feed.put(message.topic, message.nanoseconds, message.content.SerializeToString())
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: messages are sent as they come."""
 
     def close(self) -> None:
-        """The feed is ended by whoever began it."""
+        """Do nothing: whoever began the feed ends it."""
 
 
 def join(console: Console, about: Mapping[str, Any], latch: Latch, pause: Pausing) -> Feed:
-    """Let a console watch this mission from now on.
+    """Connect this mission to a console.
+
+    Parameters
+    ----------
+    console : Console
+    about : mapping
+        Description of the mission, which is sent as JSON.
+    latch : Latch
+    pause : Pausing
+
+    Returns
+    -------
+    Feed
+        It has begun.
 
     Raises
     ------
     InputError
-        If it does not answer. Nothing has moved by then.
+        If the console does not answer. Nothing has moved by then.
     """
     try:
         feed = Feed(console.connect(), {"process": os.getpid(), **about}, latch, pause)
@@ -58,18 +81,23 @@ def join(console: Console, about: Mapping[str, Any], latch: Latch, pause: Pausin
 
 
 def find_console(port: int | None = None) -> tuple[Console, bool]:
-    """The console that a mission belongs to: the one that has started it, else one that runs, else a new one.
+    """Find the console of a mission: the one that has started it, else one that runs, else a new one.
+
+    Parameters
+    ----------
+    port : int, optional
+        Port of the console's page; any unless given.
 
     Returns
     -------
     console : Console
     opened : bool
-        Whether it was opened for this mission; it ends by itself then, once its page is closed.
+        Whether it was opened for this mission; it then ends by itself once its page is closed.
 
     Raises
     ------
     InputError
-        If none can be had.
+        If no console runs and none can be opened.
     """
     named = os.environ.get(ENVIRONMENT)
     if named:

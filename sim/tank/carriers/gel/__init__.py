@@ -1,1 +1,1 @@
-"""A helix in a gel, turned by a rotating magnet, as it truly goes."""
+"""The true motion of a helix in a gel, turned by a rotating magnet."""

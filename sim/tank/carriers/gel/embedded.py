@@ -1,4 +1,4 @@
-"""A helix embedded in gel: it turns with the rotating magnet, and rests while that is away."""
+"""A helix embedded in gel: it turns with the rotating magnet, and rests while the magnet is away."""
 
 from __future__ import annotations
 
@@ -28,7 +28,25 @@ from smolbot.errors import InputError
 
 
 class Embedded:
-    """The carrier of a helical robot; keeps the promise of `sim.tank.carriers.carrier.Turned`."""
+    """The carrier of a helical robot; implements `sim.tank.carriers.carrier.Turned`.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    settings : TankSettings
+    truth : Truth
+    start : ndarray, shape (2,) or (3,)
+        Requested start position (x, y in m) and, optionally, heading (rad), world frame.
+    seed : int
+    ideal : bool
+        Sample no mismatch.
+
+    Raises
+    ------
+    InputError
+        If the robot does not fit into the container there.
+    """
 
     def __init__(
         self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
@@ -53,7 +71,12 @@ class Embedded:
         self._state[2] = middle + own.start_height * (self._gel[kernels.HIGH] - self._gel[kernels.LOW])
 
     def state(self) -> State:
-        """Where the housing is now; in a gel nothing coasts."""
+        """Return the present pose of the housing; in a gel the velocities are zero between steps.
+
+        Returns
+        -------
+        State
+        """
         s = self._state
         return (
             (float(s[0]), float(s[1]), float(s[2])),
@@ -63,18 +86,40 @@ class Embedded:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """What was drawn of gel, helix and magnet."""
+        """Return the sampled parameters of gel, helix and magnet.
+
+        Returns
+        -------
+        dict
+            Plain lists and numbers.
+        """
         return self._truth.as_dict()
 
     def lasting(self, window: Window) -> float:
-        """How long a window truly lasts, in s: a hand that moves a magnet is late, never early."""
+        """Return the true duration of a window: an operator who moves the magnet may be late, never early.
+
+        Parameters
+        ----------
+        window : Window
+
+        Returns
+        -------
+        float, in s
+        """
         if isinstance(window, MoveMagnet):
             late = abs(float(np.clip(self._hand.standard_normal(), -CLIP, CLIP)))
             return window.duration * (1.0 + self._lateness * late)
         return window.duration
 
     def begin(self, window: Window, time: float) -> None:
-        """Set the stage for a window; its axis is free to move while the magnet is away."""
+        """Prepare a window. While the magnet is away its axis may take any heading at once.
+
+        Parameters
+        ----------
+        window : Window
+        time : float, in s
+            Not used.
+        """
         self._turn_rate = 0.0
         if isinstance(window, MoveMagnet):
             self._near, self._steered = window.to == "near" and self._near, False
@@ -82,13 +127,18 @@ class Embedded:
             self._aim(math.atan2(window.axis[1], window.axis[0]), window.frequency)
 
     def end(self, window: Window) -> None:
-        """A window is over: a magnet that was on its way has arrived."""
+        """End a window: a magnet that was being moved has arrived.
+
+        Parameters
+        ----------
+        window : Window
+        """
         if isinstance(window, MoveMagnet):
             self._near = window.to == "near"
         self._turn_rate = 0.0
 
     def _aim(self, heading: float, frequency: float) -> None:
-        """Steer to `heading` (rad) and turn; where it is nearer, to the opposite one, turning the other way."""
+        """Steer to `heading` (rad) and turn; if the opposite heading is nearer, steer there and turn the other way."""
         off = _wrapped(heading - float(self._state[kernels.STEER]))
         backward = abs(off) > 0.5 * math.pi
         self._turn_rate = (-1.0 if backward else 1.0) * 2.0 * math.pi * frequency
@@ -98,8 +148,20 @@ class Embedded:
             self._steered = True
 
     def follow(self, turn: float, steering: float, near: bool, span: float) -> None:
-        """The stage stands at `turn` and `steering` (rad) once the next `span` s are over: a magnet that is measured
-        instead of commanded."""
+        """Set the magnet's measured angles, which it reaches at the end of the next `span` s.
+
+        Used where the magnet is measured instead of commanded.
+
+        Parameters
+        ----------
+        turn : float, in rad
+            About the magnet's axis.
+        steering : float, in rad
+            Heading of the axis.
+        near : bool
+            Whether the magnet is near.
+        span : float, in s
+        """
         if near and not self._near:
             self._state[kernels.STEER], self._state[kernels.TURN] = steering, turn
         self._near, self._steered = near, True
@@ -108,7 +170,18 @@ class Embedded:
         self._turn_rate = (turn - float(self._state[kernels.TURN])) / span
 
     def magnet_at(self, points: FloatArray) -> FloatArray:
-        """Field (n, 3) in T of the magnet, where it stands now, at world points (n, 3) in m; zero while it is away."""
+        """Compute the magnet's present field; zero while it is away.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), in m
+            World frame.
+
+        Returns
+        -------
+        ndarray, shape (n, 3), in T
+            World frame.
+        """
         field = np.zeros((len(points), 3))
         if self._near:
             gradient, work = np.empty((3, 3)), np.empty((4, 3, 3))
@@ -118,7 +191,14 @@ class Embedded:
         return field
 
     def turn(self, step: float, poses: FloatArray) -> None:
-        """As many steps of `step` s as `poses` (n, 7) has rows, which receive rotation centre and orientation."""
+        """Advance by as many steps as `poses` has rows.
+
+        Parameters
+        ----------
+        step : float, in s
+        poses : ndarray, shape (n, 7)
+            Receives rotation centre (m) and orientation (scalar first), world frame.
+        """
         if self._near:
             kernels.screw(
                 self._state, self._device, self._gel, self._inclusions, self._cube,
@@ -130,7 +210,18 @@ class Embedded:
             poses[:, 3:] = self._state[3:7]
 
     def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
-        """One step: a magnet that is near holds still and pulls; otherwise the coils would have to exceed the yield."""
+        """Advance by one step: pulled by a near magnet at rest, else by the coils if they exceed the yield stress.
+
+        Parameters
+        ----------
+        state : State
+            Not used.
+        magnetic : tuple of 6
+            Force (N) and torque (N·m) of the coils, body frame.
+        time : float, in s
+            Not used.
+        step : float, in s
+        """
         if self._near:
             self.turn(step, np.empty((1, 7)))
             return
@@ -142,7 +233,7 @@ class Embedded:
             kernels.move(self._state, self._moved, step)
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: there is no resource to release."""
 
     def _put_down(
         self, rig: RigConfig, robot: RobotConfig, truth: Truth, start: FloatArray, off: float, roll: float

@@ -1,4 +1,4 @@
-"""Kernels of the robot in the gel: the field of the rotating cube, and what gel and plates answer to it.
+"""Kernels of the robot in the gel: the field of the rotating cube, and the reaction of gel and plates.
 
 They call each other and so share this file (numba's cache does not see a change in another one).
 """
@@ -22,7 +22,7 @@ def _log_sum(u: float, rest: float, radius: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def cuboid_field(x: float, y: float, z: float, half: float, remanence: float, b: FloatArray, g: FloatArray) -> None:
-    """Field and gradient of a cube magnetised along +z, at a point outside it, in the cube's frame.
+    """Compute field and gradient of a cube magnetised along +z, at a point outside it, in the cube's frame.
 
     Two charged faces at z = ±a (half the side), integrated in closed form; with X = x ± a, Y = y ± a, Z = z - (±a),
     rho = |(X, Y, Z)| and signs s = ±1 for each:
@@ -30,7 +30,7 @@ def cuboid_field(x: float, y: float, z: float, half: float, remanence: float, b:
         Bx = -Br / (4 pi) sum s ln(Y + rho),   By = -Br / (4 pi) sum s ln(X + rho),
         Bz =  Br / (4 pi) sum s atan(XY / (Z rho))
 
-    The gradient is the derivative of these, symmetric and without trace.
+    The gradient is the derivative of these, symmetric and traceless.
 
     Parameters
     ----------
@@ -92,10 +92,23 @@ POINT_SPACING, POINT_WEIGHT = 0.5, 0.2  # of those points: in half lengths, and 
 def magnet_field(
     point: FloatArray, cube: FloatArray, steer: float, turn: float, b: FloatArray, g: FloatArray, work: FloatArray
 ) -> None:
-    """Field (3,) in T and gradient (3, 3) in T/m of the rotating cube at a world point, world frame.
+    """Compute field and gradient of the rotating cube at a world point, world frame.
 
-    At a turn of zero its pole looks straight down; it turns about a horizontal axis of heading `steer`. `work`
-    (4, 3, 3) is scratch.
+    At a turn of zero its pole points straight down; it turns about a horizontal axis of heading `steer`.
+
+    Parameters
+    ----------
+    point : ndarray, shape (3,), in m
+        World frame.
+    cube : ndarray
+        As laid out above.
+    steer, turn : float, in rad
+    b : ndarray, shape (3,), in T
+        Receives the field.
+    g : ndarray, shape (3, 3), in T/m
+        Receives the gradient, ``g[i, j] = dB_i / dx_j``.
+    work : ndarray, shape (4, 3, 3)
+        Scratch memory.
     """
     frame, own_g, half, own = work[0], work[1], work[2], work[3]
     angle = turn + cube[HOME]
@@ -129,7 +142,19 @@ def magnet_field(
 
 @njit(cache=True, error_model="numpy")
 def stiffness_at(x: float, y: float, inclusions: FloatArray) -> float:
-    """How many times the gel's own strength it has at a place; `inclusions` (k, 4): x, y, radius (m), factor."""
+    """Return the gel's strength at a position, as a multiple of its nominal strength.
+
+    Parameters
+    ----------
+    x, y : float, in m
+        World frame.
+    inclusions : ndarray, shape (k, 4)
+        Centre x, y (m), radius (m) and factor of each.
+
+    Returns
+    -------
+    float
+    """
     factor = 1.0
     for i in range(len(inclusions)):
         dx, dy = x - inclusions[i, 0], y - inclusions[i, 1]
@@ -140,7 +165,21 @@ def stiffness_at(x: float, y: float, inclusions: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def settle(theta: float, bx: float, bz: float, device: FloatArray) -> float:
-    """Deflection, in rad, at which cantilever, stops and field (bx, bz in the plane of oscillation, T) are at rest."""
+    """Compute the deflection at which cantilever, stops and field are in equilibrium.
+
+    Parameters
+    ----------
+    theta : float, in rad
+        First guess.
+    bx, bz : float, in T
+        Field in the plane of oscillation, body frame.
+    device : ndarray
+        As laid out in `sim.tank.magnetics.cantilever`.
+
+    Returns
+    -------
+    float, in rad
+    """
     moment, rest_x, rest_z, theta_max = device[MOMENT], device[REST_X], device[REST_Z], device[THETA_MAX]
     spring = device[INERTIA] * device[OMEGA_SQUARED]
     for _ in range(SETTLE_STEPS):
@@ -155,15 +194,15 @@ def settle(theta: float, bx: float, bz: float, device: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def flow(forward: FloatArray, load: FloatArray, gel: FloatArray, factor: float, nose: float, out: FloatArray) -> None:
-    """How the helix moves under a force and a torque: not at all below yield, else as plastic flow and drag say.
+    """Compute the helix's motion under a force and a torque: none below yield, plastic flow and viscous drag above.
 
     Slip along the thread, drift across the axis, spin and tilt share one yield surface, an ellipsoid over their own
     strengths S_i, with the flow at right angles to it and a viscous part that grows with the rate (Bingham):
 
         n² = sum (g_i / S_i)²,   q_i = lambda g_i / S_i²,   n = 1 + Gamma / Gamma_0,   lambda = S_spin Gamma / n
 
-    so that a screw that turns also yields to a small force across it. The advance is ``lead * spin - slip``; the nose
-    resists it with what cutting takes, up to which it holds still.
+    so that a screw that turns also yields to a small force across it. The advance is ``lead * spin - slip``. The
+    cutting force at the nose opposes the advance and prevents it below a threshold.
 
     Parameters
     ----------
@@ -174,7 +213,7 @@ def flow(forward: FloatArray, load: FloatArray, gel: FloatArray, factor: float, 
     gel : ndarray
         As laid out above.
     factor, nose : float
-        How many times its own strength the gel has along the body and at the nose.
+        Strength of the gel along the body and at the nose, as multiples of its nominal strength.
     out : ndarray, shape (6,)
         Receives velocity (m/s) and spin (rad/s), world frame.
     """
@@ -208,7 +247,32 @@ def flow(forward: FloatArray, load: FloatArray, gel: FloatArray, factor: float, 
 def magnetic_load(
     rotation: FloatArray, theta: float, b: FloatArray, g: FloatArray, device: FloatArray, load: FloatArray
 ) -> float:
-    """Force and torque about the housing's middle (6,), world frame, that a field exerts; returns the deflection."""
+    """Compute force and torque of a field on the housing, and the deflection.
+
+        F = grad(m . B),   T = m x B + a x F
+
+    with a from the housing's middle to the magnet.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (3, 3)
+        From body to world.
+    theta : float, in rad
+        First guess of the deflection.
+    b : ndarray, shape (3,), in T
+        At the magnet, world frame.
+    g : ndarray, shape (3, 3), in T/m
+        ``g[i, j] = dB_i / dx_j``, world frame.
+    device : ndarray
+        As laid out in `sim.tank.magnetics.cantilever`.
+    load : ndarray, shape (6,)
+        Receives force (N) and torque about the housing's middle (N·m), world frame.
+
+    Returns
+    -------
+    float, in rad
+        The deflection.
+    """
     bx = rotation[0, 0] * b[0] + rotation[1, 0] * b[1] + rotation[2, 0] * b[2]
     bz = rotation[0, 2] * b[0] + rotation[1, 2] * b[1] + rotation[2, 2] * b[2]
     theta = settle(theta, bx, bz, device)
@@ -233,7 +297,19 @@ def magnetic_load(
 
 @njit(cache=True, error_model="numpy")
 def plates(state: FloatArray, forward: FloatArray, gel: FloatArray, load: FloatArray) -> None:
-    """Add to `load` (6,) what floor and plate do to nose and tail: push back, and rub against the way they slip."""
+    """Add the contact forces of floor and plate at nose and tail: elastic normal force and Coulomb friction.
+
+    Parameters
+    ----------
+    state : ndarray
+        As laid out above.
+    forward : ndarray, shape (3,)
+        Axis of the helix, world frame.
+    gel : ndarray
+        As laid out above.
+    load : ndarray, shape (6,)
+        Force (N) and torque (N·m), world frame; changed in place.
+    """
     for end in (-1.0, 1.0):
         arm0, arm1, arm2 = end * gel[REACH] * forward[0], end * gel[REACH] * forward[1], end * gel[REACH] * forward[2]
         height = state[2] + arm2
@@ -266,19 +342,21 @@ def screw(
     step: float,
     poses: FloatArray,
 ) -> None:
-    """Let the magnet turn and the helix follow for as many steps as `poses` has rows.
+    """Turn the magnet and move the helix for as many steps as `poses` has rows.
 
     Parameters
     ----------
     state, device, gel, inclusions, cube : ndarray
         As laid out above and in `sim.tank.magnetics.cantilever`; `state` is advanced in place.
     steer_to : float, in rad
-        Heading toward which the magnet's axis is turned, at `steering_rate` rad/s.
+        Target heading of the magnet's axis.
+    steering_rate : float, in rad/s
+        Speed of the axis toward it.
     turn_rate : float, in rad/s
         Of the magnet about its axis.
     step : float, in s
     poses : ndarray, shape (n, 7)
-        Receives rotation centre (m) and orientation at the start of each step.
+        Receives rotation centre (m) and orientation at the start of each step, world frame.
     """
     b, g, load, moved = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6)
     rotation, forward, point, work = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((4, 3, 3))
@@ -334,7 +412,16 @@ def screw(
 
 @njit(cache=True, error_model="numpy")
 def move(state: FloatArray, moved: FloatArray, step: float) -> None:
-    """Carry `state` on by a velocity (m/s) and spin (rad/s), `moved` (6,), for one step."""
+    """Advance position and orientation in `state` by one step of constant velocity.
+
+    Parameters
+    ----------
+    state : ndarray
+        As laid out above; changed in place.
+    moved : ndarray, shape (6,)
+        Velocity (m/s) and spin (rad/s), world frame.
+    step : float, in s
+    """
     rate = math.sqrt(moved[3] ** 2 + moved[4] ** 2 + moved[5] ** 2)
     half = 0.5 * rate * step
     c, s = math.cos(half), (math.sin(half) / rate if rate > 0 else 0.0)

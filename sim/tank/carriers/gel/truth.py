@@ -1,4 +1,4 @@
-"""Draws what gel, helix and magnet truly are, and packs it for the kernels."""
+"""Sample the true parameters of gel, helix and magnet, and pack them for the kernels."""
 
 from __future__ import annotations
 
@@ -21,20 +21,30 @@ STREAM = 5
 
 @dataclass(frozen=True, eq=False)
 class GelTruth(DrawnValues):
-    """What was drawn. Places in m, angles in rad, everything else a factor on the nominal value.
+    """Sampled mismatches of one gel. Those without a unit are factors on the nominal value.
 
     Attributes
     ----------
-    strength, viscosity, cutting, friction : float
-        Of the gel as a whole, of its nose, of the plates.
+    strength, viscosity : float
+        Of the gel.
+    cutting : float
+        On the strength against cutting at the nose.
+    friction : float
+        Of the plates.
     thread, across, tilt : float
         Further factors on the strength of the gel against slip along the thread, drift and tilt.
     pitch, remanence : float
-    magnet_place, magnet_tilt : ndarray, shape (3,)
-    steering, home : float
-        By how much the stage's heading and the magnet's turn are off.
-    start_heading, start_roll, start_height : float
-        Put down by hand: heading off the wanted one, roll, and share of the gap below the middle. Drawn at every scale.
+    magnet_place : ndarray, shape (3,), in m
+        Displacement of the magnet, world frame.
+    magnet_tilt : ndarray, shape (3,), in rad
+        Rotation vector.
+    steering, home : float, in rad
+        Offsets of the stage's heading and of the magnet's turn.
+    start_heading : float, in rad
+        Offset of the start heading from the requested one. Sampled at every scale, like roll and height.
+    start_roll : float, in rad
+    start_height : float
+        Of the start position above the middle between the plates, as a fraction of the gap.
     """
 
     strength: float
@@ -56,13 +66,37 @@ class GelTruth(DrawnValues):
 
 
 def gel_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Streams of the mismatches and of the operator's hand, apart from all others of a tank."""
+    """Make the random generators of the mismatches and of the operator, independent of all others of a tank.
+
+    Parameters
+    ----------
+    seed : int
+
+    Returns
+    -------
+    mismatches : numpy.random.Generator
+    operator : numpy.random.Generator
+    """
     drawn, hand = np.random.SeedSequence([seed, STREAM]).spawn(2)
     return np.random.Generator(np.random.SFC64(drawn)), np.random.Generator(np.random.SFC64(hand))
 
 
 def draw_gel(settings: TankSettings, rng: np.random.Generator, *, ideal: bool = False) -> GelTruth:
-    """Draw gel, helix and magnet; the order of draws is fixed, and the scale only multiplies them."""
+    """Sample gel, helix and magnet.
+
+    The order of the samples is fixed, and the scale only multiplies them.
+
+    Parameters
+    ----------
+    settings : TankSettings
+    rng : numpy.random.Generator
+    ideal : bool
+        Use the scale 0.
+
+    Returns
+    -------
+    GelTruth
+    """
     section = settings.gel.mismatch
     spreads = Spreads(rng, 0.0 if ideal else settings.mismatch.scale)
     spread, factor = spreads.spread, spreads.one
@@ -87,13 +121,26 @@ def draw_gel(settings: TankSettings, rng: np.random.Generator, *, ideal: bool = 
 
 
 def pack_gel(rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: GelTruth) -> FloatArray:
-    """The `gel` array of the kernels, from the yield stress and the helix' size.
+    """Pack the `gel` array of the kernels, from the yield stress and the helix's size.
 
-    A cylinder of radius r and length L in a gel of yield stress tau turns about its axis against its skin and ends,
-    ``tau (2 pi r² L + 4/3 pi r³)``; across it the gel bears ``N tau`` on the projected area ``2 r L`` (N about 10, the
-    bearing of a cylinder in a perfectly plastic body), with the lever ``L / 4`` against tilting. The flights of the
-    thread rest on unbroken gel and hold several times its skin's friction; the core's nose cuts against ``N' tau``.
-    At the rate ``tau / (2 mu)`` the viscous part is as large as the yield stress: the skin shears at twice the spin.
+    A cylinder of radius r and length L in a gel of yield stress tau resists turning about its axis with its skin
+    and ends, ``tau (2 pi r² L + 4/3 pi r³)``. Across the axis the gel supports ``N tau`` on the projected area ``2
+    r L`` (N about 10, the bearing factor of a cylinder in a perfectly plastic body), with the lever ``L / 4``
+    against tilting. The flights of the thread rest on unbroken gel, which holds several times the skin's friction;
+    the core's nose cuts against ``N' tau``. At the rate ``tau / (2 mu)`` the viscous part equals the yield stress:
+    the skin shears at twice the spin.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    robot : RobotConfig
+    settings : TankSettings
+    truth : GelTruth
+
+    Returns
+    -------
+    ndarray
+        As laid out in `sim.tank.carriers.gel.kernels`.
     """
     section, medium, helix = settings.gel, rig.sections.medium, robot.helix
     radius, length = 0.5 * robot.size[0], robot.size[2]
@@ -117,7 +164,18 @@ def pack_gel(rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: 
 
 
 def pack_cube(rig: RigConfig, truth: GelTruth) -> FloatArray:
-    """The `cube` array of the kernels."""
+    """Pack the `cube` array of the kernels.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    truth : GelTruth
+
+    Returns
+    -------
+    ndarray
+        As laid out in `sim.tank.carriers.gel.kernels`.
+    """
     magnet = rig.magnet
     off = quaternion_from_rotation_vector(np.array([0.0, 0.0, truth.steering]))
     turned = matrix_from_quaternion(quaternion_from_rotation_vector(truth.magnet_tilt)) @ matrix_from_quaternion(off)
@@ -126,6 +184,16 @@ def pack_cube(rig: RigConfig, truth: GelTruth) -> FloatArray:
 
 
 def pack_inclusions(settings: TankSettings) -> FloatArray:
-    """The `inclusions` array (k, 4) of the kernels."""
+    """Pack the `inclusions` array of the kernels.
+
+    Parameters
+    ----------
+    settings : TankSettings
+
+    Returns
+    -------
+    ndarray, shape (k, 4)
+        Centre x, y (m), radius (m) and factor of each.
+    """
     rows = [(*i.center, i.radius, i.factor) for i in settings.gel.inclusions]
     return np.array(rows).reshape(-1, 4)

@@ -1,4 +1,4 @@
-"""One serial port to the magnet stage: a command out, its answer back, one garbled or lost answer made good."""
+"""Serial link to the magnet stage: a command out, its answer back; one garbled or lost answer is repeated."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ POLL = 0.02
 """Seconds that one read of the port may wait."""
 
 BOOT = 4.0
-"""Seconds that a board may take that resets as its port is opened: bootloader, then banner."""
+"""Seconds that a board may take to boot if opening the port resets it: bootloader, then banner."""
 
 ASK = 0.5
-"""Seconds between two questions who is there, while a board may boot."""
+"""Seconds between two queries of the identity, while a board may boot."""
 
 LONGEST = 256
-"""Bytes without an end of line after which they are thrown away."""
+"""Number of bytes without an end of line after which they are discarded."""
 
 _WHY = {
     errno.ENOENT: "there is no such port",
@@ -41,16 +41,23 @@ _WHY = {
 class Link:
     """An open port with the right firmware behind it.
 
+    Parameters
+    ----------
+    port : str
+    baud : int
+    boot : float, in s
+        How long to wait for the board to boot.
+
     Attributes
     ----------
     identity : str
-        What the firmware calls itself.
+        Name and version of the firmware.
 
     Raises
     ------
     RigError
-        From every method, naming port and action: if the port is absent, busy or lost, nothing answers in time, the
-        answer is garbled twice, the firmware refuses, or it has started anew.
+        From every method, with port and action: if the port is absent, busy or lost, nothing answers in time, the
+        answer is garbled twice, the firmware refuses, or it has restarted.
     """
 
     def __init__(self, port: str, baud: int, boot: float = BOOT) -> None:
@@ -67,7 +74,19 @@ class Link:
             raise
 
     def exchange(self, command: str, action: str) -> tuple[str, ...]:
-        """Send a command; the words of its answer after ``OK``. Safe from any thread."""
+        """Send a command and return its answer. Safe from any thread.
+
+        Parameters
+        ----------
+        command : str
+        action : str
+            For the message of an error.
+
+        Returns
+        -------
+        tuple of str
+            The words after ``OK``.
+        """
         with self._lock:
             self._sequence = self._sequence % 255 + 1
             sent = line(self._sequence, command)
@@ -84,17 +103,33 @@ class Link:
         return reply.rest
 
     def take_recovered(self) -> Counter[str]:
-        """Lines that were asked for a second time since the last call, by cause. Safe from any thread."""
+        """Return, and reset, the number of repeated lines by cause. Safe from any thread.
+
+        Returns
+        -------
+        Counter
+            Since the last call.
+        """
         with self._lock:
             taken, self._recovered = self._recovered, Counter()
         return taken
 
     def error(self, action: str, why: str) -> RigError:
-        """What is raised when `action` fails."""
+        """Build the error of a failed action.
+
+        Parameters
+        ----------
+        action : str
+        why : str
+
+        Returns
+        -------
+        RigError
+        """
         return RigError(f"magnet stage on {self.port}: {action}: {why}.", device="magnet stage")
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._serial.close()
 
     def _ask(self, sent: bytes, action: str) -> Reply:
@@ -102,9 +137,9 @@ class Link:
         return self._answer(action, again=False)
 
     def _ask_again(self, sent: bytes, action: str) -> Reply:
-        """The same line once more: the firmware answers it again and does nothing twice.
+        """Send the same line once more: the firmware repeats its answer and executes nothing twice.
 
-        An end of line goes ahead, for the board may hold half of the first one; what it says to that is passed over.
+        An end of line is sent first, since the board may hold half of the first line; the answer to it is ignored.
         """
         self._received.clear()
         self._write(b"\n" + sent, action)
@@ -138,9 +173,10 @@ class Link:
         return opened
 
     def _await_firmware(self, boot: float) -> tuple[str, ...]:
-        """Name and version. A board that was running answers at once; one that resets says them as it boots.
+        """Wait for name and version of the firmware.
 
-        Bytes that a bootloader gets instead make it start the firmware at once.
+        A board that was running answers at once; one that resets sends them as it boots. A bootloader that receives
+        the query instead starts the firmware at once.
         """
         action = "waiting for the banner"
         end = time.monotonic() + boot
@@ -165,7 +201,7 @@ class Link:
         )
 
     def _settled(self, identity: tuple[str, ...], action: str) -> tuple[str, ...]:
-        """Pass over the banner or the answer that comes besides the other."""
+        """Discard the second of banner and answer, since both may come."""
         end = time.monotonic() + 2.0 * POLL
         while self._read_or_none(end, action) is not None:
             pass
@@ -187,7 +223,7 @@ class Link:
             return None
 
     def _read_line(self, end: float, action: str) -> bytes:
-        """The next line, without its end.
+        """Read the next line, without its end.
 
         Raises
         ------

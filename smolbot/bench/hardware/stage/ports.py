@@ -1,4 +1,4 @@
-"""Which serial port is the magnet stage: by what it is plugged into USB as, then by its banner."""
+"""Search for the serial port of the magnet stage, by its USB identifiers and then by its banner."""
 
 from __future__ import annotations
 
@@ -13,7 +13,17 @@ BOARDS = frozenset({
 
 
 def open_link(port: str, baud: int) -> Link:
-    """The link to the magnet stage at `port`, or at the only port that answers as one where that is empty.
+    """Open the link to the magnet stage.
+
+    Parameters
+    ----------
+    port : str
+        Empty to search for the only port that answers as a magnet stage.
+    baud : int
+
+    Returns
+    -------
+    Link
 
     Raises
     ------

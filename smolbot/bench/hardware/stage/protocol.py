@@ -1,4 +1,4 @@
-"""Lines of the magnet stage's protocol: made, checked, read. No port is touched here."""
+"""Lines of the magnet stage's protocol: building, checking and parsing them. No port is used here."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 
 NAME = "smolbot-magnet-stage"
 VERSION = (1, 0)
-"""The version of the protocol that this driver speaks; the same major number, and no lower minor one, is needed."""
+"""Version of the protocol that this driver speaks; the firmware needs the same major and at least this minor number."""
 
 RATE_MIN, RATE_MAX = 40, 4000
 """Steps per second that the firmware accepts."""
@@ -22,12 +22,22 @@ Place = Literal["near", "away"]
 
 
 class GarbledError(ValueError):
-    """A line that does not carry its own checksum, or not the form of a reply."""
+    """A line with a wrong checksum, or not in the form of a reply."""
 
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer: which line it answers, whether it was done, and what it says. A line without number has None."""
+    """Reply of the firmware to a line.
+
+    Attributes
+    ----------
+    sequence : int or None
+        Number of the line that it answers; None if it has no number.
+    word : str
+        ``OK`` or ``ERR``; another word in a line without number.
+    rest : tuple of str
+        Further words.
+    """
 
     sequence: int | None
     word: str
@@ -36,7 +46,22 @@ class Reply:
 
 @dataclass(frozen=True)
 class State:
-    """What a heartbeat brings back; places in steps since the board booted."""
+    """State of the stage, from the answer to a heartbeat.
+
+    Attributes
+    ----------
+    armed : bool
+        Whether the motors have power.
+    moving : bool
+    at : {"near", "away"} or None
+        Which end switch is closed; None if neither or both are.
+    fault : str
+        ``NONE`` if there is none.
+    turn : int
+        Position of the turning motor, in steps since the board booted.
+    steering : int
+        Position of the steering motor, in steps since the board booted.
+    """
 
     armed: bool
     moving: bool
@@ -47,8 +72,18 @@ class State:
 
 
 def checksum(text: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF, no reflection.
+    """Compute CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF, no reflection.
 
+    Parameters
+    ----------
+    text : bytes
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
     >>> f"{checksum(b'123456789'):04X}"
     '29B1'
     """
@@ -61,8 +96,20 @@ def checksum(text: bytes) -> int:
 
 
 def line(sequence: int, command: str) -> bytes:
-    r"""A command as it goes over the wire.
+    r"""Build a command as it is sent.
 
+    Parameters
+    ----------
+    sequence : int
+        Number of the line.
+    command : str
+
+    Returns
+    -------
+    bytes
+
+    Examples
+    --------
     >>> line(7, "BEAT")
     b'7 BEAT*B04C\n'
     """
@@ -71,13 +118,23 @@ def line(sequence: int, command: str) -> bytes:
 
 
 def parse(received: bytes) -> Reply:
-    r"""A line from the board.
+    """Parse a line from the board.
+
+    Parameters
+    ----------
+    received : bytes
+
+    Returns
+    -------
+    Reply
 
     Raises
     ------
     GarbledError
         If its checksum or its form is wrong.
 
+    Examples
+    --------
     >>> parse(line(7, "OK ARMED"))
     Reply(sequence=7, word='OK', rest=('ARMED',))
     """
@@ -96,12 +153,21 @@ def parse(received: bytes) -> Reply:
 
 
 def parse_state(rest: tuple[str, ...]) -> State:
-    """What follows ``OK`` in the answer to a heartbeat.
+    """Parse the answer to a heartbeat.
+
+    Parameters
+    ----------
+    rest : tuple of str
+        The words after ``OK``.
+
+    Returns
+    -------
+    State
 
     Raises
     ------
     GarbledError
-        If it is of another form.
+        If its form is wrong.
     """
     try:
         armed, moving, switches, fault, turn, steering = rest
@@ -112,7 +178,18 @@ def parse_state(rest: tuple[str, ...]) -> State:
 
 
 def version_fault(identity: tuple[str, ...]) -> str | None:
-    """Why firmware that calls itself ``NAME MAJOR.MINOR`` cannot be used, or None."""
+    """Check whether the driver supports a firmware.
+
+    Parameters
+    ----------
+    identity : tuple of str
+        Name and version, as ``NAME MAJOR.MINOR``.
+
+    Returns
+    -------
+    str or None
+        Why it cannot be used; None if it can.
+    """
     needed = f"'{NAME} {VERSION[0]}.{VERSION[1]}'"
     got = " ".join(identity) or "nothing"
     try:

@@ -1,4 +1,4 @@
-"""The magnet stage in SI: where its axis points, how it turns, and that it stops."""
+"""The magnet stage in SI units: steering of its axis, turns of its magnet, and a reliable stop."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from smolbot.bench.hardware.wiring import StageSection
 from smolbot.errors import RigError
 
 BEAT = 0.1
-"""Seconds between two heartbeats. The firmware takes the motors off after 0.5 s without one."""
+"""Seconds between two heartbeats. The firmware switches the motors off after 0.5 s without one."""
 
 STEERING_RATE = math.radians(10.0)
-"""rad/s, where the caller knows no other."""
+"""Default steering rate, in rad/s."""
 
 
 class MagnetStage:
-    """Motor that turns the magnet, and motor that steers the axis it turns about, behind a serial port.
+    """Motor that turns the magnet, and motor that steers the axis of the turns, behind a serial port.
 
-    Steering is counted from where the axis stood when the board got its power: heading 0, pole down.
-    A thread keeps the firmware's heartbeat from `open` to `close`; what it finds wrong, the next call raises.
+    Steering is counted from the axis at power-up of the board: heading 0, pole down. A thread sends the firmware's
+    heartbeat from `open` to `close`; an error that it finds is raised by the next call.
 
     Parameters
     ----------
     section : StageSection
     steering_rate : float, in rad/s
-        How fast the axis is steered.
+        Speed at which the axis is steered.
 
     Raises
     ------
     RigError
-        From every method but `stop` and `close`: naming port, action and cause. The motors are off then, or go off
+        From every method but `stop` and `close`, with port, action and cause. The motors are off then, or go off
         within a second.
     """
 
@@ -58,13 +58,13 @@ class MagnetStage:
 
     @property
     def at(self) -> Place | None:
-        """Where the switches say the magnet is; None where neither, or both, are closed."""
+        """Which end switch the magnet closes; None if neither or both are closed."""
         return self._known().at
 
     def open(self) -> None:
-        """Find and open the port, wait for the firmware, begin the heartbeat. The motors stay off.
+        """Find and open the port, wait for the firmware, start the heartbeat. The motors stay off.
 
-        A fault that an earlier run left behind is cleared: that run has ended, and has told it.
+        A fault that an earlier run left behind is cleared, since that run has reported it.
         """
         self._link = open_link(self._section.port, self._section.baud)
         try:
@@ -79,7 +79,7 @@ class MagnetStage:
         self._heart.start()
 
     def arm(self) -> None:
-        """Power the motors; they hold still."""
+        """Power the motors; they hold their position."""
         self._known()
         self._command("ARM", "arming the motors")
         with self._news:
@@ -87,20 +87,46 @@ class MagnetStage:
         self._beat_or_fail()  # where the axis stands now
 
     def turn(self, heading: float, turns: float, frequency: float) -> None:
-        """Steer to `heading` (rad) and turn the magnet `turns` times at `frequency` (Hz) about it. Returns at once.
+        """Steer the axis and turn the magnet about it. Return at once.
 
-        The axis goes to the opposite heading where that is nearer, and the magnet then turns the other way.
+        The axis goes to the opposite heading if that is nearer, and the magnet then turns the other way.
+
+        Parameters
+        ----------
+        heading : float, in rad
+            Of the axis, from where it was at power-up.
+        turns : float
+            Number of turns; the sign is their direction.
+        frequency : float, in Hz
+            Turns per second.
         """
         steering, backward = self._nearer(heading)
         count = (-1 if backward else 1) * round(turns * self._section.steps_per_turn)
         self._move(count, abs(frequency) * self._section.steps_per_turn, steering, "turning the magnet")
 
     def steer(self, heading: float) -> None:
-        """Steer the axis to `heading` (rad) or its opposite, whichever is nearer. Returns at once."""
+        """Steer the axis to a heading or its opposite, whichever is nearer. Return at once.
+
+        Parameters
+        ----------
+        heading : float, in rad
+            From where the axis was at power-up.
+        """
         self._move(0, 0.0, self._nearer(heading)[0], "steering the axis")
 
     def wait(self, seconds: float) -> bool:
-        """Wait until both motors stand still, `seconds` at most; whether they do."""
+        """Wait until both motors stand still.
+
+        Parameters
+        ----------
+        seconds : float, in s
+            Longest time to wait.
+
+        Returns
+        -------
+        bool
+            Whether they stand still.
+        """
         end = time.monotonic() + seconds
         with self._news:
             while self._known_locked().moving:
@@ -111,22 +137,40 @@ class MagnetStage:
         return True
 
     def ask_for(self, place: Place | None) -> None:
-        """Light the lamp that asks the operator to bring the magnet `near` or `away`, or none."""
+        """Light the lamp that asks the operator to bring the magnet near or away.
+
+        Parameters
+        ----------
+        place : {"near", "away"} or None
+            None for no lamp.
+        """
         self._command(f"LAMP {(place or 'none').upper()}", "setting the operator's lamp")
 
     def must_rest(self) -> None:
-        """Raise `RigError` unless the motors stand still and nothing failed."""
+        """Check that the motors stand still and nothing has failed.
+
+        Raises
+        ------
+        RigError
+            Otherwise.
+        """
         if self._known().moving:
             raise self._open_link().error("checking that the magnet rests", "its motors turn")
 
     def take_recovered(self) -> Counter[str]:
-        """What was made good since the last call, by name."""
+        """Return, and reset, the count of errors of the serial line that were recovered from.
+
+        Returns
+        -------
+        Counter
+            Since the last call, by name.
+        """
         return Counter({f"magnet stage: {name}": n for name, n in self._open_link().take_recovered().items()})
 
     def stop(self) -> None:
-        """Switch the motors off now. Safe from any thread, and raises nothing.
+        """Switch the motors off now. Safe from any thread; raises nothing.
 
-        Where the line is lost, the heartbeat ends, and the firmware switches them off by itself within 0.5 s.
+        If the line is lost, the heartbeat ends, and the firmware switches them off by itself within 0.5 s.
         """
         with self._news:
             self._armed = False
@@ -143,7 +187,7 @@ class MagnetStage:
             self._fail(error)
 
     def close(self) -> None:
-        """Switch the motors and the lamps off and let go of the port. May be called twice."""
+        """Switch motors and lamps off and close the port. May be called twice."""
         link = self._link
         if link is None:
             return
@@ -184,7 +228,7 @@ class MagnetStage:
             raise
 
     def _nearer(self, heading: float) -> tuple[int, bool]:
-        """Steps to the axis that is nearer to where it points now, and whether it is the opposite one."""
+        """Compute the steps to a heading or its opposite, whichever is nearer, and whether it is the opposite."""
         per_turn = self._section.steering_steps_per_turn
         now = self._known().steering
         off = _wrapped(heading - 2.0 * math.pi * now / per_turn)
@@ -210,7 +254,7 @@ class MagnetStage:
             self._beat_or_fail()
 
     def _beat(self) -> None:
-        """One heartbeat, and what it brings back."""
+        """Send one heartbeat, and store the state that it returns."""
         link = self._open_link()
         with self._telling:
             with self._news:
@@ -242,7 +286,7 @@ class MagnetStage:
                 return
 
     def _fail(self, error: RigError) -> None:
-        """No heartbeat from now on: if no command gets through, the firmware still stops."""
+        """End the heartbeat, so that the firmware stops the motors even if no command gets through."""
         with self._news:
             self._failure = self._failure or error
             self._armed = False
@@ -253,5 +297,5 @@ class MagnetStage:
 
 
 def _wrapped(angle: float) -> float:
-    """The same direction within half a turn of zero."""
+    """Wrap an angle to within half a turn of zero."""
     return math.remainder(angle, 2.0 * math.pi)
