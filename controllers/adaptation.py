@@ -7,22 +7,22 @@ from numba import njit
 
 from smolbot.core.arrays import FloatArray
 
-GATE = 9.0
+MAX_MAHALANOBIS_SQUARED = 9.0
 """Squared distance, in standard deviations, beyond which a motion is not believed: was its window played at all?"""
 
-SPREAD = np.array([0.1, 6e-5, 6e-5])
+INITIAL_STD = np.array([0.1, 6e-5, 6e-5])
 """First uncertainty of mobility (a factor) and drift (m/s)."""
 
-WANDER = np.array([0.004, 6e-6, 6e-6])
+RANDOM_WALK_STD = np.array([0.004, 6e-6, 6e-6])
 """How much these may change in one window."""
 
 POSE_NOISE, MODEL_NOISE = 3e-5, 0.1
 """Standard deviation of a difference of two tracked poses (m), and share of a predicted motion that is not trusted."""
 
-TURN_NOISE, TURN_SPREAD, TURN_WANDER = 0.02, 0.1, 0.002
+TURN_NOISE, INITIAL_TURN_STD, TURN_RANDOM_WALK_STD = 0.02, 0.1, 0.002
 """The same for turns: rad, and factors."""
 
-LEAST, MOST = 0.6, 1.6
+MIN_FACTOR, MAX_FACTOR = 0.6, 1.6
 """Bounds of both factors."""
 
 
@@ -38,9 +38,9 @@ class Adaptation:
 
     def __init__(self) -> None:
         self._x = np.array([1.0, 0.0, 0.0])
-        self._p = np.diag(SPREAD**2)
+        self._p = np.diag(INITIAL_STD**2)
         self.agility = 1.0
-        self._turn_variance = TURN_SPREAD**2
+        self._turn_variance = INITIAL_TURN_STD**2
 
     @property
     def mobility(self) -> float:
@@ -52,18 +52,20 @@ class Adaptation:
         """Drift velocity (2,), in m/s."""
         return self._x[1:].copy()
 
-    def learn(self, seen: FloatArray, predicted: FloatArray, turned: float, wanted: float, duration: float) -> bool:
+    def learn(
+        self, measured: FloatArray, predicted: FloatArray, measured_turn: float, predicted_turn: float, duration: float
+    ) -> bool:
         """Learn from the measured motion in one window.
 
         Parameters
         ----------
-        seen : ndarray, shape (2,), in m
+        measured : ndarray, shape (2,), in m
             Displacement as tracked.
         predicted : ndarray, shape (2,), in m
             Displacement predicted for the window at mobility 1.
-        turned : float, in rad
+        measured_turn : float, in rad
             Change of heading as tracked.
-        wanted : float, in rad
+        predicted_turn : float, in rad
             Change of heading predicted at the present agility.
         duration : float, in s
             Between the two poses.
@@ -74,27 +76,27 @@ class Adaptation:
             False for an outlier, which the window cannot have caused.
         """
         noise = POSE_NOISE**2 + (MODEL_NOISE**2) * float(predicted @ predicted)
-        if not _correct(self._x, self._p, seen, predicted, duration, noise):
+        if not _update(self._x, self._p, measured, predicted, duration, noise):
             return False
-        self._x[0] = min(max(self._x[0], LEAST), MOST)
-        self._turn(turned, wanted)
+        self._x[0] = min(max(self._x[0], MIN_FACTOR), MAX_FACTOR)
+        self._update_agility(measured_turn, predicted_turn)
         return True
 
-    def _turn(self, turned: float, wanted: float) -> None:
-        self._turn_variance += TURN_WANDER**2
+    def _update_agility(self, turned: float, wanted: float) -> None:
+        self._turn_variance += TURN_RANDOM_WALK_STD**2
         noise = TURN_NOISE**2 + (MODEL_NOISE * wanted) ** 2
         gain = self._turn_variance * wanted / (wanted**2 * self._turn_variance + noise)
-        self.agility = min(max(self.agility * (1.0 + gain * (turned - wanted)), LEAST), MOST)
+        self.agility = min(max(self.agility * (1.0 + gain * (turned - wanted)), MIN_FACTOR), MAX_FACTOR)
         self._turn_variance *= 1.0 - gain * wanted
 
 
 @njit(cache=True, error_model="numpy")
-def _correct(
-    x: FloatArray, p: FloatArray, seen: FloatArray, predicted: FloatArray, duration: float, noise: float
+def _update(
+    x: FloatArray, p: FloatArray, measured: FloatArray, predicted: FloatArray, duration: float, noise: float
 ) -> bool:
     """Do one Kalman update in place: seen = mobility * predicted + drift * duration; False for an outlier."""
     for a in range(3):
-        p[a, a] += WANDER[a] ** 2
+        p[a, a] += RANDOM_WALK_STD[a] ** 2
     h = np.zeros((2, 3))
     gain = np.zeros((3, 2))  # first P h^T
     for i in range(2):
@@ -105,8 +107,8 @@ def _correct(
     sxy = h[0, 0] * gain[0, 1] + duration * gain[1, 1]
     syy = h[1, 0] * gain[0, 1] + duration * gain[2, 1] + noise
     whole = sxx * syy - sxy * sxy
-    mx, my = seen[0] - h[0, 0] * x[0] - duration * x[1], seen[1] - h[1, 0] * x[0] - duration * x[2]
-    if (syy * mx * mx - 2.0 * sxy * mx * my + sxx * my * my) / whole > GATE:
+    mx, my = measured[0] - h[0, 0] * x[0] - duration * x[1], measured[1] - h[1, 0] * x[0] - duration * x[2]
+    if (syy * mx * mx - 2.0 * sxy * mx * my + sxx * my * my) / whole > MAX_MAHALANOBIS_SQUARED:
         return False
     old = p.copy()
     for a in range(3):

@@ -23,9 +23,12 @@ from numba import njit
 
 BESIDE, FORCE, ACROSS, FIELD = 0, 1, 2, 3  # rows: field beside u, force along and across d, field along u
 GOLDEN = 0.3819660112501051
-WORTH_A_LOOK, STEEP_AT_EDGES = 0.15, 0.5  # shares of the best by which an angle may be worse and still be refined
+REFINE_SHARE, REFINE_SHARE_AT_EDGES = (
+    0.15,
+    0.5,
+)  # shares of the best by which an angle may be worse and still be refined
 REFINEMENTS = 14  # of an angle: each narrows it to 0.62 of what it was
-TIGHT = 1e-9  # share of a bound by which a current may miss it before it is put on it
+BOUND_TOLERANCE = 1e-9  # share of a bound by which a current may miss it before it is put on it
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -55,7 +58,7 @@ def _solve(matrix, right, size):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multipliers, currents):
+def _maximize_force(rows, wanted, order, size, low, high, basis, matrix, work, multipliers, currents):
     """Maximize rows[FORCE] . I with rows[order] I = wanted[order], low <= I <= high; False without a solution.
 
     Every basis is tried. Its multipliers put every other current on one of its bounds, and the equations give the
@@ -88,7 +91,7 @@ def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multip
                 fits = True
                 for i in range(size):
                     c = basis[i]
-                    slack = TIGHT * (high[c] - low[c])
+                    slack = BOUND_TOLERANCE * (high[c] - low[c])
                     if not low[c] - slack <= work[i] <= high[c] + slack:
                         fits = False
                         break
@@ -106,8 +109,8 @@ def _strongest(rows, wanted, order, size, low, high, basis, matrix, work, multip
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _rise(rows, wanted, order, size, low, high, multipliers, step, share):
-    """Compute the slope of `_coolest`'s dual along `step`, after a share of it; it decreases along the step."""
+def _compute_dual_slope(rows, wanted, order, size, low, high, multipliers, step, share):
+    """Compute the slope of `_minimize_heat`'s dual along `step`, after a share of it; it decreases along the step."""
     out = 0.0
     for k in range(size):
         out += step[k] * wanted[order[k]]
@@ -121,7 +124,7 @@ def _rise(rows, wanted, order, size, low, high, multipliers, step, share):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, step, currents):
+def _minimize_heat(rows, wanted, order, size, low, high, matrix, work, multipliers, step, currents):
     """Minimize |I|² with rows[order] I = wanted[order] and low <= I <= high; return False if no solution was found.
 
     At the optimum I = clip(rows^T y); y follows by Newton steps on the concave dual, each as long as the dual
@@ -161,7 +164,7 @@ def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, st
             start += work[k] * step[k]
         share, before, after = 1.0, 0.0, math.inf
         for _try in range(60):
-            rise = _rise(rows, wanted, order, size, low, high, multipliers, step, share)
+            rise = _compute_dual_slope(rows, wanted, order, size, low, high, multipliers, step, share)
             if abs(rise) < 0.1 * start:
                 break
             if rise > 0.0:
@@ -177,7 +180,7 @@ def _coolest(rows, wanted, order, size, low, high, matrix, work, multipliers, st
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+def _solve_with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
     """Solve with some rules (1: way, 2: field, 3: both) as equations; return their number, 0 without a solution."""
     n = low.shape[0]
     order[0], order[1], size = BESIDE, FORCE, 2 if cool else 1
@@ -190,14 +193,14 @@ def _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix
         order[size] = FIELD
         size += 1
     if cool:
-        fits = _coolest(rows, wanted, order, size, low, high, matrix, work[0], work[1], work[2], currents)
+        fits = _minimize_heat(rows, wanted, order, size, low, high, matrix, work[0], work[1], work[2], currents)
     else:
-        fits = _strongest(rows, wanted, order, size, low, high, basis, matrix, work[0], work[1], currents)
+        fits = _maximize_force(rows, wanted, order, size, low, high, basis, matrix, work[0], work[1], currents)
     return size if fits else 0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _misses(rows, wanted, slack, work, currents):
+def _check_rules(rows, wanted, slack, work, currents):
     """Return the force across the way, or 0 where it is small enough, and whether the field is strong enough."""
     force = across = field = 0.0
     for c in range(currents.shape[0]):
@@ -208,7 +211,7 @@ def _misses(rows, wanted, slack, work, currents):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
+def _solve_program(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
     """Find the best currents for given rows: the inequality rules are added in turn, until all of them hold.
 
     The optimum with some of the rules left out, if it keeps to them, is the optimum. So is one with some of them
@@ -220,9 +223,9 @@ def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work,
         work[3, c] = rows[ACROSS, c]
     rules, side = int(memory[0]), memory[1]
     if rules > 0:
-        size = _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents)
+        size = _solve_with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents)
         if size:
-            across, strong = _misses(rows, wanted, slack, work, currents)
+            across, strong = _check_rules(rows, wanted, slack, work, currents)
             right = across == 0.0 and strong
             toward = -1.0 if cool else 1.0
             for k in range(size):
@@ -237,9 +240,9 @@ def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work,
         side = 0.0
         for with_way in (0, 1):
             rules = with_way + with_field
-            if not _with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+            if not _solve_with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
                 return False
-            across, strong = _misses(rows, wanted, slack, work, currents)
+            across, strong = _check_rules(rows, wanted, slack, work, currents)
             if across == 0.0 and strong:
                 memory[0], memory[1] = rules, side
                 return True
@@ -252,7 +255,7 @@ def _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work,
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, currents):
+def _solve_at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, currents):
     """Find the best currents for a field along `angle`; return their force along `way`, and minus their heat.
 
     Both are -1e300 where no solution exists.
@@ -279,7 +282,7 @@ def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, cur
             if size < 0.0 if cool else size >= 0.0 and cold[0] >= 0.0:
                 continue
             memory = cold if cool else warm
-            if not _programme(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
+            if not _solve_program(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
                 return -1e300, -1e300
             if cool:
                 continue
@@ -305,7 +308,7 @@ def _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, cur
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def field_and_force(b, g, currents):
+def compute_field_and_force(b, g, currents):
     """Compute the field of some coils, and grad|B|.
 
     Parameters
@@ -336,7 +339,7 @@ def field_and_force(b, g, currents):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps):
+def search_currents(b, g, low, high, way, size, least, steepest, slack, head_first, steps):
     """Search the direction of the field for the currents whose grad|B| points along a given direction.
 
     Parameters
@@ -388,7 +391,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
     best, best_force = -1e300, -1e300
     for i in range(count):
         angle = middle - half + i * width
-        found = _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, trial)
+        found = _solve_at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, trial)
         values[i] = found[pick]
         if values[i] > best:
             best, best_force = values[i], found[0]
@@ -399,7 +402,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
             beside = (along * way[0] - aside * way[1], aside * way[0] + along * way[1])
             angle = middle + hand * (0.5 * math.pi - 1e-6)
             narrow = (least, steepest, math.tan(0.5 * math.atan(slack)))
-            found = _at_angle(angle, beside, size, narrow, b, g, low, high, store, order, basis, trial)
+            found = _solve_at_angle(angle, beside, size, narrow, b, g, low, high, store, order, basis, trial)
             if found[pick] > best:
                 best, best_force = found[pick], found[0]
                 currents, trial = trial, currents
@@ -410,7 +413,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
         right = values[i + 1] if i + 1 < count else (-1e300 if head_first else values[0])
         # at an edge of what fits the best may be a good deal better than the nearest angle tried
         edge = min(left, right) < -1e299
-        share = STEEP_AT_EDGES if edge else WORTH_A_LOOK
+        share = REFINE_SHARE_AT_EDGES if edge else REFINE_SHARE
         if values[i] < best - share * abs(best) or (not edge and (values[i] < left or values[i] < right)):
             continue
         center = middle - half + i * width
@@ -420,7 +423,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
         for _ in range(REFINEMENTS):
             # probe the wider side of the best angle known, which always fits: beyond an edge nothing does
             angle = center - GOLDEN * (center - a) if center - a > z - center else center + GOLDEN * (z - center)
-            found = _at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, trial)
+            found = _solve_at_angle(angle, way, size, rules, b, g, low, high, store, order, basis, trial)
             if found[pick] > best:
                 best, best_force = found[pick], found[0]
                 currents, trial = trial, currents
@@ -438,7 +441,7 @@ def search(b, g, low, high, way, size, least, steepest, slack, head_first, steps
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def strongest_alone(b, g, high):
+def compute_max_single_coil(b, g, high):
     """Compute the largest grad|B| of a single coil at its limit.
 
     Parameters
@@ -456,13 +459,13 @@ def strongest_alone(b, g, high):
     """
     most = 0.0
     for c in range(high.shape[0]):
-        _, slope = field_and_force(b[c : c + 1], g[c : c + 1], high[c : c + 1])
+        _, slope = compute_field_and_force(b[c : c + 1], g[c : c + 1], high[c : c + 1])
         most = max(most, math.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2))
     return most
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def forces_by_field(b, g, low, high, ways, angles, rules, head_first):
+def compute_forces_by_field(b, g, low, high, ways, angles, rules, head_first):
     """Compute the strongest grad|B| along a direction for every direction of the field, at many points.
 
     Parameters
@@ -503,7 +506,7 @@ def forces_by_field(b, g, low, high, ways, angles, rules, head_first):
         for k in range(angles.shape[0]):
             if head_first and ways[i, 0] * math.cos(angles[k]) + ways[i, 1] * math.sin(angles[k]) < -1e-9:
                 continue
-            force, _ = _at_angle(
+            force, _ = _solve_at_angle(
                 angles[k], ways[i], -1.0, own_rules, own_b, own_g, low, high, store, order, basis, trial
             )
             out[i, k] = max(force, 0.0) * steep

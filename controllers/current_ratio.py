@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from controllers.course import Course
 from controllers.pace import Pace
+from controllers.path_progress import PathProgress
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate
-from smolbot.flight.scheduler import stretched_actuation
-from smolbot.motion.controller import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.flight.scheduler import compute_actuation_time
+from smolbot.motion.controller import Command, ForceProfile, Gain, Phase, Setup, complete_gains
 from smolbot.paths.curve import Curve
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Pair:
+class CoilPair:
     """Two coils whose field points in the requested direction.
 
     Attributes
@@ -45,7 +45,7 @@ class Pair:
     field: float
 
 
-def pair_shares(ratio: float) -> tuple[float, float]:
+def compute_pair_shares(ratio: float) -> tuple[float, float]:
     """Compute the shares of the full current in coils (j, k) for a current ratio lambda (Eqs. S14, S15 corrected).
 
     Parameters
@@ -59,7 +59,7 @@ def pair_shares(ratio: float) -> tuple[float, float]:
 
     Examples
     --------
-    >>> [pair_shares(x) for x in (0.0, 0.25, 0.5, 1.0)]
+    >>> [compute_pair_shares(x) for x in (0.0, 0.25, 0.5, 1.0)]
     [(0.0, 1.0), (0.3333333333333333, 1.0), (1.0, 1.0), (1.0, 0.0)]
     """
     if ratio < 0.5:
@@ -67,7 +67,7 @@ def pair_shares(ratio: float) -> tuple[float, float]:
     return 1.0, (1.0 - ratio) / ratio
 
 
-def best_pair(fields: FloatArray, direction: FloatArray) -> Pair | None:
+def find_best_pair(fields: FloatArray, direction: FloatArray) -> CoilPair | None:
     """Find the pair of coils with the strongest field along a direction (Eq. S13).
 
     Parameters
@@ -86,7 +86,7 @@ def best_pair(fields: FloatArray, direction: FloatArray) -> Pair | None:
     coils: list[list[float]] = fields.tolist()
     cross = [bx * dy - by * dx for bx, by in coils]  # B x D
     along = [bx * dx + by * dy for bx, by in coils]
-    best: Pair | None = None
+    best: CoilPair | None = None
     for j in range(len(coils)):
         for k in range(j + 1, len(coils)):
             span = cross[j] - cross[k]
@@ -95,10 +95,10 @@ def best_pair(fields: FloatArray, direction: FloatArray) -> Pair | None:
             ratio = -cross[k] / span  # Eq. S13
             if not -1e-9 <= ratio <= 1.0 + 1e-9:
                 continue
-            share_j, share_k = pair_shares(min(max(ratio, 0.0), 1.0))
+            share_j, share_k = compute_pair_shares(min(max(ratio, 0.0), 1.0))
             field = share_j * along[j] + share_k * along[k]
             if field > 0.0 and (best is None or field > best.field):
-                best = Pair(j, k, share_j, share_k, field)
+                best = CoilPair(j, k, share_j, share_k, field)
     return best
 
 
@@ -133,7 +133,7 @@ class CurrentRatio:
         self._spacing = values["spacing_mm"] * 1e-3
         self._rest = setup.cycle.duration(setup.device.frequency)
         self._goals = np.zeros((0, 3))
-        self._paced: tuple[Course, Pace] | None = None
+        self._paced: tuple[PathProgress, Pace] | None = None
         self._arc = np.zeros(0)
         self._next = 0
 
@@ -150,7 +150,7 @@ class CurrentRatio:
         self._next = 0
         self._paced = None
         if path.speed is not None:
-            self._paced = Course(path), Pace(path.speed, self._rest + self._t_min)
+            self._paced = PathProgress(path), Pace(path.speed, self._rest + self._t_min)
 
     def command(self, pose: Pose) -> Command:
         """Compute the currents toward the next goal that is not yet reached (Eq. S16).
@@ -163,7 +163,7 @@ class CurrentRatio:
         -------
         Command
         """
-        while self._next < len(self._goals) and self._distance(pose) <= self.setup.tolerance:  # Eq. S16
+        while self._next < len(self._goals) and self._compute_distance(pose) <= self.setup.tolerance:  # Eq. S16
             self._next += 1
         behind = float(self._arc[max(self._next - 1, 0)]) if len(self._arc) else 0.0
         if self._next >= len(self._goals):
@@ -173,16 +173,16 @@ class CurrentRatio:
         way = goal[:2] - pose.position[:2]
         distance = float(np.linalg.norm(way))
         direction = way / distance
-        currents, saturated, note = self._currents(pose.position, direction, distance)
+        currents, saturated, note = self._compute_currents(pose.position, direction, distance)
         heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
         turn = abs(float(np.arctan2(heading[0] * direction[1] - heading[1] * direction[0], heading @ direction)))
-        duration = stretched_actuation(turn, self._t_min, self._t_max, self._sharp)
+        duration = compute_actuation_time(turn, self._t_min, self._t_max, self._sharp)
         if self._paced is not None and phase == "follow":
-            currents = currents * self._share(pose, currents, direction, duration)
+            currents = currents * self._compute_share(pose, currents, direction, duration)
         window = Actuate(tuple(float(c) for c in currents), duration) if currents.any() else None
         return Command(window, saturated, note, progress=behind, phase=phase)
 
-    def reach(self, path: Curve) -> Reach:
+    def reach(self, path: Curve) -> ForceProfile:
         """Compute the true force of the law on an aligned moment along the path, at the distance of one goal.
 
         Parameters
@@ -197,40 +197,42 @@ class CurrentRatio:
         points, tangents = path.at(arc), path.tangent(arc)
         force, error = np.zeros(len(arc)), np.zeros(len(arc))
         for i, (point, tangent) in enumerate(zip(points, tangents, strict=True)):
-            currents, _, _ = self._currents(point, tangent[:2], self._spacing)
-            pull = aligned_force(self.setup.table, currents, point, self.setup.robot.moment)[:2]
+            currents, _, _ = self._compute_currents(point, tangent[:2], self._spacing)
+            pull = compute_aligned_force(self.setup.table, currents, point, self.setup.robot.moment)[:2]
             force[i] = float(np.linalg.norm(pull))
             cosine = pull @ tangent[:2] / max(force[i], 1e-30)
             error[i] = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        return Reach(points, force, error)
+        return ForceProfile(points, force, error)
 
-    def _share(self, pose: Pose, currents: FloatArray, direction: FloatArray, duration: float) -> float:
+    def _compute_share(self, pose: Pose, currents: FloatArray, direction: FloatArray, duration: float) -> float:
         """Compute the share of the currents that moves the robot as far as the path's speed requires."""
         assert self._paced is not None
         course, pace = self._paced
         course.locate(pose.position, self.setup.tolerance)
-        stride = pace.stride(pose.time, course.arc_length)
+        stride = pace.compute_stride(pose.time, course.arc_length)
         robot = self.setup.robot
-        pull = float(aligned_force(self.setup.table, currents, pose.position, robot.moment)[:2] @ direction)
+        pull = float(compute_aligned_force(self.setup.table, currents, pose.position, robot.moment)[:2] @ direction)
         expected = pull / robot.drag * duration
         return 1.0 if expected <= stride else stride / expected
 
-    def _distance(self, pose: Pose) -> float:
+    def _compute_distance(self, pose: Pose) -> float:
         return float(np.linalg.norm(self._goals[self._next][:2] - pose.position[:2]))
 
-    def _currents(self, position: FloatArray, direction: FloatArray, distance: float) -> tuple[FloatArray, bool, str]:
+    def _compute_currents(
+        self, position: FloatArray, direction: FloatArray, distance: float
+    ) -> tuple[FloatArray, bool, str]:
         wanted = self._i_min + (self._i_max - self._i_min) * distance / self._threshold  # Eq. S12
         size = min(wanted, self._most)
         fields = self.setup.table.field(position[None, :])[:, 0, :2]
         currents = np.zeros(len(fields))
-        pair = best_pair(fields, direction)
+        pair = find_best_pair(fields, direction)
         if pair is None:
             return currents, True, "no pair of coils can point along the way"
         currents[pair.j], currents[pair.k] = size * pair.share_j, size * pair.share_k
         return currents, wanted > self._most, ""
 
 
-def aligned_force(table: FieldTable, currents: FloatArray, position: FloatArray, moment: float) -> FloatArray:
+def compute_aligned_force(table: FieldTable, currents: FloatArray, position: FloatArray, moment: float) -> FloatArray:
     """Compute the force on a moment that has aligned with the field: F = |m| grad |B|.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from controllers.allocation import field_and_force, search, strongest_alone
+from controllers.allocation import compute_field_and_force, compute_max_single_coil, search_currents
 from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.errors import InputError, SmolbotError
 
@@ -21,16 +21,16 @@ STEPS, STEPS_OF_BOTH, STEPS_OF_FEW = 12, 24, 48
 """Directions of the field tried per quarter turn, before the best are refined: head first, by either end (whose peaks
 are narrower), and with three coils, which leave no other freedom."""
 
-SLOPES = (0.3, 10.0)
+MAX_FIELD_SLOPES = (0.3, 10.0)
 """Tangents of the field's slope out of the plane, tried in turn: a floating robot hardly follows the second."""
 
-SLACK = float(np.tan(np.radians(0.1)))
+DIRECTION_SLACK = float(np.tan(np.radians(0.1)))
 """By how much a force may always miss its direction: right at a symmetry of the coils it is worth much."""
 
-NUDGES = np.radians([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+DIRECTION_OFFSETS = np.radians([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
 """Angles by which a direction may be missed, tried from the smallest where the wanted one is out of reach, or weak."""
 
-WEAK = 0.1
+WEAK_PULL_SHARE = 0.1
 """Share of the strongest single coil's pull below which a force that points exactly is called weak."""
 
 
@@ -180,7 +180,7 @@ class ForceAllocator:
             raise InputError(f"least_field must be above 0: without a field no moment aligns; got {least_field} T.")
         self._low = np.zeros(table.n_coils) if unipolar else -self._high
         self._steps = STEPS_OF_FEW if table.n_coils <= 3 else STEPS if head_first else STEPS_OF_BOTH
-        self._nudges = NUDGES[tolerance + 1e-9 >= NUDGES]
+        self._nudges = DIRECTION_OFFSETS[tolerance + 1e-9 >= DIRECTION_OFFSETS]
 
     def currents(self, position: FloatArray, direction: FloatArray, force: float | None = None) -> FloatArray:
         """Compute the currents for a force; see `allocate`.
@@ -231,15 +231,15 @@ class ForceAllocator:
             For a direction that is not horizontal, or has no length.
         """
         position = as_floats(position, (3,), "position")
-        way = self._way(as_floats(direction, (3,), "direction"))
+        way = self._normalize_direction(as_floats(direction, (3,), "direction"))
         if force is not None and not force >= 0.0:
             raise InputError(f"force must not be below 0 N; got {force}. Turn the direction instead.")
-        field, gradient = self._coils(position)
+        field, gradient = self._evaluate_coils(position)
         wanted = -1.0 if force is None else float(force) / self.moment
-        found = self._search(field, gradient, way, wanted)
+        found = self._find_currents(field, gradient, way, wanted)
         if found is None:
-            raise self._unreachable(position, field, gradient, way, force)
-        total, slope = field_and_force(field, gradient, found)
+            raise self._make_unreachable_error(position, field, gradient, way, force)
+        total, slope = compute_field_and_force(field, gradient, found)
         across, along = way[0] * slope[1] - way[1] * slope[0], way[0] * slope[0] + way[1] * slope[1]
         miss = abs(math.atan2(across, along)) if found.any() else 0.0
         return Allocation(found, total, self.moment * slope, miss)
@@ -258,30 +258,30 @@ class ForceAllocator:
         -------
         ForceReach
         """
-        field, gradient = self._coils(as_floats(position, (3,), "position"))
+        field, gradient = self._evaluate_coils(as_floats(position, (3,), "position"))
         angles = np.asarray(np.arange(directions) * (2.0 * np.pi / directions), dtype=np.float64)
         force = np.zeros(directions)
         for i, angle in enumerate(angles):
-            force[i] = self._most(field, gradient, np.array([np.cos(angle), np.sin(angle)]))
+            force[i] = self._compute_max_force(field, gradient, np.array([np.cos(angle), np.sin(angle)]))
         return ForceReach(angles, force)
 
-    def _coils(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _evaluate_coils(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         field, gradient = self.table.field_and_gradient(position[None, :])
         return np.ascontiguousarray(field[:, 0]), np.ascontiguousarray(gradient[:, 0])
 
-    def _way(self, direction: FloatArray) -> FloatArray:
+    def _normalize_direction(self, direction: FloatArray) -> FloatArray:
         length = float(np.linalg.norm(direction))
         if length == 0.0 or abs(direction[2]) > 1e-6 * length:
             given = f"got {direction.tolist()}."
             raise InputError(f"direction must be horizontal and have a length: a surface holds the height; {given}")
         return np.asarray(direction[:2] / length)
 
-    def _exact(
+    def _search_direction(
         self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float
     ) -> tuple[float, FloatArray]:
         """Compute grad|B| along `way` in T/m, not above 0 where no solution exists, and its currents."""
-        for slope in SLOPES:
-            value, currents = search(
+        for slope in MAX_FIELD_SLOPES:
+            value, currents = search_currents(
                 field,
                 gradient,
                 self._low,
@@ -290,7 +290,7 @@ class ForceAllocator:
                 wanted,
                 self.least_field,
                 slope,
-                SLACK,
+                DIRECTION_SLACK,
                 self.head_first,
                 self._steps,
             )
@@ -298,39 +298,41 @@ class ForceAllocator:
                 break
         return value, currents
 
-    def _search(self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float) -> FloatArray | None:
+    def _find_currents(
+        self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float
+    ) -> FloatArray | None:
         """Find currents for `way`; where there are none, or weak ones, for a direction within the tolerance."""
         if wanted == 0.0:
             return np.zeros(len(field))
-        value, currents = self._exact(field, gradient, way, wanted)
+        value, currents = self._search_direction(field, gradient, way, wanted)
         enough = wanted
         if wanted < 0.0:
-            enough = WEAK * strongest_alone(field, gradient, self._high)
+            enough = WEAK_PULL_SHARE * compute_max_single_coil(field, gradient, self._high)
         for nudge in self._nudges:
             if value > 0.0 and value >= enough * (1.0 - 1e-6):
                 break
             for turn in (-nudge, nudge):
                 c, s = np.cos(turn), np.sin(turn)
                 beside = np.array([c * way[0] - s * way[1], s * way[0] + c * way[1]])
-                other, found = self._exact(field, gradient, beside, wanted)
+                other, found = self._search_direction(field, gradient, beside, wanted)
                 if other > value:
                     value, currents = other, found
         return currents if value > 0.0 else None
 
-    def _most(self, field: FloatArray, gradient: FloatArray, way: FloatArray) -> float:
-        found = self._search(field, gradient, way, -1.0)
+    def _compute_max_force(self, field: FloatArray, gradient: FloatArray, way: FloatArray) -> float:
+        found = self._find_currents(field, gradient, way, -1.0)
         return (
             0.0
             if found is None
-            else self.moment * float(np.linalg.norm(field_and_force(field, gradient, found)[1][:2]))
+            else self.moment * float(np.linalg.norm(compute_field_and_force(field, gradient, found)[1][:2]))
         )
 
-    def _unreachable(
+    def _make_unreachable_error(
         self, position: FloatArray, field: FloatArray, gradient: FloatArray, way: FloatArray, force: float | None
     ) -> UnreachableForceError:
         angle = np.degrees(np.arctan2(way[1], way[0]))
         where = f"at ({position[0] * 1e3:.1f}, {position[1] * 1e3:.1f}) mm toward {angle:.0f}°"
-        most = 0.0 if force is None else self._most(field, gradient, way)
+        most = 0.0 if force is None else self._compute_max_force(field, gradient, way)
         if most > 0.0 and force is not None:
             possible = f"{most * 1e6:.0f} µN at most"
             return UnreachableForceError(

@@ -7,15 +7,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from controllers.course import Course
 from controllers.force_allocator import Allocation, ForceAllocator, UnreachableForceError
 from controllers.pace import Pace
+from controllers.path_progress import PathProgress
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate
 from smolbot.errors import InputError
-from smolbot.flight.scheduler import stretched_actuation
-from smolbot.motion.controller import Command, Gain, Phase, Reach, Setup, complete_gains
+from smolbot.flight.scheduler import compute_actuation_time
+from smolbot.motion.controller import Command, ForceProfile, Gain, Phase, Setup, complete_gains
 from smolbot.paths.curve import Curve
 
 
@@ -52,7 +52,7 @@ class ForcePursuit:
             setup, head_first=values["tail_first"] < 0.5, least_field=values["least_field_mt"] * 1e-3
         )
         self._rest = setup.cycle.duration(setup.device.frequency)
-        self._course: Course | None = None
+        self._course: PathProgress | None = None
         self._pace: Pace | None = None
 
     def reset(self, path: Curve, pose: Pose) -> None:
@@ -63,7 +63,7 @@ class ForcePursuit:
         path : Curve
         pose : Pose
         """
-        self._course = Course(path)
+        self._course = PathProgress(path)
         self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._t_min)
 
     def command(self, pose: Pose) -> Command:
@@ -89,16 +89,16 @@ class ForcePursuit:
         if course.done:
             return Command(None, note="path's end reached", progress=course.progress, done=True)
         phase: Phase = "approach" if course.leg < 0 else "follow"
-        goal = course.at(min(course.arc_length + self._lookahead, course.leg_end) if course.leg >= 0 else 0.0)
+        goal = course.interpolate(min(course.arc_length + self._lookahead, course.leg_end) if course.leg >= 0 else 0.0)
         way = goal - pose.position[:2]
         distance = float(np.linalg.norm(way))
         if self._pace is not None and course.leg >= 0:
-            distance = min(distance, self._pace.stride(pose.time, course.arc_length))
+            distance = min(distance, self._pace.compute_stride(pose.time, course.arc_length))
             if distance <= 0.0:
                 return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
         heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
         turn = abs(float(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
-        duration = stretched_actuation(turn, self._t_min, self._t_max, self._sharp)
+        duration = compute_actuation_time(turn, self._t_min, self._t_max, self._sharp)
         wanted = self.setup.robot.drag * distance / duration
         found, note = self._allocate(pose.position, way, min(wanted, self._force))
         if found is None:
@@ -107,7 +107,7 @@ class ForcePursuit:
         window = Actuate(tuple(float(c) for c in found.currents), duration)
         return Command(window, saturated, note, progress=course.progress, phase=phase)
 
-    def reach(self, path: Curve) -> Reach:
+    def reach(self, path: Curve) -> ForceProfile:
         """Compute the strongest possible force along the path; 0 where none points along it.
 
         Parameters
@@ -125,7 +125,7 @@ class ForcePursuit:
             found, _ = self._allocate(point, tangent[:2], self._force)
             if found is not None:
                 force[i], error[i] = np.linalg.norm(found.force[:2]), found.direction_error
-        return Reach(points, force, error)
+        return ForceProfile(points, force, error)
 
     def _allocate(self, position: FloatArray, way: FloatArray, size: float) -> tuple[Allocation | None, str]:
         direction = np.array([way[0], way[1], 0.0])

@@ -9,27 +9,27 @@ from typing import ClassVar
 
 import numpy as np
 
-from controllers.screwing import Leg, Screwing
+from controllers.screw_model import Leg, ScrewModel
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Mechanical, MoveMagnet
-from smolbot.motion import helixkernels as kernels
+from smolbot.motion import helix_kernels as kernels
 from smolbot.motion.controller import Command, Gain, HelixSetup, Phase, complete_gains
-from smolbot.motion.helix import rotation, state_of
+from smolbot.motion.helix import make_rotate_window, make_state
 from smolbot.paths.curve import Curve
 
 RUNWAY = 15e-3
 """Straight continuation of a path at both ends, in m: the way in, and something to look ahead at."""
 
-FEWEST = 2
+MIN_TURNS = 2
 """Turns that a plan has at least, or pauses would never end."""
 
-QUARTER = 0.25
+TURN_STEP = 0.25
 """Turns come in quarters: less than half a millimetre."""
 
 
 @dataclass(frozen=True)
-class _Flown:
+class _Maneuver:
     """A commanded maneuver: its start, its legs, and the predicted end."""
 
     state: FloatArray
@@ -79,11 +79,11 @@ class Helical:
         self._look, self._weight = g["lookahead_turns"], 1e-3 * g["heading_mm"]
         self._blocked_share, self._tries = g["blocked_share"], round(g["tries"])
         self._slower, self._back, self._clear = g["slower"], g["back_turns"], 1e-3 * g["clear_mm"]
-        self.screwing = Screwing(setup.helix, math.radians(g["wander_deg"]))
+        self.model = ScrewModel(setup.helix, math.radians(g["wander_deg"]))
         self._full = setup.limits.max_rotation_frequency
         self._points, self._arc, self._length = np.zeros((2, 2)), np.zeros(2), 0.0
         self._near, self._progress = 0.0, 0.0
-        self._flown: _Flown | None = None
+        self._flown: _Maneuver | None = None
         self._heard, self._moving, self._seated = 0, False, False
         self._tried, self._blocked_at, self._frequency = 0, -math.inf, self._full
         self._phase: Phase = "approach"
@@ -118,12 +118,12 @@ class Helical:
         """
         if self._moving:
             self._moving, self._heard = False, 0
-            return self._say(None, f"listening, 1 of {self._listens}")
+            return self._make_command(None, f"listening, 1 of {self._listens}")
         self._heard += pose.trusted
         if self._heard < self._listens or not pose.trusted:
-            return self._say(None, f"listening, {min(self._heard + 1, self._listens)} of {self._listens}")
-        state = state_of(pose.position, pose.orientation)
-        event = self._judge(state, pose) if self._flown is not None else ""
+            return self._make_command(None, f"listening, {min(self._heard + 1, self._listens)} of {self._listens}")
+        state = make_state(pose.position, pose.orientation)
+        event = self._evaluate_maneuver(state, pose) if self._flown is not None else ""
         self._locate(state)
         if self._tried > self._tries:
             at = f"({1e3 * state[0]:.1f}, {1e3 * state[1]:.1f}) mm"
@@ -133,12 +133,12 @@ class Helical:
             return Command(
                 None, note="path's end reached", progress=self._length, phase="follow", done=True, event=event
             )
-        legs = self._recovery(state) if event == "step-out" else []
+        legs = self._plan_recovery(state) if event == "step-out" else []
         before = legs[-1].course if legs else math.nan
-        legs += self._plan(self.screwing.predict(state, legs), before, pose.covariance)
-        self._flown = _Flown(state, legs, self.screwing.predict(state, legs))
+        legs += self._plan(self.model.predict(state, legs), before, pose.covariance)
+        self._flown = _Maneuver(state, legs, self.model.predict(state, legs))
         self._moving = True
-        return self._say(self._windows(legs), self._state_note(legs), event)
+        return self._make_command(self._make_windows(legs), self._format_state(legs), event)
 
     def tightest_bend(self) -> float:
         """Compute the radius, in m, of the tightest bend: at the full rate, the magnet's axis leading as far as it may.
@@ -149,22 +149,22 @@ class Helical:
         """
         return self.setup.helix.tightest(self._full, self._most_tilt)
 
-    def _say(self, window: tuple[Mechanical, ...] | None, note: str, event: str = "") -> Command:
+    def _make_command(self, window: tuple[Mechanical, ...] | None, note: str, event: str = "") -> Command:
         return Command(window, note=note, progress=self._progress, phase=self._phase, event=event)
 
-    def _state_note(self, legs: list[Leg]) -> str:
+    def _format_state(self, legs: list[Leg]) -> str:
         turns = sum(leg.turns for leg in legs)
         state = "cruise" if not self._tried else ("slow" if legs[0].sense > 0 else f"recover, try {self._tried}")
         expected = 1e3 * float(np.linalg.norm(self._flown.expected[:2] - self._flown.state[:2])) if self._flown else 0.0
         return f"{state}: {turns:g} turns at {legs[-1].frequency:.3g} Hz, {expected:.1f} mm"
 
     def _locate(self, state: FloatArray) -> None:
-        self._near, _, _ = kernels.nearest(self._points, self._arc, state[0], state[1], self._near, 8e-3)
+        self._near, _, _ = kernels.find_nearest(self._points, self._arc, state[0], state[1], self._near, 8e-3)
         self._progress = max(self._progress, min(max(self._near, 0.0), self._length))
         if self._near > 0.0:
             self._phase = "follow"
 
-    def _judge(self, state: FloatArray, pose: Pose) -> str:
+    def _evaluate_maneuver(self, state: FloatArray, pose: Pose) -> str:
         """Evaluate whether the robot followed the magnet; if so, learn from it. Return what happened, or ``''``."""
         flown = self._flown
         assert flown is not None
@@ -181,14 +181,14 @@ class Helical:
             return "step-out"
         recovered = self._tried > 0 and flown.legs[0].sense < 0
         if all(leg.sense > 0 for leg in flown.legs):
-            self.screwing.learn(flown.state, flown.legs, state, pose.covariance, 0.1 * seat if self._seated else seat)
+            self.model.learn(flown.state, flown.legs, state, pose.covariance, 0.1 * seat if self._seated else seat)
         self._seated = True
         if self._tried and self._near > self._blocked_at + self._clear:
             self._tried, self._frequency = 0, self._full
             return "full rate again"
         return "recovered" if recovered else ""
 
-    def _recovery(self, state: FloatArray) -> list[Leg]:
+    def _plan_recovery(self, state: FloatArray) -> list[Leg]:
         """Plan the way back along the cut channel, at the lower rate."""
         if self._back == 0:
             return []
@@ -200,43 +200,43 @@ class Helical:
         `before` (rad) is the course of the magnet until now; nan where the magnet comes anew, and may start at any
         axis.
         """
-        body, factors = self.setup.helix.body, self.screwing.factors
+        body, factors = self.setup.helix.body, self.model.factors
         reach = 0.98 * self.setup.limits.max_steering_rate / self._frequency
         legs: list[Leg] = []
         start, near = state.copy(), self._near
         start[kernels.COURSE] = before
         at = start
         while len(legs) < self._most:
-            course = kernels.best_course(
+            course = kernels.find_best_course(
                 body, factors, at, self._most_tilt, reach, self._look, self._frequency,
                 self._points, self._arc, near, self._weight,
             )  # fmt: skip
-            turns = self._last_turns(at, course, near)
+            turns = self._choose_turns(at, course, near)
             if turns < 1.0 and not math.isnan(at[kernels.COURSE]):  # less time to steer in
-                off = kernels.wrapped(course - at[kernels.COURSE])
+                off = kernels.wrap_angle(course - at[kernels.COURSE])
                 course = at[kernels.COURSE] + min(max(off, -reach * turns), reach * turns)
             leg = Leg(float(course), 1.0, turns, self._frequency)
-            at = kernels.screw_on(body, factors, at, leg.course, 1.0, turns, leg.frequency)
-            near, _, _ = kernels.nearest(self._points, self._arc, at[0], at[1], near, 8e-3)
-            spread = self.screwing.spread(start, [*legs, leg], covariance)
-            if len(legs) >= FEWEST and 2.0 * math.sqrt(spread[1, 1]) > self._bound:
+            at = kernels.advance_screw(body, factors, at, leg.course, 1.0, turns, leg.frequency)
+            near, _, _ = kernels.find_nearest(self._points, self._arc, at[0], at[1], near, 8e-3)
+            spread = self.model.predict_covariance(start, [*legs, leg], covariance)
+            if len(legs) >= MIN_TURNS and 2.0 * math.sqrt(spread[1, 1]) > self._bound:
                 break
             legs.append(leg)
-            if turns < 1.0 or near > self._length - 0.5 * QUARTER * self.setup.helix.advance:
+            if turns < 1.0 or near > self._length - 0.5 * TURN_STEP * self.setup.helix.advance:
                 break
         return legs
 
-    def _last_turns(self, at: FloatArray, course: float, near: float) -> float:
+    def _choose_turns(self, at: FloatArray, course: float, near: float) -> float:
         """Choose a full turn, or as many quarters of one as bring the robot to the path's end."""
         ends = []
         for quarters in range(1, 5):
-            after = kernels.screw_on(
-                self.setup.helix.body, self.screwing.factors, at, course, 1.0, QUARTER * quarters, self._frequency
+            after = kernels.advance_screw(
+                self.setup.helix.body, self.model.factors, at, course, 1.0, TURN_STEP * quarters, self._frequency
             )
-            place, _, _ = kernels.nearest(self._points, self._arc, after[0], after[1], near, 8e-3)
+            place, _, _ = kernels.find_nearest(self._points, self._arc, after[0], after[1], near, 8e-3)
             ends.append(abs(self._length - place))
-        return QUARTER * (1 + int(np.argmin(ends)))
+        return TURN_STEP * (1 + int(np.argmin(ends)))
 
-    def _windows(self, legs: list[Leg]) -> tuple[Mechanical, ...]:
+    def _make_windows(self, legs: list[Leg]) -> tuple[Mechanical, ...]:
         near, away = MoveMagnet("near", self.setup.move), MoveMagnet("away", self.setup.move)
-        return (near, *(rotation(leg.course, leg.sense, leg.frequency, leg.turns) for leg in legs), away)
+        return (near, *(make_rotate_window(leg.course, leg.sense, leg.frequency, leg.turns) for leg in legs), away)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from smolbot.paths.speed_profile import SpeedProfile
 
-CATCH_UP = 1.5
+MAX_CATCH_UP = 1.5
 """A robot that is behind may be asked for this multiple of the wanted speed."""
 
-PATIENCE = 5.0
+MAX_DELAY = 5.0
 """The wanted place waits for a robot that is this far behind it, in s: time lost for good is not made up for."""
 
-LEAST = 0.1e-3
+MIN_STRIDE = 0.1e-3
 """Steps of less than this, in m, drown in the noise of poses; slow robots stand still for a cycle instead."""
 
 
@@ -33,7 +33,7 @@ class Pace:
         self._wanted = 0.0
         self._time: float | None = None
 
-    def stride(self, time: float, s: float) -> float:
+    def compute_stride(self, time: float, s: float) -> float:
         """Compute the arc length by which the next window should move the robot.
 
         Parameters
@@ -52,9 +52,9 @@ class Pace:
         since = 0.0 if self._time is None else max(time - self._time, 0.0)
         self._time = time
         self._wanted = profile.after(self._wanted, since)
-        self._wanted = min(self._wanted, profile.after(s, PATIENCE))
+        self._wanted = min(self._wanted, profile.after(s, MAX_DELAY))
         missing = profile.after(self._wanted, self._period) - s
-        if missing < LEAST and s + LEAST < profile.arc[-1]:
+        if missing < MIN_STRIDE and s + MIN_STRIDE < profile.arc[-1]:
             return 0.0
         longest = min(max(self._period, since), 2.0 * self._period)
-        return max(min(missing, profile.after(s, CATCH_UP * longest) - s), LEAST)
+        return max(min(missing, profile.after(s, MAX_CATCH_UP * longest) - s), MIN_STRIDE)

@@ -11,42 +11,42 @@ from typing import ClassVar
 import numpy as np
 
 from controllers.adaptation import Adaptation
-from controllers.compass import Compass
-from controllers.course import Course
 from controllers.force_allocator import ForceAllocator, UnreachableForceError
+from controllers.heading_planner import HeadingPlanner
 from controllers.pace import Pace
-from controllers.starts import plan_starts
+from controllers.path_progress import PathProgress
+from controllers.plan_starts import make_plan_starts
 from lookup_tables import OutsideTableError
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate
 from smolbot.errors import InputError
-from smolbot.motion.controller import Command, Gain, Phase, Reach, Setup, complete_gains
-from smolbot.motion.gradient import body_of
-from smolbot.motion.kernels import DRAG, FORWARD, HEADING, NEAR, ROTATIONAL_DRAG, plan
+from smolbot.motion.controller import Command, ForceProfile, Gain, Phase, Setup, complete_gains
+from smolbot.motion.gradient import pack_robot
+from smolbot.motion.kernels import DRAG, HEADING, MISSING_PROGRESS, PATH_DISTANCE, ROTATIONAL_DRAG, plan_currents
 from smolbot.paths.curve import Curve
 
-STEP = 7.5e-3
+MAX_ROLLOUT_STEP = 7.5e-3
 """Longest step of a rollout, in s."""
 
-REFINED, ROUNDS = 2, 6
+REFINED_STARTS, GAUSS_NEWTON_STEPS = 2, 6
 """Starts that are improved, and by how many Gauss-Newton steps at most."""
 
-SPACING, ONWARD = 2.5e-4, 12
+HEADING_SPACING, EXTRA_HEADINGS = 2.5e-4, 12
 """Distance in m of the places at which a heading is planned, and how many of the next leg's are put to a leg's end."""
 
-HUBER = 0.5
+HUBER_KNEE = 0.5
 """Wrong heading, in rad, beyond which its cost grows linearly."""
 
-LOOK_ON = 1e-3
+TWO_WINDOW_DISTANCE = 1e-3
 """From this distance to a corner, in m, and in every turn, the window after the next is planned too."""
 
 
-MOST_HURRY, EASED_HURRY = 8.0, 4.0
+MAX_URGENCY, EASED_URGENCY = 8.0, 4.0
 """By how much going on and turning may gain weight, cycle by cycle, while a plan does neither; beyond the first, the
 robot is pulled straight to a point ahead, beyond the second a leg's end counts as reached from three times as far."""
 
-RESCUE = 80e-6
+RESCUE_FORCE = 80e-6
 """Pull, in N, to a point ahead."""
 
 
@@ -125,18 +125,18 @@ class Predictive:
         tail = 1.0 if self._head_first else 0.0
         least = values["least_field_mt"] * 1e-3
         distance, turn = values["forward"], values["heading_mm"]
-        weights = [1.0, distance, turn, tail, values["heat_mm"], values["firm_mm"], least, HUBER]
+        weights = [1.0, distance, turn, tail, values["heat_mm"], values["firm_mm"], least, HUBER_KNEE]
         self._weights = np.array(weights)
         self._rest = setup.cycle.duration(setup.device.frequency)
         self._high = np.full(setup.table.n_coils, setup.limits.max_current)
         self._low = np.zeros(setup.table.n_coils) if setup.limits.unipolar else -self._high
-        starts = plan_starts(self._low, self._high)
+        starts = make_plan_starts(self._low, self._high)
         starts = np.concatenate([np.zeros((1, len(self._high))), starts])  # the first row is for the last plan
         self._starts = {n: np.repeat(starts[:, None, :], n, axis=1) for n in (1, 2)}
-        self._compass = Compass(setup, self._low, self._high, self._head_first, least, values["turn_s"])
+        self._compass = HeadingPlanner(setup, self._low, self._high, self._head_first, least, values["turn_s"])
         self._allocator = ForceAllocator.of(setup, head_first=self._head_first, least_field=least)
         self._headings: list[FloatArray] = []
-        self._course: Course | None = None
+        self._course: PathProgress | None = None
         self._pace: Pace | None = None
         self._adaptation = Adaptation()
         self._planned: _Plan | None = None
@@ -156,17 +156,20 @@ class Predictive:
         path : Curve
         pose : Pose
         """
-        self._course = course = Course(path)
+        self._course = course = PathProgress(path)
         self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._window)
         self._hurry = 1.0
         self._planned = None
-        arc = [np.arange(a, b + 0.5 * SPACING, SPACING) for a, b in itertools.pairwise(course.arc[course.stops])]
+        arc = [
+            np.arange(a, b + 0.5 * HEADING_SPACING, HEADING_SPACING)
+            for a, b in itertools.pairwise(course.arc[course.stops])
+        ]
         arcs = np.concatenate(arc)
         along = np.clip(np.searchsorted(course.arc, arcs + 1e-9) - 1, 0, len(course.tangents) - 1)
         first = np.cumsum([0, *(len(a) for a in arc)])
-        headings = self._compass.headings(path.at(arcs), course.tangents[along], SPACING)
+        headings = self._compass.plan_headings(path.at(arcs), course.tangents[along], HEADING_SPACING)
         self._headings = [
-            np.concatenate([headings[a:b], np.full(ONWARD, headings[min(b, len(headings) - 1)])])
+            np.concatenate([headings[a:b], np.full(EXTRA_HEADINGS, headings[min(b, len(headings) - 1)])])
             for a, b in itertools.pairwise(first)
         ]
 
@@ -190,10 +193,10 @@ class Predictive:
         if course is None:
             raise InputError("predictive has no path yet: call reset first.")
         # 1. What the last window did, against what was planned
-        heading = self._heading(pose)
+        heading = self._compute_heading(pose)
         self._learn(pose, heading)
         # 2. Where on the path; a leg's end that is hard to reach counts as reached from farther away
-        eased = 3.0 if self._hurry >= EASED_HURRY else 1.0
+        eased = 3.0 if self._hurry >= EASED_URGENCY else 1.0
         course.locate(pose.position, min(eased * self._handover, self.setup.tolerance))
         if course.done:
             return Command(None, note="path's end reached", progress=course.progress, done=True)
@@ -201,11 +204,11 @@ class Predictive:
         # 3. How far to go in this window, by the law's speed and the path's
         stride = self._speed * self._window
         if self._pace is not None and phase == "follow":
-            stride = min(stride, self._pace.stride(pose.time, course.arc_length))
+            stride = min(stride, self._pace.compute_stride(pose.time, course.arc_length))
             if stride <= 0.0:
                 return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
         # 4. The best currents, and what must be said of them
-        duration, currents, gone, turning = self._plan(pose, heading, course, stride)
+        duration, currents, gone, turning = self._plan_window(pose, heading, course, stride)
         sent = currents.tolist()
         limits = zip(sent, self._low.tolist(), self._high.tolist(), strict=True)
         saturated = any(i > 0.999 * high or i < 0.999 * low - 1e-9 for i, low, high in limits)
@@ -219,7 +222,7 @@ class Predictive:
         """Discard the last plan: it was not played, so there is nothing to learn from it."""
         self._planned = None
 
-    def reach(self, path: Curve) -> Reach:
+    def reach(self, path: Curve) -> ForceProfile:
         """Compute the strongest force along the path with a field that turns the robot in time.
 
         The force is 0 where there is none.
@@ -241,7 +244,7 @@ class Predictive:
             except UnreachableForceError:
                 continue
             force[i], error[i] = np.linalg.norm(found.force[:2]), found.direction_error
-        return Reach(points, force, error)
+        return ForceProfile(points, force, error)
 
     def _warm_up(self) -> None:
         """Plan once, so that nothing is compiled or loaded while a robot waits for its next window."""
@@ -251,11 +254,13 @@ class Predictive:
         self.command(pose)
         self._course, self._planned, self._hurry = None, None, 1.0
 
-    def _heading(self, pose: Pose) -> float:
+    def _compute_heading(self, pose: Pose) -> float:
         ahead = pose.rotation @ self.setup.device.moment_in_body
         return math.atan2(ahead[1], ahead[0])
 
-    def _plan(self, pose: Pose, heading: float, course: Course, stride: float) -> tuple[float, FloatArray, float, bool]:
+    def _plan_window(
+        self, pose: Pose, heading: float, course: PathProgress, stride: float
+    ) -> tuple[float, FloatArray, float, bool]:
         """Compute duration, currents, expected progress in m, and whether the window is a turn."""
         place = pose.position[:2]
         c, v = math.cos(heading), math.sin(heading)
@@ -272,24 +277,26 @@ class Predictive:
         b = np.ascontiguousarray(field[:, 0, :2])
         g = np.ascontiguousarray(gradient[:, 0, :2, :2])
         # 2. The leg, and whether a window more is looked ahead: in turns, before a corner, and after idle plans
-        points, arc, first, last, guess, headings = self._route(pose, heading, course)
-        index = min(int((guess - float(arc[first])) / SPACING), len(headings) - 2)
-        turning = abs(_wrapped(heading - headings[index])) > HUBER
-        windows = 2 if turning or self._hurry > 1.0 or arc[last] - guess < LOOK_ON else 1
+        points, arc, first, last, guess, headings = self._make_route(pose, heading, course)
+        index = min(int((guess - float(arc[first])) / HEADING_SPACING), len(headings) - 2)
+        turning = abs(_wrap_angle(heading - headings[index])) > HUBER_KNEE
+        windows = 2 if turning or self._hurry > 1.0 or arc[last] - guess < TWO_WINDOW_DISTANCE else 1
         # 3. Weights of the cost: n by the pose's covariance, f and h by the hurry
         sigma = math.sqrt(max(float(pose.covariance[0, 0] + pose.covariance[1, 1]), 0.0))
         doubt = 1.0 / (1.0 + (sigma / self._confidence) ** 2)
         weights = self._weights.copy()
-        weights[NEAR] *= doubt
-        weights[FORWARD] *= self._hurry
+        weights[PATH_DISTANCE] *= doubt
+        weights[MISSING_PROGRESS] *= self._hurry
         weights[HEADING] *= self._hurry
-        weights[FORWARD] *= self._speed * self._window / stride  # a part of a short stride weighs as that of a long one
+        weights[MISSING_PROGRESS] *= (
+            self._speed * self._window / stride
+        )  # a part of a short stride weighs as that of a long one
         # 4. The model as it was learned, in places relative to `origin`
-        body = body_of(self.setup.robot)
+        body = pack_robot(self.setup.robot)
         body[DRAG] /= self._adaptation.mobility
         body[ROTATIONAL_DRAG] /= self._adaptation.agility
         state = np.array([place[0] - origin[0], place[1] - origin[1], heading])
-        route = (points - origin, arc, headings, SPACING)
+        route = (points - origin, arc, headings, HEADING_SPACING)
         leg = (first, last, guess, stride * doubt, self._ahead, 0.5 * self._handover)
         # 5. Minimise J; near a leg's end a shorter window may serve better
         starts = self._with_last(windows)
@@ -297,10 +304,10 @@ class Predictive:
         best = None
         near_end = arc[last] - guess < 2.0 * self._speed * self._window
         for duration in (self._window, self._short) if near_end else (self._window,):
-            steps = math.ceil(duration / STEP)
-            cost, currents, ends = plan(
+            steps = math.ceil(duration / MAX_ROLLOUT_STEP)
+            cost, currents, ends = plan_currents(
                 b, g, self._low, self._high, body, state, drift, self._rest, duration, steps, route, leg, weights,
-                starts, REFINED, ROUNDS,
+                starts, REFINED_STARTS, GAUSS_NEWTON_STEPS,
             )  # fmt: skip
             if best is None or cost < best[0]:
                 best = cost, duration, currents, ends
@@ -318,28 +325,28 @@ class Predictive:
         goal = points[min(int(np.searchsorted(arc, guess, side="right")), last)]
         here = goal[0] - place[0], goal[1] - place[1]
         gone = float(step[0] * here[0] + step[1] * here[1]) / max(math.hypot(*here), 1e-9)
-        if self._hurry >= MOST_HURRY:
-            rescue = self._pull(pose, course)
+        if self._hurry >= MAX_URGENCY:
+            rescue = self._compute_rescue_currents(pose, course)
             if rescue is not None:
-                self._planned, self._hurry = None, 0.75 * MOST_HURRY
+                self._planned, self._hurry = None, 0.75 * MAX_URGENCY
                 return self._window, rescue, self._speed * self._window, turning
         idle = gone < 0.1 * stride and abs(after - heading) < 0.05
-        self._hurry = min(1.5 * self._hurry, MOST_HURRY) if idle else max(self._hurry / 1.5, 1.0)
+        self._hurry = min(1.5 * self._hurry, MAX_URGENCY) if idle else max(self._hurry / 1.5, 1.0)
         return duration, currents[0], gone, turning
 
-    def _pull(self, pose: Pose, course: Course) -> FloatArray | None:
+    def _compute_rescue_currents(self, pose: Pose, course: PathProgress) -> FloatArray | None:
         """Compute currents straight to a point ahead, or None where none pull there."""
         ahead = min(course.arc_length + 2.0 * self._ahead, course.leg_end) if course.leg >= 0 else 0.0
-        way = course.at(ahead) - pose.position[:2]
+        way = course.interpolate(ahead) - pose.position[:2]
         try:
-            return self._allocator.currents(pose.position, np.array([way[0], way[1], 0.0]), RESCUE)
+            return self._allocator.currents(pose.position, np.array([way[0], way[1], 0.0]), RESCUE_FORCE)
         except UnreachableForceError as error:
             if error.most <= 0.0:
                 return None
         return self._allocator.currents(pose.position, np.array([way[0], way[1], 0.0]))
 
-    def _route(
-        self, pose: Pose, heading: float, course: Course
+    def _make_route(
+        self, pose: Pose, heading: float, course: PathProgress
     ) -> tuple[FloatArray, FloatArray, int, int, float, FloatArray]:
         """Return points, arc, first and last vertex of the leg, present arc length, and headings along the leg."""
         if course.leg >= 0:
@@ -351,10 +358,10 @@ class Predictive:
         share = np.linspace(0.0, 1.0, 4)
         points = np.column_stack([place + share[:, None] * way, np.full(4, pose.position[2])])
         ways = np.repeat(way[None, :] / length, 4, axis=0)
-        few = self._compass.headings(points, ways, length / 4, heading)
-        counts = math.ceil(length / SPACING) + 1
+        few = self._compass.plan_headings(points, ways, length / 4, heading)
+        counts = math.ceil(length / HEADING_SPACING) + 1
         headings = np.interp(np.linspace(0.0, 1.0, counts), share, few)
-        onward = np.full(ONWARD, self._headings[0][0])
+        onward = np.full(EXTRA_HEADINGS, self._headings[0][0])
         return (
             np.array([place, course.points[0]]), np.array([0.0, length]), 0, 1, 0.0, np.concatenate([headings, onward])
         )  # fmt: skip
@@ -374,9 +381,9 @@ class Predictive:
         if last is None or pose.time <= last.pose.time or not pose.trusted:
             return
         seen = pose.position[:2] - last.pose.position[:2] - last.swung
-        turned = _wrapped(heading - last.heading)
+        turned = _wrap_angle(heading - last.heading)
         self._adaptation.learn(seen, last.moved, turned, last.turned, pose.time - last.pose.time)
 
 
-def _wrapped(angle: float) -> float:
+def _wrap_angle(angle: float) -> float:
     return angle - 2.0 * math.pi * round(angle / (2.0 * math.pi))

@@ -90,13 +90,13 @@ def cycle() -> None:
 def chain() -> None:
     """What the paper's chain makes of a recording, and what whitening does."""
     from smolbot import Excite, Listen, RingDown, Shot
-    from smolbot.localization.chain import difference_matrix, filtered
+    from smolbot.localization.chain import apply_filters, make_difference_matrix
 
     with tank((0.002, 0.003)) as rig:
         heard = rig.play(Shot((Excite((2.2, 2.2), FREQUENCY, 3), RingDown(0.020), Listen(6, FREQUENCY))))
     time = 1e3 * np.arange(heard.field.shape[1]) / heard.sample_rate
-    difference = difference_matrix(rig.sensors.axes, rig.sensors.positions) @ heard.field
-    slope = filtered(difference, heard.sample_rate)
+    difference = make_difference_matrix(rig.sensors.axes, rig.sensors.positions) @ heard.field
+    slope = apply_filters(difference, heard.sample_rate)
     figure, panels = axes(1, 3, (9.4, 2.9))
     shown = (
         (heard.field - heard.field.mean(axis=1, keepdims=True), 1e9, "raw, in nT"),
@@ -117,14 +117,14 @@ def noise() -> None:
     from scipy.signal import welch
 
     from smolbot import Listen, Shot
-    from smolbot.localization.chain import difference_matrix
+    from smolbot.localization.chain import make_difference_matrix
 
     with tank() as rig:
         quiet = [rig.play(Shot((Listen(207, FREQUENCY),))) for _ in range(20)]
     rate = quiet[0].sample_rate
     field = np.stack([recording.field for recording in quiet])
     field = field - field.mean(axis=2, keepdims=True)
-    difference = np.einsum("ds,qsn->qdn", difference_matrix(rig.sensors.axes, rig.sensors.positions), field)
+    difference = np.einsum("ds,qsn->qdn", make_difference_matrix(rig.sensors.axes, rig.sensors.positions), field)
     figure, (left, right) = axes(1, 2, (9.4, 3.4), width_ratios=[3, 2])
     for signal, colour, name in ((field, DARK, "one sensor"), (difference, ORANGE, "same-axis difference")):
         frequency, power = welch(signal[:, 0], rate, nperseg=int(0.5 * rate), axis=-1)
@@ -146,7 +146,7 @@ def noise() -> None:
 def force() -> None:
     """Field and force of the paper's law over the workspace, and which directions can be pulled in."""
     from controllers import ForceAllocator
-    from controllers.current_ratio import aligned_force, best_pair
+    from controllers.current_ratio import compute_aligned_force, find_best_pair
     from smolbot import load_mission
 
     setup = load_mission("r_path").setup()
@@ -158,12 +158,12 @@ def force() -> None:
         for j, x in enumerate(grid):
             here = np.array([x, y, 0.060])
             fields = setup.table.field(here[None])[:, 0, :2]
-            pair = best_pair(fields, way)
+            pair = find_best_pair(fields, way)
             if pair is None:
                 continue
             currents = np.zeros(len(fields))
             currents[pair.j], currents[pair.k] = 8 * pair.share_j, 8 * pair.share_k
-            pull = aligned_force(setup.table, currents, here, setup.robot.moment)[:2]
+            pull = compute_aligned_force(setup.table, currents, here, setup.robot.moment)[:2]
             off[i, j] = np.degrees(np.arccos(np.clip(pull @ way / np.linalg.norm(pull), -1, 1)))
             if i % 3 == 0 and j % 3 == 0:
                 arrows.append((x, y, *(pull / np.linalg.norm(pull))))
@@ -212,10 +212,10 @@ def _believed_error(seed: int, settings: dict[str, str]) -> tuple[Any, Any]:
     held: list[Any] = []
 
     def opened(flown: Any, drawn: int) -> Any:
-        held.append(tank(tuple(flown.put_down[:2]), drawn, ideal=False))
+        held.append(tank(tuple(flown.start_placement[:2]), drawn, ideal=False))
         return held[0]
 
-    run = fly(mission, seed, opener=opened)
+    run = fly(mission, seed, open_rig=opened)
     tracked = [cycle.tracked for cycle in run.cycles if cycle.tracked is not None]
     times = np.array([pose.time for pose in tracked])
     errors = [1e3 * np.linalg.norm(pose.position - held[0].witness.truth(pose.time).position) for pose in tracked]

@@ -9,7 +9,7 @@ import numpy as np
 
 import smolbot
 from sim import TankWorld
-from sim.studies import Chunk, Columns, Options, Outcome, Study, carry_out, cut
+from sim.studies import Chunk, Columns, Options, Outcome, Study, cut_chunks, run_study
 
 HALF_PERIODS = (2, 6, 20)
 TANKS = 3
@@ -31,7 +31,7 @@ def work(chunk: Chunk) -> Columns:
 
 def chunks(options: Options) -> list[Chunk]:
     """A piece for each tank, with a seed of its own."""
-    return cut(options, work, [(f"tank-{i}", {}) for i in range(options.poses or TANKS)])
+    return cut_chunks(options, work, [(f"tank-{i}", {}) for i in range(options.poses or TANKS)])
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -57,6 +57,6 @@ STUDY = Study(
 )  # fmt: skip
 
 if __name__ == "__main__":
-    outcome, folder = carry_out(STUDY, Options(STUDY.name, seed=1, jobs=1), Path("listening"))
+    outcome, folder = run_study(STUDY, Options(STUDY.name, seed=1, jobs=1), Path("listening"))
     print("\n".join(f"{name}: {value}" for name, value in outcome.rows))
     print("figure and results.csv in", folder)

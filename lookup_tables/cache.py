@@ -24,9 +24,9 @@ from lookup_tables.files import FORMAT_VERSION
 from lookup_tables.table import FieldTable
 
 FloatArray = npt.NDArray[np.float64]
-LARGEST = 1_000_000_000
+MAX_CACHE_BYTES = 1_000_000_000
 """Bytes that the cache may hold: the tables of all shipped missions take 80 MB, those of a large rig 200 MB."""
-ABANDONED = 86_400.0
+ABANDONED_AFTER = 86_400.0
 """Age, in s, at which an unfinished file is deleted: writing one takes seconds."""
 _warned: set[Path] = set()
 
@@ -51,24 +51,24 @@ def cached_table(
     x, y, z : ndarray, shape (nx,), (ny,), (nz,), in m
         See `build`.
     cache_dir : path, optional
-        Folder of the cache; by default `default_cache_dir`.
+        Folder of the cache; by default `get_default_cache_dir`.
 
     Returns
     -------
     FieldTable
     """
-    folder = Path(cache_dir) if cache_dir is not None else default_cache_dir()
-    path = folder / f"table-{table_key(coils, x, y, z)}.npz"
+    folder = Path(cache_dir) if cache_dir is not None else get_default_cache_dir()
+    path = folder / f"table-{compute_table_key(coils, x, y, z)}.npz"
     with suppress(TableError, OSError):
         table = FieldTable.read(path)
-        used(path)
+        mark_used(path)
         return table
     table = build(coils, x, y, z)
-    keep(path, table.write)
+    write_to_cache(path, table.write)
     return table
 
 
-def table_key(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray) -> str:
+def compute_table_key(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray) -> str:
     """Compute the key of all inputs that a built table depends on.
 
     Parameters
@@ -91,7 +91,7 @@ def table_key(coils: Sequence[Coil], x: FloatArray, y: FloatArray, z: FloatArray
     return hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
 
 
-def default_cache_dir() -> Path:
+def get_default_cache_dir() -> Path:
     """Return `$SMOLBOT_CACHE`, or the smolbot folder of the user's cache: XDG's, on Windows LOCALAPPDATA.
 
     Returns
@@ -107,7 +107,7 @@ def default_cache_dir() -> Path:
     return Path.home() / ".cache" / "smolbot"
 
 
-def used(path: Path) -> None:
+def mark_used(path: Path) -> None:
     """Mark a cached file as used, so that others are deleted first; a folder that cannot be written is ignored.
 
     Parameters
@@ -118,7 +118,7 @@ def used(path: Path) -> None:
         os.utime(path)
 
 
-def keep(path: Path, write: Callable[[str], None]) -> None:
+def write_to_cache(path: Path, write: Callable[[str], None]) -> None:
     """Write a file under a temporary name and rename it, so that no reader ever finds half a file.
 
     The least recently used files are deleted until the folder's fields take `LARGEST` bytes at most. A folder that
@@ -163,12 +163,12 @@ def _make_room(newest: Path, total: int) -> None:
     for file in newest.parent.iterdir():
         with suppress(OSError):  # another process has deleted it
             state = file.stat()
-            if file.name.startswith((".table-", ".tank-")) and time.time() - state.st_mtime > ABANDONED:
+            if file.name.startswith((".table-", ".tank-")) and time.time() - state.st_mtime > ABANDONED_AFTER:
                 file.unlink()
             elif file.name.startswith(("table-", "tank-coil-")) and file != newest:
                 found.append((state.st_mtime, state.st_size, file))
     for _, size, file in sorted(found, reverse=True):
         total += size
-        if total > LARGEST:
+        if total > MAX_CACHE_BYTES:
             with suppress(OSError):  # open in another process, on Windows
                 file.unlink(missing_ok=True)

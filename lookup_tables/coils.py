@@ -20,7 +20,7 @@ from lookup_tables.errors import TableError
 FloatArray = npt.NDArray[np.float64]
 MU_0 = 4e-7 * np.pi
 """Magnetic constant, in T·m/A."""
-CHUNK = 40_000
+CHUNK_SIZE = 40_000
 """Points of one call to magpylib: limits its memory."""
 SAME_DIGITS = 13
 """Decimals, in m, to which radii and heights are compared: equal ones are computed once."""
@@ -115,8 +115,8 @@ class RoundCoil:
             Of the ampere-turns.
         """
         middle, half = 0.5 * (self.inner_radius + self.outer_radius), 0.5 * (self.outer_radius - self.inner_radius)
-        for radial, radial_share in _nodes(self.radial_loops):
-            for axial, axial_share in _nodes(self.axial_loops):
+        for radial, radial_share in _compute_nodes(self.radial_loops):
+            for axial, axial_share in _compute_nodes(self.axial_loops):
                 yield middle + half * radial, 0.5 * self.length * axial, radial_share * axial_share
 
     def source(self) -> Any:
@@ -129,7 +129,7 @@ class RoundCoil:
         magpylib: Any = import_module("magpylib")
         from scipy.spatial.transform import Rotation
 
-        turn = Rotation.from_matrix(_frame(self.axis).T)
+        turn = Rotation.from_matrix(_make_frame(self.axis).T)
         return magpylib.Collection(
             *(
                 magpylib.current.Circle(
@@ -180,7 +180,7 @@ class RoundCoil:
         -------
         dict of str to plain values
         """
-        return _plain(self)
+        return _to_plain(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,13 +241,13 @@ class FlatCoil:
         """
         magpylib: Any = import_module("magpylib")
         wide, high = self.width_direction, np.cross(self.axis, self.width_direction)
-        build = _nodes(self.build_loops) if self.build_up else [(0.0, 1.0)]
+        build = _compute_nodes(self.build_loops) if self.build_up else [(0.0, 1.0)]
         turns = []
         for depth, depth_share in build:
             out = 0.5 * self.build_up * (1.0 + depth)
             w, h = (0.5 * self.width + out) * wide, (0.5 * self.height + out) * high
             corners = np.array([w + h, h - w, -w - h, w - h, w + h])  # right-handed about the axis
-            for axial, axial_share in _nodes(self.axial_loops):
+            for axial, axial_share in _compute_nodes(self.axial_loops):
                 middle = self.center + 0.5 * self.length * axial * self.axis
                 current = self.turns * depth_share * axial_share
                 turns.append(magpylib.current.Polyline(current=current, vertices=corners, position=middle))
@@ -265,7 +265,7 @@ class FlatCoil:
         ndarray, shape (n, 3), in T/A, world frame
         """
         points, source = as_points(points), self.source()
-        chunks = [source.getB(points[i : i + CHUNK]).reshape(-1, 3) for i in range(0, len(points), CHUNK)]
+        chunks = [source.getB(points[i : i + CHUNK_SIZE]).reshape(-1, 3) for i in range(0, len(points), CHUNK_SIZE)]
         return np.concatenate(chunks) if chunks else np.empty((0, 3))
 
     def parameters(self) -> dict[str, Any]:
@@ -275,7 +275,7 @@ class FlatCoil:
         -------
         dict of str to plain values
         """
-        return _plain(self)
+        return _to_plain(self)
 
 
 def as_points(points: Any) -> FloatArray:
@@ -302,13 +302,13 @@ def as_points(points: Any) -> FloatArray:
 
 
 @lru_cache(maxsize=32)
-def _nodes(count: int) -> list[tuple[float, float]]:
+def _compute_nodes(count: int) -> list[tuple[float, float]]:
     """Gauss-Legendre nodes on -1 to 1 with weights that sum to 1."""
     places, weights = np.polynomial.legendre.leggauss(count)
     return [(float(x), float(w) / 2) for x, w in zip(places, weights, strict=True)]
 
 
-def _frame(axis: FloatArray) -> FloatArray:
+def _make_frame(axis: FloatArray) -> FloatArray:
     """Right-handed rows (3, 3) of unit vectors, the last along the unit vector `axis`."""
     helper = np.eye(3)[np.argmin(np.abs(axis))]
     first = np.cross(helper, axis)
@@ -335,7 +335,7 @@ def _check_positive(coil: Any, names: tuple[str, ...]) -> None:
             raise TableError(f"Coil {coil.name!r}: {name} must be positive; got {getattr(coil, name)!r}.")
 
 
-def _plain(coil: Any) -> dict[str, Any]:
+def _to_plain(coil: Any) -> dict[str, Any]:
     values = {f.name: getattr(coil, f.name) for f in fields(coil)}
     plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
     return {"kind": type(coil).__name__, **plain}

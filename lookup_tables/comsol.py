@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lookup_tables.comsol_faults import Faults, find_axis, locate_rows, numbers_or_none
-from lookup_tables.comsol_header import Expression, Header, arrange, parse_expressions, parse_header
+from lookup_tables.comsol_faults import Faults, find_axis, find_row_faults, parse_numbers
+from lookup_tables.comsol_header import Expression, Header, arrange_expressions, parse_expressions, parse_header
 from lookup_tables.errors import TableError
 from lookup_tables.samples import FloatArray, Samples
 
@@ -52,7 +52,7 @@ def read_comsol(path: Path) -> Samples:
         axes, values, expressions, place = _read_grid(lines, grid[0], str(path))
     else:
         axes, values, expressions, place = _read_spreadsheet(lines, header, str(path))
-    order, names = arrange(expressions, place)
+    order, names = arrange_expressions(expressions, place)
     nx, ny, nz = (len(axis) for axis in axes)
     if min(nx, ny) < 2:
         raise TableError(f"{path}: the mesh has {nx} x {ny} x {nz} nodes; a table needs at least 2 along x and y.")
@@ -78,7 +78,7 @@ def _read_spreadsheet(lines: list[str], header: Header, path: str) -> _Parts:
             f"mf.Bz (mT)'; got {header.last_line.strip()!r}."
         )
     expressions = parse_expressions(words[3] if len(words) > 3 else "", place)
-    arrange(expressions, place)
+    arrange_expressions(expressions, place)
     width = 3 + len(expressions)
     body = "\n".join(lines[header.last_number :]).replace(";", " ").replace(",", " ")
     try:
@@ -86,7 +86,7 @@ def _read_spreadsheet(lines: list[str], header: Header, path: str) -> _Parts:
     except ValueError:
         rows = np.empty((0, 0))
     if rows.shape[1] != width or not np.isfinite(rows).all() or not len(rows):
-        raise locate_rows(lines, header.last_number, expressions, path)
+        raise find_row_faults(lines, header.last_number, expressions, path)
     faults = Faults(path)
     axes, index = [], []
     for column, name in enumerate("xyz"):
@@ -111,7 +111,7 @@ def _read_grid(lines: list[str], start: int, path: str) -> _Parts:
     faults, at = Faults(path), start + 1
     axes: list[FloatArray] = []
     for name in "xyz":
-        values = numbers_or_none(lines[at]) if at < len(lines) and not lines[at].startswith("%") else None
+        values = parse_numbers(lines[at]) if at < len(lines) and not lines[at].startswith("%") else None
         if values is None or not len(values):
             got = repr(lines[at][:40]) if at < len(lines) else "the end of the file"
             raise TableError(f"{path}:{at + 1}: after '% Grid' come the values of x, of y and of z, a line each; "
@@ -145,7 +145,7 @@ def _read_grid(lines: list[str], start: int, path: str) -> _Parts:
         while end < len(lines) and not lines[end].startswith("%"):
             end += 1
         rows = [(i + 1, lines[i]) for i in range(at, end) if lines[i].strip()]
-        blocks.append(_grid_block(rows, (nx, ny, nz), expressions[-1].name, axes, faults, first + 1))
+        blocks.append(_read_grid_block(rows, (nx, ny, nz), expressions[-1].name, axes, faults, first + 1))
         at = end
     if not blocks:
         raise TableError(f"{path}:{len(lines)}: the file ends before the first '% Data' line.")
@@ -153,7 +153,7 @@ def _read_grid(lines: list[str], start: int, path: str) -> _Parts:
     return axes, np.stack(blocks), expressions, f"{path}:{start + 1}"
 
 
-def _grid_block(
+def _read_grid_block(
     rows: list[tuple[int, str]], shape: tuple[int, int, int], name: str, axes: list[FloatArray], faults: Faults, at: int
 ) -> FloatArray:
     """Read the values (nx, ny, nz) of one expression; zeros, and faults, where they cannot be read."""
@@ -164,7 +164,7 @@ def _grid_block(
         return np.zeros(shape)
     out = np.zeros((nz * ny, nx))
     for i, (line, text) in enumerate(rows):
-        values = numbers_or_none(text)
+        values = parse_numbers(text)
         if values is not None and len(values) == nx and np.isfinite(values).all():
             out[i] = values
             continue

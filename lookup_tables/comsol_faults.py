@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from lookup_tables.comsol_header import Expression, arrange
+from lookup_tables.comsol_header import Expression, arrange_expressions
 from lookup_tables.errors import TableError
 
 FloatArray = npt.NDArray[np.float64]
@@ -94,14 +94,14 @@ class Faults:
         shape = tuple(len(axis) for axis in axes)
         missing, double = np.flatnonzero(counts == 0), int(counts[counts > 1].sum() - (counts > 1).sum())
         if len(missing):
-            where = _spell(axes, shape, int(missing[0]))
+            where = _format_node(axes, shape, int(missing[0]))
             self.add("missing", None, f"node {where} is missing; the table must cover the whole grid", len(missing))
         if double:
             order = np.argsort(nodes, kind="stable")
             repeats = np.sort(order[1:][np.diff(nodes[order]) == 0])
-            row, numbers = int(repeats[0]), data_lines(lines, header)
+            row, numbers = int(repeats[0]), find_data_lines(lines, header)
             first = int(np.flatnonzero(nodes == nodes[row])[0])
-            where = _spell(axes, shape, int(nodes[row]))
+            where = _format_node(axes, shape, int(nodes[row]))
             self.add("double", numbers[row], f"node {where} occurs twice, first in line {numbers[first]}", double)
 
     def raise_any(self) -> None:
@@ -113,9 +113,9 @@ class Faults:
             If a fault was added.
         """
         if self._first:
-            raise self.error()
+            raise self.make_error()
 
-    def error(self) -> TableError:
+    def make_error(self) -> TableError:
         """Make the error that lists all faults.
 
         Returns
@@ -126,7 +126,7 @@ class Faults:
         return TableError("\n".join(f"{first}{f'; {more} more like it' if more else ''}." for first, more in rest))
 
 
-def locate_rows(lines: list[str], header: int, expressions: list[Expression], path: str) -> TableError:
+def find_row_faults(lines: list[str], header: int, expressions: list[Expression], path: str) -> TableError:
     """Find the faulty rows of a spreadsheet that the fast reader refused, one by one.
 
     Parameters
@@ -145,30 +145,30 @@ def locate_rows(lines: list[str], header: int, expressions: list[Expression], pa
     TableError
     """
     faults, width = Faults(path), 3 + len(expressions)
-    order, names = arrange(expressions, path)
+    order, names = arrange_expressions(expressions, path)
     labels = [f"B{'xyz'[component]} of coil {names[coil]}" for coil, component in order]
-    numbers = data_lines(lines, header)
+    numbers = find_data_lines(lines, header)
     if not numbers:
         return TableError(f"{path}:{len(lines)}: the file ends after its header; there is not one row of values.")
     for number in numbers:
         line = lines[number - 1].split("%")[0]
-        values = numbers_or_none(line)
+        values = parse_numbers(line)
         if values is not None and len(values) == width and np.isfinite(values).all():
             continue
         words = line.replace(",", " ").replace(";", " ").split()
         if len(words) != width:
             faults.add("columns", number, f"{len(words)} columns; the header names {width}")
             continue
-        node = numbers_or_none(" ".join(words[:3]))
+        node = parse_numbers(" ".join(words[:3]))
         if node is None or not np.isfinite(node).all():
             faults.add("node", number, f"the node's place must be three numbers; got {' '.join(words[:3])!r}")
             continue
         for label, word in zip(labels, words[3:], strict=True):
             faults.add_unless_number(word, number, label, tuple(node))
-    return faults.error()
+    return faults.make_error()
 
 
-def data_lines(lines: list[str], header: int) -> list[int]:
+def find_data_lines(lines: list[str], header: int) -> list[int]:
     """Find the lines after the header that hold values.
 
     Parameters
@@ -186,7 +186,7 @@ def data_lines(lines: list[str], header: int) -> list[int]:
     return [i + 1 for i in range(header, len(lines)) if lines[i].strip() and not lines[i].startswith("%")]
 
 
-def numbers_or_none(text: str) -> FloatArray | None:
+def parse_numbers(text: str) -> FloatArray | None:
     """Parse all numbers of a line.
 
     Parameters
@@ -240,6 +240,6 @@ def find_axis(column: FloatArray, name: str, faults: Faults, line: int | None = 
     return axis, (np.cumsum(new) - 1)[back.ravel()]
 
 
-def _spell(axes: list[FloatArray], shape: tuple[int, ...], node: int) -> str:
+def _format_node(axes: list[FloatArray], shape: tuple[int, ...], node: int) -> str:
     place = np.unravel_index(node, shape)
     return ", ".join(f"{name} = {axis[i]:.6g}" for name, axis, i in zip("xyz", axes, place, strict=True))

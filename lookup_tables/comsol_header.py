@@ -140,7 +140,7 @@ def parse_expressions(text: str, place: str) -> list[Expression]:
     return found
 
 
-def arrange(expressions: list[Expression], place: str) -> tuple[list[tuple[int, int]], tuple[str, ...]]:
+def arrange_expressions(expressions: list[Expression], place: str) -> tuple[list[tuple[int, int]], tuple[str, ...]]:
     """Assign each expression to a coil and a component.
 
     The k-th expression that ends in x is B_x of coil k, so that exports by coil and by component both work. Without

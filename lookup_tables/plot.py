@@ -12,7 +12,7 @@ from lookup_tables.errors import TableError
 from lookup_tables.table import FieldTable
 
 FloatArray = npt.NDArray[np.float64]
-ARROWS = 11  # along each side of the plane
+ARROWS_PER_SIDE = 11  # along each side of the plane
 
 
 def plot_table(table: FieldTable, path: str | os.PathLike[str], z: float | None = None, current: float = 1.0) -> None:
@@ -42,10 +42,10 @@ def plot_table(table: FieldTable, path: str | os.PathLike[str], z: float | None 
     low, high = table.bounds
     height = 0.5 * (low[2] + high[2]) if z is None else z
     x, y = (np.linspace(low[i], high[i], 121) for i in range(2))
-    strength = 1e3 * current * np.linalg.norm(_plane(table, x, y, height), axis=-1)
+    strength = 1e3 * current * np.linalg.norm(_evaluate_plane(table, x, y, height), axis=-1)
     margin = 0.07 * (high - low)
-    ax, ay = (np.linspace(low[i] + margin[i], high[i] - margin[i], ARROWS) for i in range(2))
-    arrows = current * _plane(table, ax, ay, height)[..., :2]
+    ax, ay = (np.linspace(low[i] + margin[i], high[i] - margin[i], ARROWS_PER_SIDE) for i in range(2))
+    arrows = current * _evaluate_plane(table, ax, ay, height)[..., :2]
     lengths = np.linalg.norm(arrows, axis=-1, keepdims=True)
     arrows = arrows / np.where(lengths > 0, lengths, 1.0)  # direction only: the colour shows the strength
 
@@ -81,7 +81,7 @@ def plot_table(table: FieldTable, path: str | os.PathLike[str], z: float | None 
         raise TableError(f"{os.fspath(path)}: the figure cannot be written ({error}).") from error
 
 
-def _plane(table: FieldTable, x: FloatArray, y: FloatArray, z: float) -> FloatArray:
+def _evaluate_plane(table: FieldTable, x: FloatArray, y: FloatArray, z: float) -> FloatArray:
     """Evaluate the field (n_coils, nx, ny, 3), in T per A, on a horizontal mesh."""
     points = np.stack(np.meshgrid(x, y, [z], indexing="ij"), axis=-1).reshape(-1, 3)
     return table.field(points).reshape(table.n_coils, len(x), len(y), 3)

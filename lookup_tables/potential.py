@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lookup_tables.splines import DEGREE, basis
+from lookup_tables.splines import DEGREE, compute_basis
 
 FloatArray = npt.NDArray[np.float64]
 PLACES_PER_SPLINE = 8
@@ -60,19 +60,19 @@ def _fit(spacing: FloatArray, samples: FloatArray) -> FloatArray:
     counts = samples.shape[1:4]
     if 1 in counts:
         return _fit_plane(spacing, samples, counts.index(1))
-    axes = [_axis(n) for n in counts]
+    axes = [_make_axis(n) for n in counts]
     # right side of the normal equations: the samples projected on the gradient of every product of modes
     projected = 0.0
     for i in range(3):
         maps = [a.slope_of_samples if j == i else a.mass_of_samples for j, a in enumerate(axes)]
         projected = projected - _apply(maps, samples[..., i]) / spacing[i]
-    return _back(axes, _solve(axes, spacing, np.asarray(projected)))
+    return _to_coefficients(axes, _solve(axes, spacing, np.asarray(projected)))
 
 
 def _fit_plane(spacing: FloatArray, samples: FloatArray, normal: int) -> FloatArray:
     """Fit one plane: phi = phi_0 - s B_n - s^2 / 2 laplace(phi_0), with height s above it and normal field B_n."""
     first, second = (i for i in range(3) if i != normal)
-    a, b = _axis(samples.shape[1 + first]), _axis(samples.shape[1 + second])
+    a, b = _make_axis(samples.shape[1 + first]), _make_axis(samples.shape[1 + second])
     h = spacing[[first, second]]
     plane = np.moveaxis(samples.squeeze(1 + normal), -1, 0)  # (3, n_coils, n_first, n_second)
     projected = _apply([a.slope_of_samples, b.mass_of_samples], plane[first]) / h[0]
@@ -83,8 +83,8 @@ def _fit_plane(spacing: FloatArray, samples: FloatArray, normal: int) -> FloatAr
     laplace = laplace + _apply([np.eye(len(a.stiffness)), b.curvature_of_modes], phi) / h[1] ** 2
     slope = -_apply([a.mass_of_samples, b.mass_of_samples], plane[normal]) * spacing[normal]
     terms = (phi, slope, -0.5 * laplace * spacing[normal] ** 2)
-    powers = _polynomials(1, 2)  # (6, 3)
-    total = sum(_back([a, b], term)[..., None] * powers[:, p] for p, term in enumerate(terms))
+    powers = _fit_polynomials(1, 2)  # (6, 3)
+    total = sum(_to_coefficients([a, b], term)[..., None] * powers[:, p] for p, term in enumerate(terms))
     # total is (n_first + 4, n_second + 4, n_coils, normal)
     return np.ascontiguousarray(np.moveaxis(np.moveaxis(np.asarray(total), 3, 2), 2, normal))
 
@@ -98,7 +98,7 @@ def _solve(axes: list[_Axis], spacing: FloatArray, projected: FloatArray) -> Flo
     return np.asarray(projected / total)
 
 
-def _back(axes: list[_Axis], amplitudes: FloatArray) -> FloatArray:
+def _to_coefficients(axes: list[_Axis], amplitudes: FloatArray) -> FloatArray:
     """Convert amplitudes (n_coils, ...) of products of modes to B-spline coefficients, coils last."""
     return np.ascontiguousarray(np.moveaxis(_apply([a.modes for a in axes], amplitudes), 0, -1))
 
@@ -110,7 +110,7 @@ def _apply(maps: list[FloatArray], values: FloatArray) -> FloatArray:
     return values
 
 
-def _axis(n: int) -> _Axis:
+def _make_axis(n: int) -> _Axis:
     from scipy.interpolate import make_interp_spline
     from scipy.linalg import eigh
 
@@ -119,9 +119,9 @@ def _axis(n: int) -> _Axis:
     places = (np.arange(n - 1)[:, None] + 0.5 * (nodes + 1.0)).ravel()
     weights = np.tile(0.5 * weights, n - 1)
     through = make_interp_spline(np.arange(n), np.eye(n), k=min(DEGREE, n - 1))(places)
-    splines = _basis_matrices(places, n - 1)
+    splines = _compute_basis_matrices(places, n - 1)
     # With few samples the field is a polynomial of degree n - 1, so the potential is one of degree n.
-    span = np.eye(n + DEGREE - 1) if n > DEGREE else _polynomials(n - 1, min(n, DEGREE))
+    span = np.eye(n + DEGREE - 1) if n > DEGREE else _fit_polynomials(n - 1, min(n, DEGREE))
     value, slope, curvature = (matrix @ span for matrix in splines)
     # modes that diagonalise stiffness (slopes) and mass (values) together
     stiffness, modes = eigh(slope.T @ (weights[:, None] * slope), value.T @ (weights[:, None] * value))
@@ -130,17 +130,17 @@ def _axis(n: int) -> _Axis:
     return _Axis(span @ modes, stiffness, value @ through, slope @ through, (curvature @ unweighted).T)
 
 
-def _polynomials(cells: int, degree: int) -> FloatArray:
+def _fit_polynomials(cells: int, degree: int) -> FloatArray:
     """Fit B-spline coefficients (cells + 5, degree + 1) to the powers 0 to `degree` of the coordinate in cells."""
     places = np.linspace(0.0, cells, PLACES_PER_SPLINE * (cells + DEGREE))
     powers = places[:, None] ** np.arange(degree + 1)
-    return np.asarray(np.linalg.lstsq(_basis_matrices(places, cells)[0], powers, rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(_compute_basis_matrices(places, cells)[0], powers, rcond=None)[0])
 
 
-def _basis_matrices(places: FloatArray, cells: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _compute_basis_matrices(places: FloatArray, cells: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute values, first and second derivatives, each (n_places, cells + 5), of all B-splines."""
     out, weights = np.zeros((3, len(places), cells + DEGREE)), np.empty((3, DEGREE + 1))
     for row, place in enumerate(places):
-        first = basis(float(place), cells, weights)
+        first = compute_basis(float(place), cells, weights)
         out[:, row, first : first + DEGREE + 1] = weights
     return out[0], out[1], out[2]

@@ -25,7 +25,7 @@ DEGREE = 5
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def compiled(function: _Function) -> _Function:
+def compile_kernel(function: _Function) -> _Function:
     """Compile with numba's cache; without it, and with a warning, where no folder for it can be written.
 
     Parameters
@@ -44,8 +44,8 @@ def compiled(function: _Function) -> _Function:
         return cast(_Function, numba.njit(error_model="numpy", nogil=True)(function))
 
 
-@compiled
-def basis(u: float, cells: int, weights: FloatArray) -> int:
+@compile_kernel
+def compute_basis(u: float, cells: int, weights: FloatArray) -> int:
     """Compute the six B-splines at a point, and their derivatives, by the recursion for equally spaced knots.
 
         N^k_j(t) = ((t + k - j) N^(k-1)_(j-1)(t) + (1 - t + j) N^(k-1)_j(t)) / k
@@ -87,7 +87,7 @@ def basis(u: float, cells: int, weights: FloatArray) -> int:
     return cell
 
 
-@compiled
+@compile_kernel
 def _evaluate(
     coefficients: FloatArray,
     origin: FloatArray,
@@ -98,9 +98,9 @@ def _evaluate(
 ) -> None:
     n_coils = coefficients.shape[3]
     wx, wy, wz = np.empty((3, DEGREE + 1)), np.empty((3, DEGREE + 1)), np.empty((3, DEGREE + 1))
-    i0 = basis((point[0] - origin[0]) / spacing[0], coefficients.shape[0] - DEGREE, wx)
-    j0 = basis((point[1] - origin[1]) / spacing[1], coefficients.shape[1] - DEGREE, wy)
-    k0 = basis((point[2] - origin[2]) / spacing[2], coefficients.shape[2] - DEGREE, wz)
+    i0 = compute_basis((point[0] - origin[0]) / spacing[0], coefficients.shape[0] - DEGREE, wx)
+    j0 = compute_basis((point[1] - origin[1]) / spacing[1], coefficients.shape[1] - DEGREE, wy)
+    k0 = compute_basis((point[2] - origin[2]) / spacing[2], coefficients.shape[2] - DEGREE, wz)
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
     for c in range(n_coils):
         # derivatives of the potential per cell; rows 0, 1, 2 of the weights are value, slope, curvature
@@ -137,7 +137,7 @@ def _evaluate(
         gradient[c, 1, 2] = gradient[c, 2, 1] = -pyz / (hy * hz)
 
 
-@compiled
+@compile_kernel
 def evaluate_points(
     coefficients: FloatArray,
     origin: FloatArray,

@@ -15,7 +15,7 @@ from lookup_tables.errors import OutsideTableError, TableError
 from lookup_tables.samples import FloatArray, Samples
 
 BoolArray = npt.NDArray[np.bool_]
-SLACK = 1e-9  # m: rounding does not put a node outside
+BOUNDS_SLACK = 1e-9  # m: rounding does not put a node outside
 MAX_RESIDUAL = 0.05  # above it, samples are no curl-free field: swapped columns, wrong units, a winding inside
 STEP_TOLERANCE = 1e-3  # share of a step by which the steps of an axis may differ
 CHECKED_NODES = 25  # per axis, at which the residual is computed
@@ -78,11 +78,11 @@ class FieldTable:
     ) -> None:
         from lookup_tables.splines import DEGREE, evaluate_points
 
-        self.x, self.y, self.z = axes = [_even(axis, name) for axis, name in zip((x, y, z), "xyz", strict=True)]
+        self.x, self.y, self.z = axes = [_make_even(axis, name) for axis, name in zip((x, y, z), "xyz", strict=True)]
         self.names = tuple(names)
         self.samples = np.ascontiguousarray(field, dtype=np.float64)
         shape = (len(self.names), *(len(a) for a in axes), 3)
-        _check(self.samples, self.names, shape)
+        _check_samples(self.samples, self.names, shape)
         steps = [(a[-1] - a[0]) / (len(a) - 1) if len(a) > 1 else 0.0 for a in axes]
         spacing = np.array([step or max(steps) for step in steps])
         if potential is None:
@@ -94,10 +94,10 @@ class FieldTable:
             raise TableError(f"potential must have shape {wanted} for this mesh; got {potential.shape}.")
         self.spline = Spline(np.ascontiguousarray(potential), np.array([a[0] for a in axes]), spacing)
         self._single = np.array([len(a) == 1 for a in axes])
-        ends = np.array([[a[0] - SLACK for a in axes], [a[-1] + SLACK for a in axes]])
+        ends = np.array([[a[0] - BOUNDS_SLACK for a in axes], [a[-1] + BOUNDS_SLACK for a in axes]])
         self._limits = np.where(self._single, [[-np.inf], [np.inf]], ends)
         self._kernel = evaluate_points
-        self.residual = self._residual()
+        self.residual = self._compute_residual()
 
     @property
     def n_coils(self) -> int:
@@ -185,7 +185,7 @@ class FieldTable:
         held = np.array(points) if not self._single.any() else np.where(self._single, self.bounds[0], points)
         outside = self._kernel(*self.spline, self._limits, held, field, gradient)
         if outside >= 0:
-            raise self._outside(points[outside])
+            raise self._format_outside(points[outside])
         return field, gradient
 
     @classmethod
@@ -249,7 +249,7 @@ class FieldTable:
         held = Samples(self.x, self.y, self.z, self.samples, self.names, self.spline.coefficients)
         write_samples(held, Path(path), layout)
 
-    def _residual(self) -> FloatArray:
+    def _compute_residual(self) -> FloatArray:
         """Compute each coil's largest deviation of samples from fit, relative to its largest field."""
         places = [np.linspace(0, len(a) - 1, min(len(a), CHECKED_NODES)) for a in (self.x, self.y, self.z)]
         axes = [a[np.unique(at.astype(int))] for a, at in zip((self.x, self.y, self.z), places, strict=True)]
@@ -261,7 +261,7 @@ class FieldTable:
         residual = miss.max(axis=1) / np.where(scale > 0, scale, 1.0)
         worst = int(residual.argmax())
         if residual[worst] > MAX_RESIDUAL:
-            where = _millimetres(nodes[miss[worst].argmax()])
+            where = _format_point(nodes[miss[worst].argmax()])
             raise TableError(
                 f"The samples of coil {self.names[worst]!r} are not a magnetic field in free space: near {where} they "
                 f"are {100 * residual[worst]:.0f} % of the largest field away from every field without curl "
@@ -270,22 +270,22 @@ class FieldTable:
             )
         return np.asarray(residual)
 
-    def _outside(self, point: FloatArray) -> OutsideTableError:
+    def _format_outside(self, point: FloatArray) -> OutsideTableError:
         ranges = [
             f"any {name}" if single else f"{name} {1e3 * low:.6g} to {1e3 * high:.6g}"
             for name, single, low, high in zip("xyz", self._single, *self.bounds, strict=True)
         ]
         return OutsideTableError(
-            f"Point {_millimetres(point)} is outside the table, which covers {', '.join(ranges)} mm.",
+            f"Point {_format_point(point)} is outside the table, which covers {', '.join(ranges)} mm.",
             point=tuple(point.tolist()), low=tuple(self.bounds[0].tolist()), high=tuple(self.bounds[1].tolist()),
         )  # fmt: skip
 
 
-def _millimetres(point: FloatArray) -> str:
+def _format_point(point: FloatArray) -> str:
     return f"({', '.join(f'{1e3 * v:.6g}' for v in point)}) mm"
 
 
-def _even(axis: Any, name: str) -> FloatArray:
+def _make_even(axis: Any, name: str) -> FloatArray:
     """Remove the rounding of an axis, or raise an error if it does not ascend in equal steps."""
     samples = np.asarray(axis, dtype=np.float64)
     if samples.ndim != 1 or len(samples) == 0 or not np.isfinite(samples).all():
@@ -302,7 +302,7 @@ def _even(axis: Any, name: str) -> FloatArray:
     return np.linspace(samples[0], samples[-1], len(samples))
 
 
-def _check(field: FloatArray, names: tuple[str, ...], shape: tuple[int, ...]) -> None:
+def _check_samples(field: FloatArray, names: tuple[str, ...], shape: tuple[int, ...]) -> None:
     if not names or any(not isinstance(name, str) or not name.strip() for name in names):
         raise TableError(f"names must be one or more words; got {names!r}.")
     if len(set(names)) < len(names):

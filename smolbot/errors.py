@@ -233,7 +233,7 @@ class PluginError(SmolbotError, ImportError):
 
 
 @contextmanager
-def writing(path: str | Path, what: str = "", done: str = "written") -> Iterator[None]:
+def report_write_errors(path: str | Path, what: str = "", done: str = "written") -> Iterator[None]:
     """Convert an `OSError` of the block, which writes a file or folder, into an `InputError`.
 
     Parameters
@@ -260,7 +260,7 @@ def writing(path: str | Path, what: str = "", done: str = "written") -> Iterator
         raise InputError(f"{path}: {what}{' ' if what else ''}cannot be {done}: {error}.") from error
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, known: Iterable[str]) -> str:
     """Suggest the known name that is most like an unknown one, or the same name with another unit.
 
     Parameters

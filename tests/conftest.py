@@ -20,12 +20,12 @@ import pytest
 from hypothesis import settings
 
 from smolbot.config import plugins
-from smolbot.config.mission import Mission, load_mission
+from smolbot.config.mission import Mission, load_steering_mission
 from smolbot.config.rig import load_rig
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.sensing import Device, Recording, SensorArray
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.motion.controller import Setup
 
 # No test depends on the wall clock or on what was drawn before.
@@ -40,7 +40,7 @@ UP = np.array([0.0, 0.0, 1.0])
 @cache
 def mission_of(name: str, **settings: str) -> Mission:
     """A shipped mission to look at, loaded once for all tests of a process: when the first one runs, not before."""
-    return load_mission(name, settings={key.replace("__", "."): value for key, value in settings.items()})
+    return load_steering_mission(name, settings={key.replace("__", "."): value for key, value in settings.items()})
 
 
 @cache
@@ -53,7 +53,7 @@ def setup_of(name: str) -> Setup:
 def cold_coils(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """No test begins with coils that another one has warmed; the folder where their heat is kept instead."""
     folder = tmp_path_factory.getbasetemp() / "heat" / str(next(_NUMBERS))
-    monkeypatch.setattr("smolbot.flight.safety.heat_store.kept_at", lambda rig: folder / f"{rig}.json")
+    monkeypatch.setattr("smolbot.flight.safety.heat_store.find_heat_file", lambda rig: folder / f"{rig}.json")
     return folder
 
 
@@ -67,13 +67,13 @@ def plug_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, obj
         setattr(module, "made" if made is not None else "__getattr__", made if made is not None else _fail)
         monkeypatch.setitem(sys.modules, module.__name__, module)
         own.append(EntryPoint(name, f"{module.__name__}:made", f"smolbot.{group}"))
-        plugins._installed.cache_clear()
+        plugins._find_entry_points.cache_clear()
 
     monkeypatch.setattr(
         plugins, "entry_points", lambda group: [*real(group=group), *(o for o in own if o.group == group)]
     )
     yield install
-    plugins._installed.cache_clear()
+    plugins._find_entry_points.cache_clear()
 
 
 def _fail(name: str) -> object:
@@ -124,8 +124,8 @@ def hear() -> Callable[..., Recording]:
     ) -> Recording:  # fmt: skip
         n = round(half_periods * RATE / (2.0 * device.frequency))
         size = 0.8 * device.theta_max if amplitude is None else amplitude
-        theta = deflection(device, since + np.arange(n) / RATE, size, phase)
-        field = sensor_field(sensors, device, pose.position, pose.orientation, theta)
+        theta = compute_deflection(device, since + np.arange(n) / RATE, size, phase)
+        field = compute_sensor_field(sensors, device, pose.position, pose.orientation, theta)
         return Recording(field if noise is None else field + noise, RATE, since)
 
     return make

@@ -13,7 +13,7 @@ def root_command() -> Any:
     """``smolbot`` with all its commands, those of entry points too."""
     from smolbot.ui.cli import app as cli
 
-    cli.register_own()
+    cli.register_own_commands()
     return typer.main.get_command(cli.app)
 
 

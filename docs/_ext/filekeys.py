@@ -14,7 +14,7 @@ from typing import Any
 from numpydoc.docscrape import NumpyDocString
 
 import smolbot
-from smolbot.config.document import _inner_model
+from smolbot.config.document import _find_inner_model
 
 UNITS = {
     "mm": "mm", "ms": "ms", "s": "s", "a": "A", "hz": "Hz", "deg": "°", "percent": "%", "mm_s": "mm/s",
@@ -106,7 +106,7 @@ def _models(model: Any) -> list[Any]:
     """The model and those of its sections."""
     found = [model]
     for info in model.model_fields.values():
-        inner = _inner_model(info.annotation)
+        inner = _find_inner_model(info.annotation)
         if inner is not None:
             found += _models(inner)
     return found

@@ -11,26 +11,26 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.config.feasibility import covariances_along
+from smolbot.config.feasibility import compute_covariances_along
 from smolbot.config.mission import Mission
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_axes, quaternion_from_rotation_vector
 from smolbot.core.shots import Actuate, Shot, Window
 from smolbot.errors import InputError
 from smolbot.flight.tracking.tracker import Tracker
-from smolbot.localization.noise.excitation_transients import QUIET_AFTER
+from smolbot.localization.noise.excitation_transients import SEPARABLE_AFTER
 from smolbot.motion.controller import Command, Controller, Setup
 from smolbot.motion.gradient import advance
 from smolbot.motion.robot import Robot
 
 _UP = np.array([0.0, 0.0, 1.0])
 
-MOST_CYCLES = 5000
+MAX_CYCLES = 5000
 """Largest number of cycles of a flight."""
 
-PLACES = 9
+COVARIANCE_POINTS = 9
 """Points along the path at which the covariance of a pose is computed; elsewhere the nearest is used."""
 
 
@@ -48,12 +48,12 @@ class State:
     position: FloatArray
     heading: float
 
-    def moved(self, along: FloatArray, turn: float) -> State:
+    def move(self, displacement: FloatArray, turn: float) -> State:
         """Return the state after a displacement and a turn.
 
         Parameters
         ----------
-        along : ndarray, shape (2,), in m, world frame
+        displacement : ndarray, shape (2,), in m, world frame
         turn : float, in rad
             About the vertical.
 
@@ -61,9 +61,9 @@ class State:
         -------
         State
         """
-        return State(self.position + np.array([along[0], along[1], 0.0]), self.heading + turn)
+        return State(self.position + np.array([displacement[0], displacement[1], 0.0]), self.heading + turn)
 
-    def orientation(self) -> FloatArray:
+    def compute_orientation(self) -> FloatArray:
         """Return the orientation of a robot that lies level.
 
         Returns
@@ -100,7 +100,7 @@ class Instant:
     tracker: Tracker | None
     controller: Controller | None
     shot: Shot
-    heard: Pose
+    measured: Pose
     state: State
     pose: Pose
     command: Command
@@ -127,20 +127,20 @@ class Model:
         self.setup: Setup = mission.setup()
         self.ring_down = self.setup.cycle.ring_down
         listening = mission.sections.localization
-        if listening.quiet > 0.0 and listening.learns_ring_down:
+        if listening.background_noise_duration > 0.0 and listening.learns_ring_down:
             constants = [c.time_constant for c in mission.rig.sections.excitation]
-            self.ring_down = max(QUIET_AFTER * max(constants), self.setup.limits.min_ring_down)
+            self.ring_down = max(SEPARABLE_AFTER * max(constants), self.setup.limits.min_ring_down)
         cycle = replace(self.setup.cycle, ring_down=self.ring_down)
         self.listening: tuple[Window, ...] = cycle.windows(self.setup.device.frequency)
-        self._arc = np.linspace(0.0, mission.path.length, PLACES)
-        self._covariances = covariances_along(mission, mission.path, self._arc)
+        self._arc = np.linspace(0.0, mission.path.length, COVARIANCE_POINTS)
+        self._covariances = compute_covariances_along(mission, mission.path, self._arc)
 
     @property
     def rest(self) -> float:
         """From the end of an actuation to the start of the next, in s."""
         return sum(w.duration for w in self.listening) + self.mission.rig.turnaround
 
-    def controller(self, gains: Mapping[str, float] | None = None) -> Controller:
+    def make_controller(self, gains: Mapping[str, float] | None = None) -> Controller:
         """Build the mission's law.
 
         Parameters
@@ -152,19 +152,19 @@ class Model:
         -------
         Controller
         """
-        made: Controller = load("controllers", self.mission.law)(
+        made: Controller = load_plugin("controllers", self.mission.law)(
             self.setup, self.mission.gains if gains is None else gains
         )
         return made
 
-    def motion(self, state: State, window: object) -> tuple[FloatArray, float]:
+    def compute_motion(self, state: State, window: object) -> tuple[FloatArray, float]:
         """Compute the motion that a window causes, by the controller's own model.
 
         Parameters
         ----------
         state : State
         window : Window
-            Only an `Actuate` with a current moves the robot.
+            Only an `Actionuate` with a current moves the robot.
 
         Returns
         -------
@@ -202,7 +202,7 @@ class Model:
             x, y = position[:2] * 1e3
             raise InputError(f"{self.mission.name}: the robot would leave the field table near ({x:.1f}, {y:.1f}) mm.")
 
-    def covariance(self, progress: float) -> FloatArray:
+    def find_covariance(self, progress: float) -> FloatArray:
         """Return the covariance of a pose measured at a place on the path.
 
         Parameters
@@ -217,7 +217,7 @@ class Model:
         found: FloatArray = self._covariances[int(np.argmin(np.abs(self._arc - progress)))]
         return found
 
-    def copied(self, controller: Controller) -> Controller:
+    def copy_controller(self, controller: Controller) -> Controller:
         """Copy a controller, so that the copy can be queried without changing the original.
 
         Parameters
@@ -241,7 +241,7 @@ class Model:
                 f"The law '{self.mission.law}' cannot be copied, so it cannot be probed: {error}."
             ) from error
 
-    def copied_tracker(self, tracker: Tracker) -> Tracker:
+    def copy_tracker(self, tracker: Tracker) -> Tracker:
         """Copy a tracker; the field table and the robot are shared.
 
         Parameters
@@ -256,25 +256,25 @@ class Model:
         return copy.deepcopy(tracker, memo)
 
 
-def fly(
+def simulate_flight(
     model: Model,
     controller: Controller,
     *,
-    late: int = 0,
-    seen: Callable[[State], State] = lambda state: state,
+    delay_cycles: int = 0,
+    measure: Callable[[State], State] = lambda state: state,
     keep: Callable[[int], bool] = lambda cycle: True,
-    most: int = MOST_CYCLES,
+    max_cycles: int = MAX_CYCLES,
 ) -> Iterator[Instant]:
-    """Cycles of a flight, from the first command on, until the law is done or `most` have passed.
+    """Cycles of a flight, from the first command on, until the law is done or `max_cycles` have passed.
 
     Parameters
     ----------
     model : Model
     controller : Controller
         New; it is flown with.
-    late : int
+    delay_cycles : int
         By how many cycles each pose is late, without the tracker's knowing.
-    seen : callable
+    measure : callable
         What is heard of a state; without it, the truth.
     keep : callable
         Whether to copy tracker and law in the cycle of that number.
@@ -289,16 +289,16 @@ def fly(
     first = mission.path.points[0] - position
     state = State(position, math.atan2(first[1], first[0]))
     tracker = Tracker(setup.robot, setup.device, setup.table)
-    states: deque[State] = deque([state] * (late + 1), late + 1)
+    states: deque[State] = deque([state] * (delay_cycles + 1), delay_cycles + 1)
     clock, progress, begun = 0.0, 0.0, False
     window: Window | None = None
-    for cycle in range(most):
+    for cycle in range(max_cycles):
         shot = Shot((window, *model.listening) if window is not None else model.listening, "track", clock)
-        state = state.moved(*model.motion(state, window))
+        state = state.move(*model.compute_motion(state, window))
         states.append(state)
-        wait, there = 0.5 * model.listening[-1].duration, seen(states[0])
-        heard = Pose(shot.end - wait, there.position, there.orientation(), model.covariance(progress))
-        kept = model.copied_tracker(tracker) if begun and keep(cycle) else None
+        wait, there = 0.5 * model.listening[-1].duration, measure(states[0])
+        heard = Pose(shot.end - wait, there.position, there.compute_orientation(), model.find_covariance(progress))
+        kept = model.copy_tracker(tracker) if begun and keep(cycle) else None
         tracker.update(shot, heard)
         clock = shot.end + mission.rig.turnaround
         if not tracker.confirmed:
@@ -308,7 +308,7 @@ def fly(
         if not begun:
             controller.reset(mission.path, pose)
             begun = True
-        before = model.copied(controller) if kept is not None else None
+        before = model.copy_controller(controller) if kept is not None else None
         command = controller.command(pose)
         assert not isinstance(command.window, tuple)  # helical robots are refused before
         window, progress = command.window, command.progress
@@ -322,7 +322,7 @@ def fly(
             return
 
 
-def turned(pose: Pose, across: float, normal: FloatArray, turn: float) -> Pose:
+def displace_pose(pose: Pose, across: float, normal: FloatArray, turn: float) -> Pose:
     """Return a pose that is displaced across the path and turned about the vertical.
 
     Parameters
@@ -340,7 +340,7 @@ def turned(pose: Pose, across: float, normal: FloatArray, turn: float) -> Pose:
     """
     shift = across * np.array([normal[0], normal[1], 0.0])
     rotation = quaternion_from_rotation_vector(np.array([0.0, 0.0, turn]))
-    return replace(pose, position=pose.position + shift, orientation=quaternion_product(rotation, pose.orientation))
+    return replace(pose, position=pose.position + shift, orientation=multiply_quaternions(rotation, pose.orientation))
 
 
 def require_loop(mission: Mission) -> None:
@@ -355,7 +355,7 @@ def require_loop(mission: Mission) -> None:
     InputError
         If it has none.
     """
-    if getattr(getattr(mission, "sections", None), "controller", None) is None:
+    if getattr(getattr(mission, "sections", None), "make_controller", None) is None:
         raise InputError(f"{mission.name}: has no [controller]: it only localizes: there is no loop to analyse.")
     kind: str = mission.robot.kind
     if kind != "gradient":

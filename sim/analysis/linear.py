@@ -12,20 +12,20 @@ from functools import cache
 
 import numpy as np
 
-from sim.analysis.flight import Instant, Model, State, turned
+from sim.analysis.flight import Instant, Model, State, displace_pose
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import rotation_error
+from smolbot.core.rotations import compute_rotation_error
 from smolbot.core.shots import Actuate
 from smolbot.motion.controller import Controller
 
-PAIRS = 8
+PROBE_PAIRS = 8
 """Pairs of poses, symmetric about the nominal one, at which a law is evaluated."""
 
 CURRENT_STEP = 0.02
 """Step of the currents in a difference quotient, as a share of the largest."""
 
-LEAST_SIGMA = np.array([5e-5, math.radians(1.0)])
+MIN_SIGMA = np.array([5e-5, math.radians(1.0)])
 """Smallest step of the pose, in m and rad."""
 
 END = 1e-9
@@ -81,7 +81,7 @@ class Cycle:
     saturated: bool
 
 
-def linearised(model: Model, instant: Instant, pairs: int = PAIRS) -> Cycle:
+def linearize_cycle(model: Model, instant: Instant, pairs: int = PROBE_PAIRS) -> Cycle:
     """Linearise the loop about one instant of a flight.
 
     Parameters
@@ -103,8 +103,8 @@ def linearised(model: Model, instant: Instant, pairs: int = PAIRS) -> Cycle:
     normal = np.array([-tangent[1], tangent[0]])
     covariance = np.asarray(instant.pose.covariance)
     across = float(normal @ covariance[:2, :2] @ normal)
-    sigma = np.maximum(np.sqrt([across, covariance[5, 5]]), LEAST_SIGMA)
-    feedback, explained = probed(model, instant.controller, instant.pose, state, normal, sigma, pairs)
+    sigma = np.maximum(np.sqrt([across, covariance[5, 5]]), MIN_SIGMA)
+    feedback, explained = fit_feedback(model, instant.controller, instant.pose, state, normal, sigma, pairs)
     window = command.window
 
     def seen(moved: tuple[FloatArray, float]) -> FloatArray:
@@ -113,26 +113,27 @@ def linearised(model: Model, instant: Instant, pairs: int = PAIRS) -> Cycle:
     motion = np.empty((2, 2))
     for k, step in enumerate(np.diag(sigma)):
         ends = [
-            seen(model.motion(state.moved(sign * step[0] * normal, sign * step[1]), window)) for sign in (1.0, -1.0)
+            seen(model.compute_motion(state.move(sign * step[0] * normal, sign * step[1]), window))
+            for sign in (1.0, -1.0)
         ]
         motion[:, k] = (ends[0] - ends[1]) / (2.0 * sigma[k])
     return Cycle(
         arc=command.progress,
         position=state.position[:2].copy(),
-        speed=float(model.motion(state, window)[0] @ tangent),
+        speed=float(model.compute_motion(state, window)[0] @ tangent),
         duration=instant.cycle,
         wait=instant.wait,
         sigma=sigma,
         motion=motion,
         feedback=feedback,
         explained=explained,
-        currents=_by_currents(model, state, window, normal),
-        kalman=_kalman(model, instant, normal, sigma),
+        currents=_differentiate_by_currents(model, state, window, normal),
+        kalman=_differentiate_tracker(model, instant, normal, sigma),
         saturated=command.saturated,
     )
 
 
-def probed(
+def fit_feedback(
     model: Model, controller: Controller, pose: Pose, state: State, normal: FloatArray, sigma: FloatArray, pairs: int
 ) -> tuple[FloatArray, FloatArray]:
     """Fit the feedback of a law about a pose.
@@ -160,11 +161,11 @@ def probed(
     explained : ndarray, shape (2,)
         Share of the variance that it explains.
     """
-    points = _normal_points(pairs) * sigma
+    points = _sample_normal_points(pairs) * sigma
     moved = np.empty((len(points), 2))
     for row, (off, turn) in enumerate(points):
-        answer = model.copied(controller).command(turned(pose, off, normal, turn))
-        step, swung = model.motion(state, answer.window)
+        answer = model.copy_controller(controller).command(displace_pose(pose, off, normal, turn))
+        step, swung = model.compute_motion(state, answer.window)
         moved[row] = step @ normal, swung
     design = np.column_stack([np.ones(len(points)), points / sigma])
     found, *_ = np.linalg.lstsq(design, moved, rcond=None)
@@ -175,7 +176,7 @@ def probed(
 
 
 @cache
-def _normal_points(pairs: int) -> FloatArray:
+def _sample_normal_points(pairs: int) -> FloatArray:
     """Points (2 pairs, 2) of unit covariance in opposite pairs, the same each time: none of it is drawn."""
     index = np.arange(pairs)
     # radii at the middles of equal shares of their distribution, each rotated by the golden section of half a turn
@@ -188,7 +189,7 @@ def _normal_points(pairs: int) -> FloatArray:
     return whitened
 
 
-def _by_currents(model: Model, state: State, window: object, normal: FloatArray) -> FloatArray:
+def _differentiate_by_currents(model: Model, state: State, window: object, normal: FloatArray) -> FloatArray:
     n = model.setup.table.n_coils
     out = np.zeros((2, n))
     if not isinstance(window, Actuate):
@@ -199,30 +200,32 @@ def _by_currents(model: Model, state: State, window: object, normal: FloatArray)
         for sign in (1.0, -1.0):
             currents = np.array(window.currents)
             currents[c] += sign * step
-            moved, turn = model.motion(state, Actuate(tuple(currents.tolist()), window.duration))
+            moved, turn = model.compute_motion(state, Actuate(tuple(currents.tolist()), window.duration))
             ends.append(np.array([moved @ normal, turn]))
         out[:, c] = (ends[0] - ends[1]) / (2.0 * step)
     return out
 
 
-def _kalman(model: Model, instant: Instant, normal: FloatArray, sigma: FloatArray) -> FloatArray:
+def _differentiate_tracker(model: Model, instant: Instant, normal: FloatArray, sigma: FloatArray) -> FloatArray:
     """What the tracker makes of an error in a heard pose: exact, since it is linear in it."""
     assert instant.tracker is not None
     out = np.empty((3, 2))
     for k, (off, turn) in enumerate(np.diag(sigma)):
         ends = []
         for sign in (1.0, -1.0):
-            tracker = model.copied_tracker(instant.tracker)
-            tracker.update(instant.shot, turned(instant.heard, sign * off, normal, sign * turn))
+            tracker = model.copy_tracker(instant.tracker)
+            tracker.update(instant.shot, displace_pose(instant.measured, sign * off, normal, sign * turn))
             assert tracker.pose is not None
-            heading = rotation_error(np.asarray(tracker.pose.orientation), np.asarray(instant.heard.orientation))[2]
+            heading = compute_rotation_error(
+                np.asarray(tracker.pose.orientation), np.asarray(instant.measured.orientation)
+            )[2]
             place = normal @ np.asarray(tracker.pose.position)[:2]
             ends.append(np.array([place, heading, normal @ tracker.drift[:2]]))
         out[:, k] = (ends[0] - ends[1]) / (2.0 * sigma[k])
     return out
 
 
-def averaged(cycles: list[Cycle], index: int, reach: int) -> Cycle:
+def average_cycles(cycles: list[Cycle], index: int, reach: int) -> Cycle:
     """Average the loop over neighbouring cycles: what the loop sees while it settles.
 
     Parameters

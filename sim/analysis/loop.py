@@ -27,7 +27,7 @@ MOST_GAIN, FREQUENCIES = 100.0, 500
 BAND = 0.05
 """Share of a step within which a settled response stays."""
 
-LONGEST = 400
+MAX_CYCLES = 400
 """Cycles of a step response."""
 
 BISECTIONS = 30
@@ -68,7 +68,7 @@ class SampledLoop:
     wait: float
 
     @classmethod
-    def of(cls, cycle: Cycle) -> SampledLoop:
+    def from_cycle(cls, cycle: Cycle) -> SampledLoop:
         """Build the loop of one linearised cycle.
 
         Parameters
@@ -87,7 +87,7 @@ class SampledLoop:
         """Number of deviations."""
         return len(self.motion)
 
-    def opened(self, late: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def open_loop(self, late: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the open loop in state space, from the motion w (n,) to the motion that the law commands (n,).
 
         The state is (x, x^, v, x one cycle ago, two ago, …); closed, w = c C z.
@@ -131,7 +131,7 @@ class SampledLoop:
         c[:, : 2 * n + m] = told
         return a, b, c
 
-    def closed(self, factor: float = 1.0, late: int = 0) -> FloatArray:
+    def close_loop(self, factor: float = 1.0, late: int = 0) -> FloatArray:
         """Return the matrix that takes one cycle's state to the next.
 
         Parameters
@@ -145,10 +145,10 @@ class SampledLoop:
         -------
         ndarray, shape (k, k)
         """
-        a, b, c = self.opened(late)
+        a, b, c = self.open_loop(late)
         return a + factor * b @ c
 
-    def radius(self, factor: float = 1.0, late: int = 0) -> float:
+    def compute_spectral_radius(self, factor: float = 1.0, late: int = 0) -> float:
         """Return the magnitude of the largest pole of the closed loop.
 
         Parameters
@@ -162,19 +162,19 @@ class SampledLoop:
         -------
         float
         """
-        return float(np.max(np.abs(np.linalg.eigvals(self.closed(factor, late)))))
+        return float(np.max(np.abs(np.linalg.eigvals(self.close_loop(factor, late)))))
 
-    def poles(self) -> ComplexArray:
+    def compute_poles(self) -> ComplexArray:
         """Return the poles of the closed loop, the largest first.
 
         Returns
         -------
         ndarray of complex, shape (k,)
         """
-        found = np.linalg.eigvals(self.closed())
+        found = np.linalg.eigvals(self.close_loop())
         return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
 
-    def loci(self, angles: FloatArray, late: int = 0) -> ComplexArray:
+    def compute_loci(self, angles: FloatArray, late: int = 0) -> ComplexArray:
         """Return the eigenvalues of minus the open loop; at -1 the closed loop oscillates.
 
         Parameters
@@ -187,12 +187,12 @@ class SampledLoop:
         -------
         ndarray of complex, shape (k, n)
         """
-        a, b, c = self.opened(late)
+        a, b, c = self.open_loop(late)
         z = np.exp(1j * angles)[:, None, None]
         response = -(c @ np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(b, (len(angles), *b.shape))))
         return np.asarray(np.linalg.eigvals(response), dtype=np.complex128)
 
-    def heard(self) -> FloatArray:
+    def build_measurement_input(self) -> FloatArray:
         """Return how an error of the measured pose enters the state of the closed loop.
 
         Returns
@@ -204,7 +204,7 @@ class SampledLoop:
         out[n:] = self.kalman
         return out
 
-    def system(self) -> StateSpace:
+    def to_state_space(self) -> StateSpace:
         """Return the closed loop for python-control: from an error of the measured pose to the deviations.
 
         Returns
@@ -214,9 +214,15 @@ class SampledLoop:
         import control
 
         n = self.size
-        return control.ss(self.closed(), self.heard(), np.eye(n, 2 * n + len(self.drifts[0])), 0.0, dt=self.period)
+        return control.ss(
+            self.close_loop(),
+            self.build_measurement_input(),
+            np.eye(n, 2 * n + len(self.drifts[0])),
+            0.0,
+            dt=self.period,
+        )
 
-    def step(self, cycles: int) -> FloatArray:
+    def simulate_step(self, cycles: int) -> FloatArray:
         """Return the response to an unmeasured unit step of the first deviation.
 
         Parameters
@@ -227,7 +233,7 @@ class SampledLoop:
         -------
         ndarray, shape (cycles + 1, n), in m and rad
         """
-        a = self.closed()
+        a = self.close_loop()
         state = np.zeros(len(a))
         state[0] = 1.0
         out = np.empty((cycles + 1, self.size))
@@ -280,7 +286,7 @@ class Margins:
         return 20.0 * math.log10(self.gain) if self.gain < math.inf else math.inf
 
 
-def margins(loop: SampledLoop) -> Margins:
+def compute_margins(loop: SampledLoop) -> Margins:
     """Compute gain, phase and delay margins, bandwidth and settling of a loop.
 
     Parameters
@@ -291,21 +297,21 @@ def margins(loop: SampledLoop) -> Margins:
     -------
     Margins
     """
-    a, b, c = loop.opened()
+    a, b, c = loop.open_loop()
     fed = b @ c
-    radius = loop.radius()
-    bandwidth, settling = _bandwidth(loop), _settling(loop)
+    radius = loop.compute_spectral_radius()
+    bandwidth, settling = _find_bandwidth(loop), _count_settling_cycles(loop)
     if radius > UNSTABLE:
         return Margins(1.0, 1.0, 0.0, 0.0, -1, 0.0, radius, bandwidth, math.inf)
     angles = np.linspace(0.0, math.pi, FREQUENCIES + 1)[1:]
-    loci = loop.loci(angles)
+    loci = loop.compute_loci(angles)
     share = np.linspace(0.0, 1.0, STEPS + 1)[1:]
     return Margins(
-        gain=_first_unstable(a, fed, lambda x: MOST_GAIN**x, share, math.inf),
-        least_gain=_first_unstable(a, fed, lambda x: MOST_GAIN**-x, share, 0.0),
-        phase=abs(np.angle(_first_unstable(a, fed, lambda x: np.exp(-1j * math.pi * x), share, -1.0))),
-        delay=_delay(angles, loci),
-        late=_late(loop),
+        gain=_find_first_unstable(a, fed, lambda x: MOST_GAIN**x, share, math.inf),
+        least_gain=_find_first_unstable(a, fed, lambda x: MOST_GAIN**-x, share, 0.0),
+        phase=abs(np.angle(_find_first_unstable(a, fed, lambda x: np.exp(-1j * math.pi * x), share, -1.0))),
+        delay=_find_delay(angles, loci),
+        late=_count_late_cycles(loop),
         disc=float(np.min(2.0 * np.abs(1.0 + loci) / np.maximum(np.abs(1.0 - loci), TINY))),
         radius=radius,
         bandwidth=bandwidth,
@@ -313,7 +319,7 @@ def margins(loop: SampledLoop) -> Margins:
     )
 
 
-def _first_unstable(
+def _find_first_unstable(
     a: FloatArray, fed: FloatArray, factor: Callable[[Any], Any], share: FloatArray, nothing: float
 ) -> Any:
     """The first of the factors at `share` that makes the loop ring on, found closely; `nothing` if none does."""
@@ -333,9 +339,9 @@ def _first_unstable(
     return factor(low)
 
 
-def _delay(angles: FloatArray, loci: ComplexArray) -> float:
+def _find_delay(angles: FloatArray, loci: ComplexArray) -> float:
     """Smallest delay, in cycles, that turns a locus of size 1 to -1."""
-    curves, best = _followed(loci), math.inf
+    curves, best = _sort_loci(loci), math.inf
     size = np.abs(curves)
     for i in range(curves.shape[1]):
         for k in np.flatnonzero((size[:-1, i] - 1.0) * (size[1:, i] - 1.0) < 0.0):
@@ -346,7 +352,7 @@ def _delay(angles: FloatArray, loci: ComplexArray) -> float:
     return best
 
 
-def _followed(loci: ComplexArray) -> ComplexArray:
+def _sort_loci(loci: ComplexArray) -> ComplexArray:
     """The loci with each of at most two columns a continuous curve."""
     if loci.shape[1] != 2:
         return loci
@@ -358,15 +364,17 @@ def _followed(loci: ComplexArray) -> ComplexArray:
     return out
 
 
-def _late(loop: SampledLoop) -> int:
+def _count_late_cycles(loop: SampledLoop) -> int:
     """Whole cycles by which poses may be late, up to `MOST_LATE`."""
-    return next((late - 1 for late in range(1, MOST_LATE + 1) if loop.radius(late=late) > UNSTABLE), MOST_LATE)
+    return next(
+        (late - 1 for late in range(1, MOST_LATE + 1) if loop.compute_spectral_radius(late=late) > UNSTABLE), MOST_LATE
+    )
 
 
-def _bandwidth(loop: SampledLoop) -> float:
+def _find_bandwidth(loop: SampledLoop) -> float:
     """In Hz; nan where the loop does not follow at all, half the sampling rate where it follows everything."""
     angles = np.linspace(0.0, math.pi, FREQUENCIES + 1)[1:]
-    a, heard = loop.closed(), loop.heard()
+    a, heard = loop.close_loop(), loop.build_measurement_input()
     z = np.exp(1j * angles)[:, None, None]
     response = np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(heard[:, :1], (len(angles), len(a), 1)))
     across = np.abs(response[:, 0, 0])
@@ -377,8 +385,8 @@ def _bandwidth(loop: SampledLoop) -> float:
     return last / (2.0 * math.pi * loop.period)
 
 
-def _settling(loop: SampledLoop) -> float:
-    outside = np.flatnonzero(~(np.abs(loop.step(LONGEST)[:, 0]) <= BAND))
+def _count_settling_cycles(loop: SampledLoop) -> float:
+    outside = np.flatnonzero(~(np.abs(loop.simulate_step(MAX_CYCLES)[:, 0]) <= BAND))
     if not outside.size:
         return 0.0
-    return float((outside[-1] + 1) * loop.period) if outside[-1] < LONGEST else math.inf
+    return float((outside[-1] + 1) * loop.period) if outside[-1] < MAX_CYCLES else math.inf

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.analysis.flight import Model, fly
-from sim.analysis.linear import Cycle, linearised
-from smolbot.config.plugins import load
+from sim.analysis.flight import Model, simulate_flight
+from sim.analysis.linear import Cycle, linearize_cycle
+from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.motion.controller import Controller, Gain
@@ -70,17 +70,17 @@ SHRINK = 0.5
 NO_FEEDBACK = 1e-9
 """Size of a feedback that keeps a quotient finite."""
 
-MATTERS = 0.05
+MIN_INFLUENCE = 0.05
 """Share of the distance that one step of a gain must change for the gain to be searched."""
 
-WORTH = 0.03
+MIN_IMPROVEMENT = 0.03
 """Share of the distance by which a step must improve to be accepted."""
 
-MOST = 48
+MAX_FLIGHTS = 48
 """Largest number of flights of the search."""
 
 
-def regulator(cycle: Cycle, weights: Weights, max_current: float) -> FloatArray:
+def design_regulator(cycle: Cycle, weights: Weights, max_current: float) -> FloatArray:
     """Compute the feedback of the linear-quadratic regulator.
 
     The window's currents vary about those that the law chose; its duration is the law's.
@@ -131,7 +131,7 @@ class Found:
     flights: int
 
 
-def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST) -> Found:
+def find_closest_gains(model: Model, weights: Weights | None = None, most: int = MAX_FLIGHTS) -> Found:
     """Search the law's declared ranges, one gain after the other, for the feedback nearest to the regulator's.
 
     Parameters
@@ -146,18 +146,18 @@ def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST
     Found
     """
     weights = weights or Weights()
-    declared: Mapping[str, Gain] = load("controllers", model.mission.law).gains
+    declared: Mapping[str, Gain] = load_plugin("controllers", model.mission.law).gains
     start = {name: float(model.mission.gains.get(name, gain.default)) for name, gain in declared.items()}
-    stride, target, arcs = _target(model, weights)
-    flights, (before, pace) = 1, _distance(model, start, stride, target, arcs, weights, math.inf)
+    stride, target, arcs = _compute_target(model, weights)
+    flights, (before, pace) = 1, _compute_distance(model, start, stride, target, arcs, weights, math.inf)
     best, shortest, seconds = dict(start), before, pace
 
     def tried(name: str, share: float) -> tuple[dict[str, float], float, float]:
         gain = declared[name]
-        moved = {**best, name: _moved(gain, best[name], share)}
+        moved = {**best, name: _move_gain(gain, best[name], share)}
         if moved[name] == best[name]:
             return moved, math.inf, math.inf
-        return moved, *_distance(model, moved, stride, target, arcs, weights, PACE * pace)
+        return moved, *_compute_distance(model, moved, stride, target, arcs, weights, PACE * pace)
 
     matter: dict[str, float] = {}
     step = STEP
@@ -172,18 +172,18 @@ def closest_gains(model: Model, weights: Weights | None = None, most: int = MOST
                 flights += 1
                 if math.isfinite(distance):
                     matter[name] = max(matter.get(name, 0.0), abs(distance - shortest))
-                if distance < (1.0 - WORTH) * shortest:
+                if distance < (1.0 - MIN_IMPROVEMENT) * shortest:
                     best, shortest, seconds, better = moved, distance, took, True
                     break
         if step == STEP:
-            names = sorted((n for n in names if matter.get(n, 0.0) > MATTERS * before), key=lambda n: -matter[n])
+            names = sorted((n for n in names if matter.get(n, 0.0) > MIN_INFLUENCE * before), key=lambda n: -matter[n])
         if not better:
             step *= SHRINK
     found = {name: best[name] for name in declared if best[name] != start[name]}
     return Found(found, before, shortest, (pace, seconds), flights)
 
 
-def between(
+def interpolate_gains(
     declared: Mapping[str, Gain], start: Mapping[str, float], end: Mapping[str, float], share: float
 ) -> dict[str, float]:
     """Interpolate gains, each on its own scale.
@@ -206,7 +206,7 @@ def between(
     return out
 
 
-def _moved(gain: Gain, value: float, share: float) -> float:
+def _move_gain(gain: Gain, value: float, share: float) -> float:
     """A gain moved by a share of its range, within it."""
     scale: Callable[[float], float] = math.log if gain.log else float
     low, high, now = scale(gain.low), scale(gain.high), scale(value)
@@ -214,37 +214,39 @@ def _moved(gain: Gain, value: float, share: float) -> float:
     return min(max(math.exp(moved) if gain.log else moved, gain.low), gain.high)
 
 
-def _target(model: Model, weights: Weights) -> tuple[int, FloatArray, FloatArray]:
+def _compute_target(model: Model, weights: Weights) -> tuple[int, FloatArray, FloatArray]:
     """Every how many cycles to look, feedback (n, 2, 2) of the regulator there, and arc lengths (n,)."""
-    count = sum(1 for _ in fly(model, model.controller(), keep=lambda cycle: False))
+    count = sum(1 for _ in simulate_flight(model, model.make_controller(), keep=lambda cycle: False))
     stride = max(count // PLACES, 1)
-    cycles = _cycles(model, model.controller(), stride)[0]
+    cycles = _linearize_flight(model, model.make_controller(), stride)[0]
     limit = model.setup.limits.max_current
-    return stride, np.array([regulator(c, weights, limit) for c in cycles]), np.array([c.arc for c in cycles])
+    return stride, np.array([design_regulator(c, weights, limit) for c in cycles]), np.array([c.arc for c in cycles])
 
 
-def _cycles(model: Model, controller: Controller, stride: int, longest: float = math.inf) -> tuple[list[Cycle], float]:
+def _linearize_flight(
+    model: Model, controller: Controller, stride: int, longest: float = math.inf
+) -> tuple[list[Cycle], float]:
     """Linearised cycles of a flight, and its duration in s; raises `InputError` where it does not arrive in time."""
     cycles, clock, done = [], 0.0, False
-    for instant in fly(model, controller, keep=lambda cycle: cycle % stride == 0):
+    for instant in simulate_flight(model, controller, keep=lambda cycle: cycle % stride == 0):
         clock += instant.cycle
         done = instant.command.done
         if clock > longest:
             break
         if instant.tracker is not None and instant.command.phase == "follow" and not done:
-            cycles.append(linearised(model, instant, PAIRS))
+            cycles.append(linearize_cycle(model, instant, PAIRS))
     if not done:
         raise InputError(f"{model.mission.law} does not reach the end of the path in time.")
     return cycles, clock
 
 
-def _distance(
+def _compute_distance(
     model: Model, gains: Mapping[str, float], stride: int, target: FloatArray, arcs: FloatArray, weights: Weights,
     longest: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Median relative distance of a law's feedback from the regulator's, and its flight's duration; inf if it fails."""
     try:
-        cycles, clock = _cycles(model, model.controller(gains), stride, longest)
+        cycles, clock = _linearize_flight(model, model.make_controller(gains), stride, longest)
     except InputError:
         return math.inf, math.inf
     scale = np.array([weights.across, weights.heading])

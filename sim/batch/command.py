@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sim.batch.flights import Plant
+from sim.batch.flights import PlantModel
 from smolbot.errors import InputError
-from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 if TYPE_CHECKING:
     from smolbot.functions.simulate import Flight, Simulation
@@ -21,8 +21,9 @@ def simulate(
     seeds: Annotated[str, typer.Option(help="First and last seed: A..B.")] = "1..20",
     rig: RigOption = None,
     plant: Annotated[
-        Plant, typer.Option(help="The full tank, or a reduced one: motion only, with pose noise in place of signals.")
-    ] = Plant.FULL,
+        PlantModel,
+        typer.Option(help="The full tank, or a reduced one: motion only, with pose noise in place of signals."),
+    ] = PlantModel.FULL,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core.")] = 0,
     scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler, instead of processes.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
@@ -32,13 +33,13 @@ def simulate(
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
     from smolbot.config.load import load_mission
     from smolbot.functions.simulate import simulate as fly_seeds
-    from smolbot.runs.folder import dated
-    from smolbot.ui.cli.show import bar
+    from smolbot.runs.folder import make_dated_path
+    from smolbot.ui.cli.show import show_bar
 
-    wanted, settings = parse_seeds(seeds), settings_from(set_)
+    wanted, settings = parse_seeds(seeds), parse_settings(set_)
     name = load_mission(mission, rig, settings).name
     passed = 0
-    with bar(name, total=len(wanted)) as tell:
+    with show_bar(name, total=len(wanted)) as tell:
 
         def progress(flight: Flight) -> None:
             nonlocal passed
@@ -47,9 +48,9 @@ def simulate(
 
         found = fly_seeds(
             mission, wanted, rig=rig, plant=plant.value, jobs=jobs, scheduler=scheduler,
-            out=out or dated(f"simulate-{name}"), settings=settings, progress=progress,
+            out=out or make_dated_path(f"simulate-{name}"), settings=settings, progress=progress,
         )  # fmt: skip
-    _show(found, json)
+    _print_results(found, json)
     raise typer.Exit(0 if found.passed == len(found.flights) else 1)
 
 
@@ -85,10 +86,10 @@ def parse_seeds(text: str) -> list[int]:
     return list(range(a, b + 1))
 
 
-def _show(found: Simulation, json: bool) -> None:
+def _print_results(found: Simulation, json: bool) -> None:
     from smolbot.functions.simulate import COLUMNS
-    from smolbot.runs.summary import label_of
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.runs.summary import format_label
+    from smolbot.ui.cli.show import echo_json, print_table
 
     figures = found.figures()
     low, high = found.pass_rate_95
@@ -99,7 +100,7 @@ def _show(found: Simulation, json: bool) -> None:
             for column in COLUMNS
             if isinstance(v := figures.get(column), dict)
         ],
-        ("flights a minute", _rates(found.flights_per_minute)),
+        ("flights a minute", _format_rates(found.flights_per_minute)),
         *[
             (f"seed {f.summary['seed']}", "; ".join(f.summary["verdict_reasons"]))
             for f in found.flights
@@ -107,12 +108,14 @@ def _show(found: Simulation, json: bool) -> None:
         ],
         ("folder", figures["folder"]),
     ]
-    table(f"{figures['mission']}, {figures['flown']} flights{label_of(figures)}: mean (least to most)", rows, err=json)
+    print_table(
+        f"{figures['mission']}, {figures['flown']} flights{format_label(figures)}: mean (least to most)", rows, err=json
+    )
     if json:
         echo_json(figures)
 
 
-def _rates(rates: Mapping[str, float | None]) -> str:
+def _format_rates(rates: Mapping[str, float | None]) -> str:
     text = f"{rates['in_all']:.0f}"
     if rates["warm"] is None:
         return text

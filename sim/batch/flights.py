@@ -12,7 +12,7 @@ from typing import Any
 from smolbot.functions.simulate import Flight
 
 
-class Plant(StrEnum):
+class PlantModel(StrEnum):
     """The full tank, or its motion alone with pose noise in place of signals."""
 
     FULL = "full"
@@ -25,7 +25,7 @@ def fly_seeds(
     rig: str | None,
     settings: dict[str, str],
     seeds: list[int],
-    plant: Plant = Plant.FULL,
+    plant: PlantModel = PlantModel.FULL,
 ) -> Iterator[Flight]:
     """Fly a mission once per seed, in parallel.
 
@@ -60,7 +60,9 @@ def forget_missions() -> None:
     _loaded.clear()
 
 
-def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, plant: Plant = Plant.FULL) -> Flight:
+def fly_one(
+    mission: str, rig: str | None, settings: dict[str, str], seed: int, plant: PlantModel = PlantModel.FULL
+) -> Flight:
     """Fly a mission once, in the calling process; files are read once per process.
 
     Parameters
@@ -85,7 +87,7 @@ def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, 
     if key not in _loaded:
         _loaded[key] = load_mission(mission, rig, settings)
     opener = None
-    if plant is Plant.REDUCED:
+    if plant is PlantModel.REDUCED:
         from sim.reduced.rig import open_reduced
 
         opener = open_reduced
@@ -93,7 +95,7 @@ def fly_one(mission: str, rig: str | None, settings: dict[str, str], seed: int, 
     return Flight(run.summary, run.true_trail, os.getpid(), time.time(), time.process_time())
 
 
-def warm_rates(flights: list[Flight]) -> dict[str, float | None]:
+def compute_warm_rates(flights: list[Flight]) -> dict[str, float | None]:
     """Compute flights per minute without each process's first flight, which loads the files that the others reuse.
 
     Parameters
@@ -109,7 +111,7 @@ def warm_rates(flights: list[Flight]) -> dict[str, float | None]:
     Examples
     --------
     >>> flown = ((1, 9.0, 2.0), (2, 9.5, 2.1), (1, 10.0, 2.5), (1, 11.0, 3.0))
-    >>> warm_rates([Flight({}, None, process, ended, used) for process, ended, used in flown])
+    >>> compute_warm_rates([SimulatedFlight({}, None, process, ended, used) for process, ended, used in flown])
     {'warm': 60.0, 'per_processor': 120.0}
     """
     own: dict[int, list[Flight]] = {}

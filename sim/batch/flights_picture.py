@@ -9,8 +9,8 @@ import numpy as np
 
 from smolbot.config.load import AnyMission
 from smolbot.config.mission import Mission
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, from_above, limit_line, sheet
-from smolbot.runs.summary import label_of
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, draw_limit_line, format_map_axes, open_sheet
+from smolbot.runs.summary import format_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,9 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
     path : Path
     """
     world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
-    with sheet(path, headline(mission, flights), f"{world}, each flight a robot and a bench drawn anew") as figure:
+    with open_sheet(
+        path, format_headline(mission, flights), f"{world}, each flight a robot and a bench drawn anew"
+    ) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.0, 1.1], wspace=0.22, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09
         )
@@ -43,7 +45,7 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
             draw_bars(figure.add_subplot(grid[index, 1]), flights, title, columns, limit)
 
 
-def headline(mission: AnyMission, flights: list[Flight]) -> str:
+def format_headline(mission: AnyMission, flights: list[Flight]) -> str:
     """Format the number of passed flights, with a label if they are not of the full tank with mismatches.
 
     Parameters
@@ -57,7 +59,7 @@ def headline(mission: AnyMission, flights: list[Flight]) -> str:
     """
     passed = sum(f.summary["verdict"] == "passed" for f in flights)
     figures = {"ideal": any(f.summary["ideal"] for f in flights), "plant": flights[0].summary["plant"]}
-    return f"{mission.name}: {passed} of {len(flights)} flights passed{label_of(figures)}"
+    return f"{mission.name}: {passed} of {len(flights)} flights passed{format_label(figures)}"
 
 
 def _draw_trails(axes: Axes, mission: Mission, flights: list[Flight]) -> None:
@@ -68,7 +70,7 @@ def _draw_trails(axes: Axes, mission: Mission, flights: list[Flight]) -> None:
         good = flight.summary["verdict"] == "passed"
         label = {0: "true, each flight"}.get(number)
         axes.plot(trail[:, 0], trail[:, 1], color=TRUE if good else LOCATED, lw=0.9, alpha=0.6, label=label)
-    from_above(axes)
+    format_map_axes(axes)
 
 
 def draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str], limit: float | None) -> None:
@@ -95,7 +97,7 @@ def draw_bars(axes: Axes, flights: list[Flight], title: str, columns: list[str],
             seeds + (index - 0.5 * (len(columns) - 1)) * width, heights, width, color=color, label=names.get(column)
         )
     if limit is not None:
-        limit_line(axes, limit, "limit ")
+        draw_limit_line(axes, limit, "limit ")
     if len(columns) > 1:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
     axes.set_title(title, loc="left", fontsize=11)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 
-def wilson_interval(passed: int, total: int) -> tuple[float, float]:
+def compute_wilson_interval(passed: int, total: int) -> tuple[float, float]:
     """95 % interval of a rate from `passed` of `total` trials (Wilson score).
 
     Examples
     --------
-    >>> print(tuple(round(v, 3) for v in wilson_interval(20, 20)))
+    >>> print(tuple(round(v, 3) for v in compute_wilson_interval(20, 20)))
     (0.839, 1.0)
     """
     from scipy.stats import binomtest

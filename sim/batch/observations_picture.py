@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sim.batch.flights_picture import draw_bars, headline
+from sim.batch.flights_picture import draw_bars, format_headline
 from smolbot.config.observation import Observation
-from smolbot.runs.pictures.style import TRUE, outline, sheet, two_views
+from smolbot.runs.pictures.style import TRUE, draw_container, make_two_views, open_sheet
 
 if TYPE_CHECKING:
     from matplotlib.gridspec import SubplotSpec
@@ -34,7 +34,7 @@ def draw_observations(mission: Observation, flights: list[Flight], path: Path) -
     else:
         rows = [("Sigma of the measurements in space, in mm", ["sigma_mm"], wanted.max_sigma_mm), error, turn]
     text = "full tank, each observation a device, a bench and a hand drawn anew"
-    with sheet(path, headline(mission, flights), text) as figure:
+    with open_sheet(path, format_headline(mission, flights), text) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.15, 1.0], wspace=0.17, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09
         )
@@ -45,9 +45,9 @@ def draw_observations(mission: Observation, flights: list[Flight], path: Path) -
 
 def _draw_tracks(figure: Any, place: SubplotSpec, mission: Observation, flights: list[Flight]) -> None:
     """Draw each device's true trajectory, from above and from the front."""
-    above, front = two_views(figure, place, mission.rig.container)
+    above, front = make_two_views(figure, place, mission.rig.container)
     for axes, across in ((above, 1), (front, 2)):
-        outline(axes, mission.rig.container, across)
+        draw_container(axes, mission.rig.container, across)
         for flight in flights:
             trail = flight.trail
             if trail is not None and len(trail):

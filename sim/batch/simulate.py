@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from sim.batch.executors import open_executor
-from sim.batch.flights import Plant, fly_seeds, warm_rates
-from sim.batch.intervals import wilson_interval
+from sim.batch.flights import PlantModel, compute_warm_rates, fly_seeds
+from sim.batch.intervals import compute_wilson_interval
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.config.observation import Observation
-from smolbot.core.text_table import write_rows
+from smolbot.core.text_table import write_table
 from smolbot.errors import InputError
 from smolbot.functions.simulate import Flight, PlantName, Simulation
-from smolbot.runs.folder import RunFolder, provenance
-from smolbot.runs.recording.files import RunFiles
+from smolbot.runs.folder import RunFolder, collect_provenance
+from smolbot.runs.recording.run_files import RunFiles
 
 
 def simulate(
@@ -35,22 +35,22 @@ def simulate(
         loaded.rig.table()  # built once, before the workers need it
     folder = None if out is None else RunFolder(out)
     if folder is not None:
-        where = provenance(wanted[0], laid, {"seeds": wanted, "plant": plant})
+        where = collect_provenance(wanted[0], laid, {"seeds": wanted, "plant": plant})
         folder.begin(RunFiles.of(loaded).contents, where)
     begin, flights = time.perf_counter(), []
     with open_executor(jobs, scheduler) as executor:
-        for flight in fly_seeds(executor, mission, rig, laid, wanted, Plant(plant)):
+        for flight in fly_seeds(executor, mission, rig, laid, wanted, PlantModel(plant)):
             flights.append(flight)
             if progress is not None:
                 progress(flight)
         wall = time.perf_counter() - begin
     flights.sort(key=lambda f: f.summary["seed"])
-    rates = {"in_all": 60.0 * len(flights) / wall, **warm_rates(flights)}
-    interval = wilson_interval(sum(f.passed for f in flights), len(flights))
+    rates = {"in_all": 60.0 * len(flights) / wall, **compute_warm_rates(flights)}
+    interval = compute_wilson_interval(sum(f.passed for f in flights), len(flights))
     found = Simulation(loaded.name, plant, tuple(flights), interval, rates, out)
     if folder is not None:
         columns = found.columns()
-        write_rows(folder.path / "results.csv", columns, ([f.value(c) for c in columns] for f in flights))
+        write_table(folder.path / "results.csv", columns, ([f.value(c) for c in columns] for f in flights))
         draw(loaded, flights, folder.path / "flights.png")
         folder.end(found.figures())
     return found

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, sheet
-from smolbot.runs.pictures.style import limit_line as level_line
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, open_sheet
+from smolbot.runs.pictures.style import draw_limit_line as level_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +19,7 @@ OTHERS = ("#5fa8d3", "#f2a541", "#7b2d8b", "#4c956c")
 
 
 @contextmanager
-def slide(
+def open_slide(
     path: Path, headline: str, subline: str, rows: int = 1, columns: int = 1, **spacing: Any
 ) -> Iterator[list[Axes]]:
     """Open a 16:9 slide under a headline; it is written as PNG when the block ends.
@@ -38,13 +38,13 @@ def slide(
     list of matplotlib.axes.Axes
         Row by row.
     """
-    with sheet(path, headline, subline, heights=(0.94, 0.895), sizes=(12, 19, 12)) as figure:
+    with open_sheet(path, headline, subline, heights=(0.94, 0.895), sizes=(12, 19, 12)) as figure:
         place = {"left": 0.07, "right": 0.97, "top": 0.82, "bottom": 0.1, "wspace": 0.22, "hspace": 0.42, **spacing}
         grid = figure.add_gridspec(rows, columns, **place)
         yield [figure.add_subplot(grid[i // columns, i % columns]) for i in range(rows * columns)]
 
 
-def name_line(axes: Axes, x: float, y: float, text: str, color: str, **kwargs: Any) -> None:
+def label_line(axes: Axes, x: float, y: float, text: str, color: str, **kwargs: Any) -> None:
     """Write a curve's name beside it, in its colour.
 
     Parameters
@@ -61,7 +61,7 @@ def name_line(axes: Axes, x: float, y: float, text: str, color: str, **kwargs: A
                                                                    "va": "center", **kwargs})  # fmt: skip
 
 
-def limit_line(axes: Axes, value: float, text: str, *, vertical: bool = False) -> None:
+def draw_limit_line(axes: Axes, value: float, text: str, *, vertical: bool = False) -> None:
     """Draw a dashed grey line at a limit, with a label.
 
     Parameters
@@ -78,7 +78,7 @@ def limit_line(axes: Axes, value: float, text: str, *, vertical: bool = False) -
         level_line(axes, value, text, size=10, zorder=0)
 
 
-def titled(axes: Axes, title: str, x: str = "", y: str = "") -> None:
+def set_titles(axes: Axes, title: str, x: str = "", y: str = "") -> None:
     """Set the title at the left, the axis labels and a faint grid.
 
     Parameters
@@ -95,7 +95,7 @@ def titled(axes: Axes, title: str, x: str = "", y: str = "") -> None:
     axes.set_axisbelow(True)
 
 
-def even_ticks(axes: Axes, values: Sequence[float]) -> None:
+def set_ticks(axes: Axes, values: Sequence[float]) -> None:
     """Show only given ticks on the x axis.
 
     Parameters

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.film.kernels import rays
+from sim.film.ray_casting import compute_rays
 from smolbot.core.arrays import FloatArray
 
-FRAMED = 0.8
+FRAME_FILL = 0.8
 """Share of the picture's shorter side that the target fills: it may be rotated, and higher than the plate."""
 
 TILT_DEG, TURN_DEG = (2.0, 6.0), (-8.0, 8.0)
@@ -34,24 +34,24 @@ class Camera:
 
     Attributes
     ----------
-    place : ndarray, shape (3,), in m
+    position : ndarray, shape (3,), in m
         Entrance pupil, world frame.
     axes : ndarray, shape (3, 3)
         Rows: world directions of the picture's right and down, and of the view; a rotation from world to camera.
     focal : float, in pixels
-    middle : tuple of 2, in pixels
+    principal_point : tuple of 2, in pixels
         Principal point; (0, 0) is the middle of the first pixel.
-    bend : float
+    distortion : float
         Radial distortion: a point at the distance r (focal lengths) from the axis appears at ``r (1 + bend r²)``.
     size : tuple of 2, in pixels
         Width and height.
     """
 
-    place: FloatArray
+    position: FloatArray
     axes: FloatArray
     focal: float
-    middle: tuple[float, float]
-    bend: float
+    principal_point: tuple[float, float]
+    distortion: float
     size: tuple[int, int]
 
     def project(self, points: FloatArray) -> FloatArray:
@@ -66,17 +66,17 @@ class Camera:
         -------
         ndarray, shape (n, 2), in pixels
         """
-        seen = (points - self.place) @ self.axes.T
+        seen = (points - self.position) @ self.axes.T
         flat = seen[:, :2] / seen[:, 2:]
-        flat = flat * (1.0 + self.bend * np.sum(flat**2, axis=1, keepdims=True))
-        return np.asarray(self.focal * flat + np.array(self.middle))
+        flat = flat * (1.0 + self.distortion * np.sum(flat**2, axis=1, keepdims=True))
+        return np.asarray(self.focal * flat + np.array(self.principal_point))
 
     @property
     def lens(self) -> FloatArray:
         """Position, axes, focal length, principal point and distortion as the kernels take them, shape (16,)."""
-        return np.array([*self.place, *self.axes.ravel(), self.focal, *self.middle, self.bend])
+        return np.array([*self.position, *self.axes.ravel(), self.focal, *self.principal_point, self.distortion])
 
-    def rays(self, pixels: FloatArray) -> FloatArray:
+    def compute_rays(self, pixels: FloatArray) -> FloatArray:
         """Compute the viewing directions of pixels.
 
         Parameters
@@ -88,10 +88,10 @@ class Camera:
         ndarray, shape (n, 3)
             Unit vectors, world frame.
         """
-        return np.asarray(rays(np.ascontiguousarray(pixels, dtype=np.float64), self.lens))
+        return np.asarray(compute_rays(np.ascontiguousarray(pixels, dtype=np.float64), self.lens))
 
 
-def draw_camera(
+def sample_camera(
     rng: np.random.Generator, target: FloatArray, span: float, size: tuple[int, int], distance: float
 ) -> Camera:
     """Sample a camera set up by hand: above `target`, tilted by some degrees and slightly turned.
@@ -122,7 +122,7 @@ def draw_camera(
     down = -(up - (up @ view) * view)
     down /= np.linalg.norm(down)
     right = np.cross(down, view)
-    focal = FRAMED * min(size) * far / span
+    focal = FRAME_FILL * min(size) * far / span
     offset = rng.normal(0.0, LENS_OFFSET * min(size), 2)
     corner = 0.5 * math.hypot(*size) / focal
     bend = rng.uniform(-DISTORTION, DISTORTION) / corner**2
@@ -130,12 +130,12 @@ def draw_camera(
     return Camera(place, np.array([right, down, view]), focal, middle, bend, size)
 
 
-def crossing(place: FloatArray, rays: FloatArray, height: float) -> FloatArray:
+def intersect_plane(origins: FloatArray, rays: FloatArray, height: float) -> FloatArray:
     """Compute where rays intersect a horizontal plane.
 
     Parameters
     ----------
-    place : ndarray, shape (3,) or (n, 3), in m
+    origins : ndarray, shape (3,) or (n, 3), in m
         Origins of the rays, world frame.
     rays : ndarray, shape (n, 3)
         Directions, world frame.
@@ -147,11 +147,11 @@ def crossing(place: FloatArray, rays: FloatArray, height: float) -> FloatArray:
     ndarray, shape (n, 3), in m
         World frame.
     """
-    along = (height - place[..., 2]) / rays[:, 2]
-    return np.asarray(place + along[:, None] * rays)
+    along = (height - origins[..., 2]) / rays[:, 2]
+    return np.asarray(origins + along[:, None] * rays)
 
 
-def refracted(rays: FloatArray, index: float) -> FloatArray:
+def refract_rays(rays: FloatArray, index: float) -> FloatArray:
     """Refract rays that enter a liquid from above through its level surface (Snell).
 
     Parameters

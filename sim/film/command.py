@@ -9,7 +9,7 @@ import typer
 
 from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption
-from smolbot.ui.cli.show import echo_json, table
+from smolbot.ui.cli.show import echo_json, print_table
 
 FPS, SWING_FPS = 25.0, 5000.0
 """Frames per second of a run's film, and of one of a cantilever."""
@@ -48,17 +48,17 @@ def film(
     if swing is not None:
         _film_swing(swing, rig, out, fps, seed, truth, json)
         return
-    from sim.film.filming import film as shoot
+    from sim.film.filming import film_run as shoot
     from sim.film.trail import read_trail
 
     assert run is not None
     trail, mission = read_trail(run)
     made = shoot(
         trail, mission.rig, mission.robot, out, seed=seed, fps=FPS if fps is None else fps, begin=begin_s, end=end_s,
-        size=_size(size), hidden=[_span(text) for text in hide or []], posts=not flat,
+        size=_parse_size(size), hidden=[_parse_span(text) for text in hide or []], posts=not flat,
     )  # fmt: skip
     fiducials = out.with_suffix(".toml")
-    fiducials.write_text(made.fiducials_toml(), encoding="utf-8")
+    fiducials.write_text(made.format_fiducials(), encoding="utf-8")
     if truth is not None:
         made.write_truth(truth)
     rows = [
@@ -67,7 +67,7 @@ def film(
         ("markers", str(fiducials)),
         ("to track it", f"smolbot track {out} --fiducials {fiducials} --run {run}"),
     ]
-    table(f"film of {run.name}", rows, err=json)
+    print_table(f"film of {run.name}", rows, err=json)
     if json:
         echo_json({"video": str(out), "fiducials": str(fiducials), "frames": len(made.times), "begin_s": made.times[0]})
 
@@ -86,19 +86,19 @@ def _film_swing(name: str, rig: str, out: Path, fps: float | None, seed: int, tr
         ("drive", f"until {1e3 * made.released:.0f} ms, then free"),
         ("to measure it", f"smolbot track {out} --deflection --fps {rate:g}"),
     ]
-    table(f"cantilever of {name}", rows, err=json)
+    print_table(f"cantilever of {name}", rows, err=json)
     if json:
         echo_json({"video": str(out), "frames": len(made.times), "fps": rate, "released_s": made.released})
 
 
-def _size(text: str) -> tuple[int, int]:
+def _parse_size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= MIN_PIXELS):
         raise InputError(f"--size needs WIDTHxHEIGHT in pixels, {MIN_PIXELS} or more each; got '{text}'.")
     return int(width), int(height)
 
 
-def _span(text: str) -> tuple[float, float]:
+def _parse_span(text: str) -> tuple[float, float]:
     first, _, last = text.partition("..")
     try:
         return float(first), float(last)

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.film.camera import Camera, draw_camera
-from sim.film.robot import Looks, draw_looks, paint, shade
-from sim.film.stage import DICTIONARY, PRINT_ERROR, SIDE, Stage, draw_stage, photograph
+from sim.film.appearance import Appearance, paint_robot, paint_shadow, sample_appearance
+from sim.film.camera import Camera, sample_camera
+from sim.film.scene import DICTIONARY, MARKER_SIDE, PRINT_ERROR, Scene, photograph, sample_scene
 from sim.film.trail import Trail
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -20,10 +20,10 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.errors import InputError
 
-DISTANCE = 0.35  # m from camera to floor: a 35 mm lens above the coils
-RULER = 2e-3  # m: standard deviation of a camera's height measured by ruler
+CAMERA_DISTANCE = 0.35  # m from camera to floor: a 35 mm lens above the coils
+RULER_ERROR = 2e-3  # m: standard deviation of a camera's height measured by ruler
 NOISE_POOL = 5  # noise pictures, of which each frame uses one, shifted at random
-JITTER = 64  # pixels of that shift
+NOISE_MARGIN = 64  # pixels of that shift
 BLUR = (0.7, 1.1)  # range of the lens blur, in pixels
 PADDING = 8  # pixels around a region that is drawn again
 SHADOW_REACH = 3.5e-3  # m beyond the robot that its shadow reaches
@@ -37,7 +37,7 @@ class Film:
 
     Attributes
     ----------
-    camera, stage, looks : Camera, Stage, Looks
+    camera, scene, appearance : Camera, Stage, Looks
         As sampled.
     times : ndarray, shape (n,), in s
         Of the frames, on the run's clock.
@@ -52,8 +52,8 @@ class Film:
     """
 
     camera: Camera
-    stage: Stage
-    looks: Looks
+    scene: Scene
+    appearance: Appearance
     times: FloatArray
     positions: FloatArray
     orientations: FloatArray
@@ -66,7 +66,7 @@ class Film:
         ahead = np.array([matrix_from_quaternion(q)[:, 2] for q in self.orientations])
         return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
-    def fiducials_toml(self) -> str:
+    def format_fiducials(self) -> str:
         """Format the file in which a lab describes its markers and camera.
 
         Returns
@@ -77,18 +77,18 @@ class Film:
             "# Markers around the container, and the camera over it; mm in the rig's world frame.",
             "[fiducials]",
             f'dictionary = "{DICTIONARY}"',
-            f"side_mm = {1e3 * SIDE:g}                # of the black square",
-            f"height_mm = {1e3 * self.stage.floor:g}             # z of the plate that they lie on",
+            f"side_mm = {1e3 * MARKER_SIDE:g}                # of the black square",
+            f"height_mm = {1e3 * self.scene.floor:g}             # z of the plate that they lie on",
             f"place_tolerance_mm = {1e3 * PRINT_ERROR:g}  # print and ruler, one standard deviation",
             "",
             "[camera]",
             f"height_mm = {1e3 * self.camera_height:.0f}.0           # z of the lens, by ruler",
         ]
-        for marker in self.stage.markers:
+        for marker in self.scene.markers:
             x, y = (1e3 * v for v in marker.center)
             lines += ["", "[[fiducials.markers]]", f"id = {marker.number}", f"center_mm = [{x:g}, {y:g}]"]
             if marker.raised:
-                lines.append(f"height_mm = {1e3 * self.stage.surface:g}             # on a post, as high as the liquid")
+                lines.append(f"height_mm = {1e3 * self.scene.surface:g}             # on a post, as high as the liquid")
         return "\n".join(lines) + "\n"
 
     def write_truth(self, path: Path) -> None:
@@ -105,7 +105,7 @@ class Film:
         path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def film(
+def film_run(
     trail: Trail, rig: RigConfig, robot: RobotConfig, path: Path, *, seed: int = 1, fps: float = 25.0,
     begin: float | None = None, end: float | None = None, size: tuple[int, int] = (1280, 960),
     hidden: Sequence[tuple[float, float]] = (), posts: bool = True,
@@ -148,41 +148,55 @@ def film(
     times = begin + np.arange(math.floor((end - begin) * fps) + 1) / fps
     if end <= begin or len(times) < 2:
         raise InputError(f"A film needs two frames or more; got {begin:g} to {end:g} s at {fps:g} frames per second.")
-    positions, orientations = trail.at(times)
-    stage = draw_stage(rng, rig, posts=posts)
-    camera = draw_camera(rng, np.array([*stage.center, stage.floor]), stage.span, size, DISTANCE)
+    positions, orientations = trail.interpolate(times)
+    stage = sample_scene(rng, rig, posts=posts)
+    camera = sample_camera(rng, np.array([*stage.center, stage.floor]), stage.span, size, CAMERA_DISTANCE)
     afloat = rig.sections.medium.yield_stress_pa == 0
-    looks = draw_looks(rng, robot, afloat)
+    looks = sample_appearance(rng, robot, afloat)
     covered = np.array([any(a <= t <= b for a, b in hidden) for t in times])
     made = Film(
-        camera, stage, looks, times, positions, orientations, covered, float(camera.place[2] + rng.normal(0.0, RULER))
+        camera,
+        stage,
+        looks,
+        times,
+        positions,
+        orientations,
+        covered,
+        float(camera.position[2] + rng.normal(0.0, RULER_ERROR)),
     )
-    _write(made, path, fps, rng)
+    _write_frames(made, path, fps, rng)
     return made
 
 
-def _write(made: Film, path: Path, fps: float, rng: np.random.Generator) -> None:
-    camera, stage, looks = made.camera, made.stage, made.looks
+def _write_frames(made: Film, path: Path, fps: float, rng: np.random.Generator) -> None:
+    camera, stage, looks = made.camera, made.scene, made.appearance
     empty = photograph(stage, camera, rng)
     blur = rng.uniform(*BLUR)
-    noise = Grain(rng, camera.size)
-    with Writer(path, fps, camera.size) as writer:
-        soft = blurred(empty, blur)
+    noise = CameraNoise(rng, camera.size)
+    with VideoFile(path, fps, camera.size) as writer:
+        soft = blur_image(empty, blur)
         for i in range(len(made.times)):
             frame = soft.copy()
             sharp = empty.copy()
-            shade(sharp, stage, camera, looks, made.positions[i])
-            u0, v0, u1, v1 = paint(sharp, stage, camera, looks, made.positions[i], made.orientations[i])
-            _put(frame, blurred_region(sharp, _around(camera, stage, looks, made.positions[i], (u0, v0, u1, v1)), blur))
+            paint_shadow(sharp, stage, camera, looks, made.positions[i])
+            u0, v0, u1, v1 = paint_robot(sharp, stage, camera, looks, made.positions[i], made.orientations[i])
+            _paste_patch(
+                frame,
+                blur_region(
+                    sharp, _find_changed_region(camera, stage, looks, made.positions[i], (u0, v0, u1, v1)), blur
+                ),
+            )
             if made.hidden[i]:
-                _cover(frame, camera, made.positions[i])
-            writer.write(noise.over(frame))
+                _draw_rod(frame, camera, made.positions[i])
+            writer.write(noise.apply(frame))
 
 
 Region = tuple[int, int, int, int]
 
 
-def _around(camera: Camera, stage: Stage, looks: Looks, position: FloatArray, robot: Region) -> Region:
+def _find_changed_region(
+    camera: Camera, stage: Scene, looks: Appearance, position: FloatArray, robot: Region
+) -> Region:
     """Return the region that robot and shadow together may change."""
     depth = position[2] - stage.floor
     shadow = np.array([*(position[:2] + depth * stage.lamp), stage.floor])
@@ -196,7 +210,7 @@ def _around(camera: Camera, stage: Stage, looks: Looks, position: FloatArray, ro
     )  # fmt: skip
 
 
-def blurred(image: FloatArray, sigma: float) -> FloatArray:
+def blur_image(image: FloatArray, sigma: float) -> FloatArray:
     """Blur an image with a Gaussian.
 
     Parameters
@@ -213,7 +227,7 @@ def blurred(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma))
 
 
-def blurred_region(image: FloatArray, region: Region, sigma: float) -> tuple[Region, FloatArray]:
+def blur_region(image: FloatArray, region: Region, sigma: float) -> tuple[Region, FloatArray]:
     """Blur a region of an image, with a margin so that no edge shows.
 
     Parameters
@@ -231,18 +245,18 @@ def blurred_region(image: FloatArray, region: Region, sigma: float) -> tuple[Reg
     """
     u0, v0, u1, v1 = region
     a, b = max(u0 - PADDING, 0), max(v0 - PADDING, 0)
-    patch = blurred(image[b : v1 + PADDING, a : u1 + PADDING], sigma)
+    patch = blur_image(image[b : v1 + PADDING, a : u1 + PADDING], sigma)
     return region, patch[v0 - b : v1 - b, u0 - a : u1 - a]
 
 
-def _put(frame: FloatArray, patch: tuple[Region, FloatArray]) -> None:
+def _paste_patch(frame: FloatArray, patch: tuple[Region, FloatArray]) -> None:
     (u0, v0, u1, v1), values = patch
     frame[v0:v1, u0:u1] = values
 
 
-def _cover(frame: FloatArray, camera: Camera, position: FloatArray) -> None:
+def _draw_rod(frame: FloatArray, camera: Camera, position: FloatArray) -> None:
     """Draw a rod of 12 mm over the robot, from the right edge of the picture."""
-    scale = camera.focal / float(np.linalg.norm(position - camera.place))
+    scale = camera.focal / float(np.linalg.norm(position - camera.position))
     (u, v), half = camera.project(position[None])[0], ROD_HALF_WIDTH * scale
     rows = slice(max(int(v - half), 0), max(int(v + half), 0))
     column = max(int(u - half), 0)
@@ -251,7 +265,7 @@ def _cover(frame: FloatArray, camera: Camera, position: FloatArray) -> None:
     frame[rows, column:] = 120.0 * np.sqrt(np.maximum(1.0 - 0.8 * across**2, 0.1)) * np.array([0.75, 0.8, 0.9])
 
 
-class Grain:
+class CameraNoise:
     """Adds a sensor's noise and the light's flicker, and rounds to 8 bits.
 
     Parameters
@@ -265,10 +279,11 @@ class Grain:
         width, height = size
         self._rng = rng
         self._pool = [
-            rng.standard_normal((height + JITTER, width + JITTER, 3), dtype=np.float32) for _ in range(NOISE_POOL)
+            rng.standard_normal((height + NOISE_MARGIN, width + NOISE_MARGIN, 3), dtype=np.float32)
+            for _ in range(NOISE_POOL)
         ]
 
-    def over(self, frame: FloatArray) -> Any:
+    def apply(self, frame: FloatArray) -> Any:
         """Convert a frame to a noisy 8-bit picture.
 
         Parameters
@@ -282,13 +297,13 @@ class Grain:
         """
         height, width = frame.shape[:2]
         pool = self._pool[int(self._rng.integers(NOISE_POOL))]
-        a, b = self._rng.integers(0, JITTER, 2)
+        a, b = self._rng.integers(0, NOISE_MARGIN, 2)
         bright = frame.astype(np.float32) * np.float32(1.0 + FLICKER * self._rng.standard_normal())
         bright += np.sqrt(np.maximum(READ_NOISE + SHOT_NOISE * bright, 0.0)) * pool[a : a + height, b : b + width]
         return np.clip(np.rint(bright), 0, 255).astype(np.uint8)
 
 
-class Writer:
+class VideoFile:
     """A video file of 8-bit colour frames; MPEG-4 in .mp4, motion JPEG in .avi.
 
     Parameters
@@ -317,7 +332,7 @@ class Writer:
         if not self._writer.isOpened():
             raise InputError(f"{path}: cannot be written as a video.")
 
-    def __enter__(self) -> Writer:
+    def __enter__(self) -> VideoFile:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.film.filming import Grain, Writer, blurred
-from sim.tank.magnetics.cantilever import DRIVE, ETA, L0, MIDDLE, STATE_LENGTH, swing
+from sim.film.filming import CameraNoise, VideoFile, blur_image
+from sim.tank.magnetics.cantilever import DRIVE, ETA, L0, MIDDLE, STATE_LENGTH, advance_cantilever
 from sim.tank.magnetics.coil_fields import COMMAND, SINE
-from sim.tank.magnetics.coils import TankCoils
-from sim.tank.magnetics.magnet import true_device
-from sim.tank.magnetics.sensors import TrueSensors
-from sim.tank.mismatch import Streams, draw
+from sim.tank.magnetics.device_packing import pack_true_device
+from sim.tank.magnetics.tank_coils import TankCoils
+from sim.tank.magnetics.true_sensors import TrueSensors
+from sim.tank.mismatch import RandomStreams, sample_truth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -26,7 +26,7 @@ STEP, SUBSTEPS = 1e-3, 50  # s: as in the tank
 SCALE = 80e3  # pixels per m
 SIZE = (320, 288)  # pixels
 PIVOT = (160.0, 244.0)  # pixel of the rotation centre, before the clip is turned and shifted
-PLAYED = 25.0  # frames per second in the file, as high-speed cameras write it
+PLAYBACK_RATE = 25.0  # frames per second in the file, as high-speed cameras write it
 EXPOSURE, EXPOSED = 60e-6, 3  # s; pictures that are averaged for one frame
 FRAMES_PER_PERIOD, MAX_FPS = 8.0, 1e6  # fewest frames per period, and most per second
 MAGNET_HALF, BLADE_HALF = 0.5e-3, 0.02e-3  # m: half a side of the magnet, half the thickness of the cantilever
@@ -47,7 +47,7 @@ class SwingFilm:
     frequency : float, in Hz
     damping : float, in 1/s
         Of an exponential decay.
-    loss : float, in rad/s
+    amplitude_loss : float, in rad/s
         Decrease of the amplitude in a linear decay.
     theta_max : float, in rad
     """
@@ -57,7 +57,7 @@ class SwingFilm:
     released: float
     frequency: float
     damping: float
-    loss: float
+    amplitude_loss: float
     theta_max: float
 
     def write_truth(self, path: Path) -> None:
@@ -71,8 +71,8 @@ class SwingFilm:
         path.write_text("\n".join(["frame,time_s,angle_rad", *rows]) + "\n", encoding="utf-8")
 
 
-def swung(
-    rig: RigConfig, robot: RobotConfig, seed: int, cycles: int, free: float, current: float
+def simulate_swing(
+    rig: RigConfig, robot: RobotConfig, seed: int, cycles: int, free_time: float, current: float
 ) -> tuple[FloatArray, FloatArray, float, FloatArray]:
     """Simulate the tank's cantilever in a housing held over the excitation coils: driven, then free.
 
@@ -83,7 +83,7 @@ def swung(
     seed : int
     cycles : int
         Length of the drive, in periods of the assumed resonance.
-    free : float, in s
+    free_time : float, in s
         Time after the drive.
     current : float, in A
         Amplitude of the drive.
@@ -96,21 +96,21 @@ def swung(
     released : float, in s
         End of the drive.
     device : ndarray
-        As `sim.tank.magnetics.cantilever.swing` takes it.
+        As `sim.tank.magnetics.cantilever.advance_cantilever` takes it.
     """
     settings = rig.section_of("tank", TankSettings)
-    streams = Streams.from_seed(seed)
-    truth = draw(settings, len(rig.driven), len(rig.sensors), streams)
+    streams = RandomStreams.from_seed(seed)
+    truth = sample_truth(settings, len(rig.driven), len(rig.sensors), streams)
     sensors = TrueSensors(rig, truth, streams.field_noise, streams.sensor_noise, streams.constants)
     coils = TankCoils.build(rig, settings, truth, sensors.positions, sensors.axes)
-    device = true_device(robot, settings, truth)
+    device = pack_true_device(robot, settings, truth)
     # the field of the first coil is along world x: it must be across the moment, in the plane of oscillation
     across = "x" if robot.device.along_cantilever else "z"
     quaternion = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), f"{across}y")
     place = np.array([*rig.container.center, rig.container.surface_z])
     middle = place + matrix_from_quaternion(quaternion) @ device[MIDDLE : MIDDLE + 3]
     drive = cycles / robot.device.frequency
-    steps = math.ceil((drive + free) / STEP)
+    steps = math.ceil((drive + free_time) / STEP)
     state, poses = np.zeros(STATE_LENGTH), np.zeros((steps, 7))
     trace = np.zeros((steps * SUBSTEPS, 1 + len(coils.circuits)))
     state[DRIVE] = 2.0 * math.pi * robot.device.frequency
@@ -119,7 +119,7 @@ def swung(
     for i in range(steps):
         if i == on:
             coils.circuits[:, COMMAND : SINE + 1] = 0.0
-        swing(
+        advance_cantilever(
             tuple(middle), tuple(quaternion), device, np.zeros(3), coils.fields.rows, coils.fields.coefficients,
             coils.circuits, state, poses, i, trace, i * SUBSTEPS, STEP, SUBSTEPS, np.zeros((0, 1)), 0,
         )  # fmt: skip
@@ -129,7 +129,7 @@ def swung(
 
 def film_swing(
     rig: RigConfig, robot: RobotConfig, path: Path, *, seed: int = 1, fps: float = 5000.0, cycles: int = 10,
-    free: float = 0.15, current: float = 6.0,
+    free_time: float = 0.15, current: float = 6.0,
 ) -> SwingFilm:  # fmt: skip
     """Film a cantilever with a bright magnet, along its axis of oscillation, into a clip.
 
@@ -146,7 +146,7 @@ def film_swing(
         At which it is recorded.
     cycles : int
         Length of the drive, in periods of the assumed resonance.
-    free : float, in s
+    free_time : float, in s
         Time after the drive.
     current : float, in A
         Amplitude of the drive.
@@ -167,25 +167,25 @@ def film_swing(
             f"got {fps:g}."
         )
     rng = np.random.default_rng([seed, 0x5711])
-    times, theta, released, device = swung(rig, robot, seed, cycles, free, current)
+    times, theta, released, device = simulate_swing(rig, robot, seed, cycles, free_time, current)
     frames = (np.arange(math.floor(times[-1] * fps)) + 0.5) / fps
     l0, theta_max, omega2, friction, eta = (float(v) for v in device[L0 : ETA + 1])
     frequency = math.sqrt(omega2 - eta**2) / (2.0 * math.pi)
     loss = friction * 4.0 * frequency / omega2  # of dry friction, in rad/s
     made = SwingFilm(frames, np.interp(frames, times, theta), released, frequency, eta, loss, theta_max)
-    scene = _Scene(rng, l0)
-    grain = Grain(rng, SIZE)
-    with Writer(path, PLAYED, SIZE) as writer:
+    scene = _SwingScene(rng, l0)
+    grain = CameraNoise(rng, SIZE)
+    with VideoFile(path, PLAYBACK_RATE, SIZE) as writer:
         for time in frames:
             parts = [
-                scene.picture(float(np.interp(time + shift, times, theta)))
+                scene.render(float(np.interp(time + shift, times, theta)))
                 for shift in EXPOSURE * (np.arange(EXPOSED) - 1) / EXPOSED
             ]
-            writer.write(grain.over(blurred(np.mean(parts, axis=0), scene.blur)))
+            writer.write(grain.apply(blur_image(np.mean(parts, axis=0), scene.blur)))
     return made
 
 
-class _Scene:
+class _SwingScene:
     """A dark chamber, a steel blade and a bright magnet, viewed slightly off the axis and rotated."""
 
     def __init__(self, rng: np.random.Generator, l0: float) -> None:
@@ -207,7 +207,7 @@ class _Scene:
         wall = 0.5 + 0.5 * np.tanh((np.abs(self.x) - 1.35e-3) / 0.05e-3)
         self.chamber = 18.0 + 30.0 * wall + 6.0 * rng.uniform() * (self.z < -0.3e-3)
 
-    def picture(self, theta: float) -> FloatArray:
+    def render(self, theta: float) -> FloatArray:
         """Render the scene (rows, columns, 3) with the magnet deflected by `theta` rad, without noise and blur."""
         half = MAGNET_HALF
         c, s = math.cos(theta), math.sin(theta)

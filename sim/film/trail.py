@@ -41,7 +41,7 @@ class Trail:
                 turned[i] *= -1.0
         object.__setattr__(self, "orientations", turned)
 
-    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def interpolate(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Interpolate linearly between rows; before and after, the robot is at rest.
 
         Parameters

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from smolbot.core.closing import Closing
+from smolbot.core.closeable import Closeable
 
 CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
 
@@ -19,14 +19,14 @@ OPTIONS = (
     "--disable-component-update", "--disable-sync", "--no-proxy-server",
 )  # fmt: skip
 
-LOOKS = 5
+CLOCK_READINGS = 5
 """Looks at the page's clock."""
 
-SLACK = 0.002
+CLOCK_TOLERANCE = 0.002
 """Seconds by which the wall's clock may have been set right since a page was loaded."""
 
 
-def missing() -> str:
+def find_missing() -> str:
     """Return why there is no browser.
 
     Returns
@@ -42,7 +42,7 @@ def missing() -> str:
     return f"{', '.join(gone)} is missing (make system-deps)" if gone else ""
 
 
-class Browser(Closing):
+class Browser(Closeable):
     """Chromium without a display, and without the rights to go before others, as a user's would be.
 
     Parameters
@@ -62,9 +62,9 @@ class Browser(Closing):
         for option in (*OPTIONS, f"--user-data-dir={self._profile / 'profile'}", f"--window-size={width},{height}"):
             options.add_argument(option)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-        self.driver: Any = webdriver.Chrome(options=options, service=Service(str(self._humble())))
+        self.driver: Any = webdriver.Chrome(options=options, service=Service(str(self._write_plain_driver())))
 
-    def _humble(self) -> Path:
+    def _write_plain_driver(self) -> Path:
         """A driver that cannot raise its priority, where root runs it: chromium would go before the mission."""
         path = self._profile / "driver"
         drop = "setpriv --bounding-set=-sys_nice --inh-caps=-sys_nice " if shutil.which("setpriv") else ""
@@ -82,7 +82,7 @@ class Browser(Closing):
         """
         self.driver.get(address)
         end = time.monotonic() + timeout
-        while self.text("state") in ("", "NO CONTACT"):
+        while self.read_text("state") in ("", "NO CONTACT"):
             if time.monotonic() > end:
                 raise TimeoutError(f"The page at {address} has heard nothing within {timeout:g} s.")
             time.sleep(0.1)
@@ -91,7 +91,7 @@ class Browser(Closing):
             "{ display: none }'; document.head.append(style);"
         )
 
-    def text(self, name: str) -> str:
+    def read_text(self, name: str) -> str:
         """Return the text of an element.
 
         Parameters
@@ -106,7 +106,7 @@ class Browser(Closing):
         found = self.driver.execute_script("return document.getElementById(arguments[0])?.textContent || ''", name)
         return str(found)
 
-    def until(self, name: str, texts: tuple[str, ...], timeout: float = 60.0) -> str:
+    def wait_for_text(self, name: str, texts: tuple[str, ...], timeout: float = 60.0) -> str:
         """Wait until an element shows one of some texts.
 
         Parameters
@@ -127,13 +127,13 @@ class Browser(Closing):
             If none came in time.
         """
         end = time.monotonic() + timeout
-        while (found := self.text(name)) not in texts:
+        while (found := self.read_text(name)) not in texts:
             if time.monotonic() > end:
                 raise TimeoutError(f"#{name} says '{found}', and none of {', '.join(texts)} within {timeout:g} s.")
             time.sleep(0.1)
         return found
 
-    def clock(self) -> tuple[float, float]:
+    def compare_clocks(self) -> tuple[float, float]:
         """Compare the page's clock with the machine's monotonic clock.
 
         The page reports, by the wall clock, when its own clock began; the difference of the machine's two clocks gives
@@ -153,15 +153,15 @@ class Browser(Closing):
         begun = 1e-3 * float(self.driver.execute_script("return performance.timeOrigin"))
         before, wall, after = time.monotonic(), time.time(), time.monotonic()
         offset = begun - wall + 0.5 * (before + after)
-        for _ in range(LOOKS):
+        for _ in range(CLOCK_READINGS):
             before = time.monotonic()
             told = offset + 1e-3 * float(self.driver.execute_script("return performance.now()"))
             after = time.monotonic()
-            if not before - SLACK <= told <= after + SLACK:
+            if not before - CLOCK_TOLERANCE <= told <= after + CLOCK_TOLERANCE:
                 raise RuntimeError(
                     f"the page's clock is off: {told:.4f} s is not within {before:.4f} and {after:.4f} s"
                 )
-        return offset, SLACK
+        return offset, CLOCK_TOLERANCE
 
     def watch_clicks(self, *, then_leave: bool = False) -> None:
         """Note when the button is pressed, before any other handler; optionally leave the page right after.
@@ -182,7 +182,7 @@ class Browser(Closing):
 
         ActionChains(self.driver, duration=0).click(self.driver.find_element(By.ID, "stop")).perform()
 
-    def pressed(self) -> float:
+    def read_press_time(self) -> float:
         """Return when the button was pressed.
 
         Returns
@@ -192,7 +192,7 @@ class Browser(Closing):
         """
         return 1e-3 * float(self.driver.execute_script("return localStorage.getItem('pressed')"))
 
-    def complaints(self) -> list[str]:
+    def read_errors(self) -> list[str]:
         """Return the errors in the page's console.
 
         Returns

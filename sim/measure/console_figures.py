@@ -25,12 +25,12 @@ from typing import Any
 
 import numpy as np
 
-from sim.measure.browser import Browser, missing
-from sim.measure.fault_cases import Bench, with_ports
+from sim.measure.browser import Browser, find_missing
+from sim.measure.fault_cases import Bench, copy_rig_with_ports
 from sim.twin.control import TwinControl
 from smolbot.errors import RigError
-from smolbot.ui.link.consoles import ENVIRONMENT, Console, read
-from smolbot.ui.link.gate import stop_through
+from smolbot.ui.link.console_server import request_stop
+from smolbot.ui.link.consoles import ENVIRONMENT, Console, read_console
 
 WAYS = ("click", "leave", "command", "kill")
 """STOP pressed; pressed on a page that is gone the moment after; without a browser; the console's process killed."""
@@ -94,7 +94,7 @@ class ConsoleBench:
 
     def __init__(self, folder: Path, first_port: int, size: tuple[int, int], browser: bool) -> None:
         self.folder, self.port = folder, first_port + 8
-        self.rig = with_ports("twin", folder, first_port)
+        self.rig = copy_rig_with_ports("twin", folder, first_port)
         self._size, self._browse = size, browser
         self._bench = Bench(folder, "r_path", str(self.rig), (), f"127.0.0.1:{first_port + 2}")
         self._flights = 0
@@ -142,7 +142,7 @@ class ConsoleBench:
         if not self._console.stdout.readline():
             raise RigError(f"The console did not open: {(self.folder / 'console.log').read_text()}")
         path = session / "smolbot" / f"console-{self.port}.json"
-        found = read(path)
+        found = read_console(path)
         assert found is not None
         self.console: Console = found
         self._environment = os.environ | place | {ENVIRONMENT: str(path)}
@@ -160,9 +160,9 @@ class ConsoleBench:
             Passed on to the flying process.
         """
         assert self._flier.stdin is not None
-        self.twin.ask("clear")
+        self.twin.send_request("clear")
         self._flights += 1
-        self._since = max([entry["number"] for entry in self.twin.log()[-1:]], default=0)
+        self._since = max([entry["number"] for entry in self.twin.read_log()[-1:]], default=0)
         self._flier.stdin.write(json.dumps(how) + "\n")
         self._flier.stdin.flush()
 
@@ -200,7 +200,7 @@ class ConsoleBench:
             if select.select([self._flier.stdout], [], [], 0.0)[0]:
                 flown = self.end()
                 raise EndedEarlyError(f"{flown['status']}: {flown['reason']}")
-            log = self.twin.ask("log", since=self._since)
+            log = self.twin.send_request("log", since=self._since)
             if sum(e["what"] == "phase" and e.get("phase") == "listening" for e in log) >= number:
                 return
             time.sleep(0.1)
@@ -225,7 +225,7 @@ class ConsoleBench:
             browser.watch_clicks(then_leave=way == "leave")
         self.begin(live=True, seconds=60)
         self.await_shot(FIRST_SHOT)
-        offset, unsure = browser.clock() if browser is not None and way in ("click", "leave") else (0.0, 0.0)
+        offset, unsure = browser.compare_clocks() if browser is not None and way in ("click", "leave") else (0.0, 0.0)
         time.sleep(wait)
         if way == "kill":
             pressed = time.monotonic()
@@ -233,7 +233,7 @@ class ConsoleBench:
         elif way == "command":
             pressed = time.monotonic()
             with self.console.connect() as sock:
-                stop_through(sock, "a measurement")
+                request_stop(sock, "a measurement")
         else:
             assert browser is not None
             browser.press_stop()
@@ -246,19 +246,19 @@ class ConsoleBench:
             if way != "click":
                 browser.open(self.console.address)
             if way != "kill":
-                pressed = offset + browser.pressed()
-        log = [e for e in self.twin.ask("log", since=self._since) if e["what"] == "driven"]
+                pressed = offset + browser.read_press_time()
+        log = [e for e in self.twin.send_request("log", since=self._since) if e["what"] == "driven"]
         at_press = [e["on"] for e in log if e["time"] <= pressed]
         return Stop(
             way,
-            max(self.twin.state()["last_driven"] - pressed, 0.0),
+            max(self.twin.read_state()["last_driven"] - pressed, 0.0),
             flown["rested"] - pressed,
             bool(at_press and at_press[-1]),
             unsure,
             f"{flown['status']}: {flown['reason']}",
         )
 
-    def lateness(self, seconds: float, *, shown: bool) -> list[float]:
+    def measure_lateness(self, seconds: float, *, shown: bool) -> list[float]:
         """Measure the lateness of one flight's cycles.
 
         Parameters
@@ -330,7 +330,7 @@ def main() -> None:
     parser.add_argument("--size", default="900x620", help="of the browser's window: it is drawn by software here")
     parser.add_argument("--first-port", type=int, default=32793)
     given = parser.parse_args()
-    reason = "" if given.no_browser else missing()
+    reason = "" if given.no_browser else find_missing()
     if reason:
         sys.exit(f"{reason}; or leave the browser out with --no-browser.")
     width, _, height = given.size.partition("x")
@@ -363,8 +363,8 @@ def main() -> None:
                 print(f"{early} flights ended before they were stopped, and were not measured")
             off, on = [], []
             for _ in range(given.flights):
-                off += bench.lateness(given.seconds, shown=False)
-                on += bench.lateness(given.seconds, shown=True)
+                off += bench.measure_lateness(given.seconds, shown=False)
+                on += bench.measure_lateness(given.seconds, shown=True)
     if off and on:
         without, with_ = np.percentile(1e3 * np.array(off), (50, 99)), np.percentile(1e3 * np.array(on), (50, 99))
         print(

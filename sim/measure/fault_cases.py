@@ -23,7 +23,7 @@ from typing import Any
 from sim.twin.control import TwinControl
 from smolbot.errors import RigError
 
-SHOT = 16
+FAULT_SHOT = 16
 """The electrical shot in which a fault comes: the robot is found by then, and pulled."""
 
 ALLOWED = 0.150
@@ -128,15 +128,15 @@ class Bench:
         -------
         Outcome
         """
-        twin.ask("clear")
-        before = max([entry["number"] for entry in twin.log()[-1:]], default=0)
+        twin.send_request("clear")
+        before = max([entry["number"] for entry in twin.read_log()[-1:]], default=0)
         self._number += 1
         out = self.folder / f"run{self._number}"
         name, _, lasting = fault.partition(":")
         if fault not in SIGNALS and not turning:
-            twin.inject(f"{name}@{phase}#{SHOT}:{lasting}")
+            twin.inject(f"{name}@{phase}#{FAULT_SHOT}:{lasting}")
         elif fault == "kill -9":  # the driver dies with its host, and leaves everything as it is
-            twin.inject(f"outputs_frozen@{phase}#{SHOT}:good")
+            twin.inject(f"outputs_frozen@{phase}#{FAULT_SHOT}:good")
         settings = [part for text in self.settings for part in ("--set", text)]
         command = [sys.executable, "-m", "smolbot", "run", self.mission, "--rig", self.rig, "--out", str(out)]
         process = subprocess.Popen(
@@ -144,17 +144,17 @@ class Bench:
         )
         try:
             at = self._await_fault(twin, process, fault, phase, before, turning)
-            motors = self._motors_off(twin, at) if turning else None
+            motors = self._find_motors_off(twin, at) if turning else None
             said, _ = process.communicate(timeout=90)
         except BaseException:
             process.kill()
             raise
         ended = time.monotonic()
         time.sleep(0.3)  # what is left to the watchdog has happened by then
-        state = twin.state()
+        state = twin.read_state()
         stuck = name == "relay_stuck"
-        opened = self._opened(twin, before, at) if stuck else state["last_closed"] - at
-        cycles, whole = self._folder_of(out, process.returncode)
+        opened = self._find_relay_opening(twin, before, at) if stuck else state["last_closed"] - at
+        cycles, whole = self._check_folder(out, process.returncode)
         text = " ".join(said.split())
         return Outcome(
             fault, phase, process.returncode, max(state["last_driven"] - at, 0.0), max(opened, 0.0), motors,
@@ -168,37 +168,37 @@ class Bench:
         end = time.monotonic() + 60.0
         while time.monotonic() < end:
             if process.poll() is not None:
-                found = [e for e in twin.ask("log", since=before) if e["what"] == "fault"]
+                found = [e for e in twin.send_request("log", since=before) if e["what"] == "fault"]
                 if found:
                     return float(found[0]["time"])
                 assert process.stdout is not None
                 raise RigError(f"The run ended before {fault} came: {process.stdout.read()}")
-            if turning and self._moment_of_stage(twin, phase):
+            if turning and self._is_stage_moment(twin, phase):
                 name, _, lasting = fault.partition(":")
                 twin.inject(f"{name}@now:{lasting}")
                 return time.monotonic()
             if not turning:
-                entries = twin.ask("log", since=before)
+                entries = twin.send_request("log", since=before)
                 faults = [e for e in entries if e["what"] == "fault"]
                 if fault not in SIGNALS and faults:
                     return float(faults[0]["time"])
                 if fault == "kill -9" and faults:
                     process.send_signal(signal.SIGKILL)
                     return time.monotonic()
-                if fault in SIGNALS and fault != "kill -9" and self._reached(entries, phase):
+                if fault in SIGNALS and fault != "kill -9" and self._has_reached(entries, phase):
                     return _send(process, fault)
             time.sleep(0.002)
         raise RigError(f"{fault} at {phase} did not come within a minute.")
 
     @staticmethod
-    def _reached(entries: list[dict[str, Any]], phase: str) -> bool:
-        wanted, shot = ("listening", SHOT - 1) if phase == "before" else (phase, SHOT)
+    def _has_reached(entries: list[dict[str, Any]], phase: str) -> bool:
+        wanted, shot = ("listening", FAULT_SHOT - 1) if phase == "before" else (phase, FAULT_SHOT)
         return any(e["what"] == "phase" and e["phase"] == wanted and e["shot"] == shot for e in entries)
 
     @staticmethod
-    def _moment_of_stage(twin: TwinControl, phase: str) -> bool:
+    def _is_stage_moment(twin: TwinControl, phase: str) -> bool:
         """Before: the magnet is asked for; actuation: it turns; listening: it is away again."""
-        state = twin.state()
+        state = twin.read_state()
         if phase == "before":
             return state["lamp"] == "near"
         if phase == "actuation":
@@ -206,22 +206,22 @@ class Bench:
         return bool(state["lamp"] == "away")
 
     @staticmethod
-    def _motors_off(twin: TwinControl, at: float) -> float:
+    def _find_motors_off(twin: TwinControl, at: float) -> float:
         """When the motors' drivers went off, after a fault of the stage."""
         while time.monotonic() < at + 5.0:
-            if not twin.state()["motors_on"]:
+            if not twin.read_state()["motors_on"]:
                 return time.monotonic() - at
             time.sleep(0.005)
         return float("inf")
 
     @staticmethod
-    def _opened(twin: TwinControl, before: int, at: float) -> float:
+    def _find_relay_opening(twin: TwinControl, before: int, at: float) -> float:
         """When the amplifiers were off: contacts that stick carry nothing then."""
-        offs = [e["time"] for e in twin.ask("log", since=before) if e["what"] == "enabled" and not e["on"]]
+        offs = [e["time"] for e in twin.send_request("log", since=before) if e["what"] == "enabled" and not e["on"]]
         return float(max(offs) - at) if offs else 0.0
 
     @staticmethod
-    def _folder_of(out: Path, code: int) -> tuple[int, bool]:
+    def _check_folder(out: Path, code: int) -> tuple[int, bool]:
         """Cycles on record, and whether the folder is whole up to the fault."""
         names = ["mission.toml", "rig.toml", "robot.toml", "provenance.json"]
         whole = all((out / name).is_file() for name in names)
@@ -249,7 +249,7 @@ def _send(process: subprocess.Popen[str], what: str) -> float:
     return at
 
 
-def with_ports(rig: str, folder: Path, first: int) -> Path:
+def copy_rig_with_ports(rig: str, folder: Path, first: int) -> Path:
     """Copy a shipped twin's rig file with other ports, so that it disturbs no other twin.
 
     Parameters
@@ -275,7 +275,7 @@ def with_ports(rig: str, folder: Path, first: int) -> Path:
     return path
 
 
-def cases(only: str = "") -> Iterator[tuple[bool, str, str]]:
+def list_cases(only: str = "") -> Iterator[tuple[bool, str, str]]:
     """List the cases.
 
     Parameters
@@ -312,7 +312,7 @@ def run_cases(folder: Path, only: str = "", first_port: int = 32763) -> Iterator
     ------
     Outcome
     """
-    chosen = list(cases(only))
+    chosen = list(list_cases(only))
     for turning, mission, rig, settings in (
         (False, "r_path", "twin", ("localization.quiet_s=2", "stop.max_duration_s=30")),
         (True, "s_path", "twin_gel", ("localization.quiet_s=2", "rig.magnet.move_s=1.5")),
@@ -322,7 +322,7 @@ def run_cases(folder: Path, only: str = "", first_port: int = 32763) -> Iterator
             continue
         own = folder / rig
         own.mkdir()
-        path = with_ports(rig, own, first_port)
+        path = copy_rig_with_ports(rig, own, first_port)
         if turning:
             path.write_text(path.read_text(encoding="utf-8").replace("move_s = 10.0", "move_s = 1.5"), encoding="utf-8")
         bench = Bench(own, mission, str(path), settings, f"127.0.0.1:{first_port + 2}")
@@ -336,7 +336,7 @@ HEADER = (
 )
 
 
-def line(outcome: Outcome) -> str:
+def format_case(outcome: Outcome) -> str:
     """Format one case as a line of the table; times in ms.
 
     Parameters
@@ -365,7 +365,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         print(HEADER)
         for outcome in run_cases(Path(folder), only):
-            print(line(outcome), flush=True)
+            print(format_case(outcome), flush=True)
             count, failed = count + 1, failed + bool(outcome.reason)
     print(f"{count} cases, {failed} failed; allowed: {1e3 * ALLOWED:.0f} ms, magnet {1e3 * ALLOWED_MAGNET:.0f} ms")
     sys.exit(os.EX_OK if not failed else 1)

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.twin.firmware import build, size
-from sim.twin.uno import SimulatedUno
-from sim.twin.unostate import PINS
-from smolbot.bench.hardware.stage.protocol import LINE_MAX, line
+from sim.twin.firmware import build_firmware, measure_size
+from sim.twin.simulated_uno import SimulatedUno
+from sim.twin.uno_state import PINS
+from smolbot.bench.hardware.stage.protocol import LINE_MAX, format_line
 
 CYCLE = 1.0 / 16e6
 FLASH, RAM = 32256, 2048  # bytes of an ATmega328P, beside the bootloader
@@ -114,21 +114,21 @@ def fuzz(uno: SimulatedUno, wire: Wire, lines: int, seed: int = 1) -> Fuzzed:
     rng = np.random.default_rng(seed)
     uno.take_edges()
     before, resets = uno.steps, uno.resets
-    wire.send(b"\n" + line(1, "BEAT"))
-    armed = wire.ask(line(2, "ARM"), b"2 OK") and uno.enabled
+    wire.send(b"\n" + format_line(1, "BEAT"))
+    armed = wire.ask(format_line(2, "ARM"), b"2 OK") and uno.enabled
     since_beat = 0
     for _ in range(lines):
-        spoiled = spoiled_line(rng) + b"\n"
+        spoiled = make_corrupted_line(rng) + b"\n"
         since_beat += len(spoiled)
         if since_beat > BEAT_BYTES:
-            spoiled += b"\n" + line(3, "BEAT") + b"\n"
+            spoiled += b"\n" + format_line(3, "BEAT") + b"\n"
             since_beat = 0
         wire.send(spoiled)
     alive = False
     for _ in range(
         200
     ):  # the board works off what is on its way; what it says to spoiled lines may crowd out its answer
-        if alive := wire.ask(b"\n" + line(255, "BEAT"), b"255 OK ", 0.2):
+        if alive := wire.ask(b"\n" + format_line(255, "BEAT"), b"255 OK ", 0.2):
             break
     edges = uno.take_edges()
     pulses = int(np.sum(((edges["pin"] == 0) | (edges["pin"] == 2)) & (edges["level"] == 1)))
@@ -137,7 +137,7 @@ def fuzz(uno: SimulatedUno, wire: Wire, lines: int, seed: int = 1) -> Fuzzed:
     return Fuzzed(lines, pulses, uno.resets - resets, armed and uno.enabled and off.size == 0, alive)
 
 
-def spoiled_line(rng: np.random.Generator) -> bytes:
+def make_corrupted_line(rng: np.random.Generator) -> bytes:
     """Make a corrupted line, without its end, that must move nothing.
 
     Parameters
@@ -149,7 +149,7 @@ def spoiled_line(rng: np.random.Generator) -> bytes:
     bytes
     """
     command = f"MOVE {rng.integers(-9000, 9000)} {rng.integers(40, 4000)} {rng.integers(-9000, 9000)} 444"
-    good = bytearray(line(int(rng.integers(0, 256)), command)[:-1])
+    good = bytearray(format_line(int(rng.integers(0, 256)), command)[:-1])
     kind = int(rng.integers(0, 7))
     if kind == 0:
         return rng.bytes(int(rng.integers(1, 100))).replace(b"\n", b"*")
@@ -171,27 +171,27 @@ def spoiled_line(rng: np.random.Generator) -> bytes:
         "MOVE 100 800 0 x", "MOVE 1e3 800 0 0", "MOVE 99999999 800 0 0", "MOVE  100 800 0", "move 100 800 0 0",
         "MOVE 100 -800 0 0", "JUMP", "ARM NOW", "LAMP", "LAMP FAR", "ID x", "MOVE 0 0 -100 0", "MOVE - 800 0 0",
     )  # fmt: skip
-    return line(int(rng.integers(0, 256)), forbidden[int(rng.integers(len(forbidden)))])[:-1]
+    return format_line(int(rng.integers(0, 256)), forbidden[int(rng.integers(len(forbidden)))])[:-1]
 
 
 def _run_up(uno: SimulatedUno, wire: Wire) -> None:
     """Arm, and turn both axes for longer than any of the trials."""
-    wire.send(b"\n" + line(1, "CLEAR") + line(2, "BEAT") + line(3, "ARM"))
-    if not wire.ask(line(4, "MOVE 100000 800 100000 444"), b"4 OK"):
+    wire.send(b"\n" + format_line(1, "CLEAR") + format_line(2, "BEAT") + format_line(3, "ARM"))
+    if not wire.ask(format_line(4, "MOVE 100000 800 100000 444"), b"4 OK"):
         raise SystemExit(f"the board does not move: {wire.heard!r}")
 
 
-def _board_time(uno: SimulatedUno) -> float:
+def _read_board_time(uno: SimulatedUno) -> float:
     """Seconds since power-up by the board's own clock, which a busy machine may hold up; known to a millisecond."""
-    return uno.state.number("cycles") * CYCLE
+    return uno.state.read_number("cycles") * CYCLE
 
 
-def _off_after(uno: SimulatedUno, since: float) -> float:
+def _measure_off_delay(uno: SimulatedUno, since: float) -> float:
     """Seconds of the board from `since` until its drivers were switched off, and no step came after."""
-    while uno.enabled and _board_time(uno) < since + 3.0:
+    while uno.enabled and _read_board_time(uno) < since + 3.0:
         time.sleep(0.01)
-    off = _board_time(uno)
-    while _board_time(uno) < off + 0.1:
+    off = _read_board_time(uno)
+    while _read_board_time(uno) < off + 0.1:
         time.sleep(0.01)
     edges = uno.take_edges()
     drivers = edges[(edges["pin"] == PINS.index("drivers on")) & (edges["level"] == 0)]
@@ -203,7 +203,7 @@ def _off_after(uno: SimulatedUno, since: float) -> float:
     return float(drivers["cycle"][-1]) * CYCLE - since
 
 
-def jitter(uno: SimulatedUno, wire: Wire, seconds: float = 3.0) -> dict[str, tuple[float, float, float]]:
+def measure_jitter(uno: SimulatedUno, wire: Wire, seconds: float = 3.0) -> dict[str, tuple[float, float, float]]:
     """Measure step intervals at a steady rate while axes and serial line are busy.
 
     Parameters
@@ -219,11 +219,11 @@ def jitter(uno: SimulatedUno, wire: Wire, seconds: float = 3.0) -> dict[str, tup
     _run_up(uno, wire)
     began = time.monotonic()
     while time.monotonic() < began + 0.5 + seconds:
-        wire.ask(line(5 + int(1000 * time.monotonic()) % 200, "BEAT"), b"*")
+        wire.ask(format_line(5 + int(1000 * time.monotonic()) % 200, "BEAT"), b"*")
         if time.monotonic() < began + 0.5:
             uno.take_edges()  # the ramp
     edges = uno.take_edges()
-    wire.ask(line(250, "OFF"), b"250 OK")
+    wire.ask(format_line(250, "OFF"), b"250 OK")
     found = {}
     for pin, name in ((0, "turn"), (2, "steering")):
         gaps = np.diff(edges["cycle"][(edges["pin"] == pin) & (edges["level"] == 1)].astype(np.int64)) * CYCLE
@@ -232,7 +232,7 @@ def jitter(uno: SimulatedUno, wire: Wire, seconds: float = 3.0) -> dict[str, tup
     return found
 
 
-def heartbeat_loss(uno: SimulatedUno, wire: Wire) -> float:
+def measure_heartbeat_loss(uno: SimulatedUno, wire: Wire) -> float:
     """Measure the time from the last heartbeat to motors off, while both turn.
 
     Parameters
@@ -245,11 +245,11 @@ def heartbeat_loss(uno: SimulatedUno, wire: Wire) -> float:
     float, in s
     """
     _run_up(uno, wire)
-    wire.ask(line(6, "BEAT"), b"6 OK")
-    return _off_after(uno, _board_time(uno))
+    wire.ask(format_line(6, "BEAT"), b"6 OK")
+    return _measure_off_delay(uno, _read_board_time(uno))
 
 
-def hung_loop(uno: SimulatedUno, wire: Wire) -> float:
+def measure_hung_loop(uno: SimulatedUno, wire: Wire) -> float:
     """Measure the time from a main loop that hangs, while its interrupts still step, to motors off.
 
     Parameters
@@ -262,10 +262,10 @@ def hung_loop(uno: SimulatedUno, wire: Wire) -> float:
     float, in s
     """
     _run_up(uno, wire)
-    wire.ask(line(6, "BEAT"), b"6 OK")
-    since = _board_time(uno)
+    wire.ask(format_line(6, "BEAT"), b"6 OK")
+    since = _read_board_time(uno)
     uno.hang()
-    return _off_after(uno, since)
+    return _measure_off_delay(uno, since)
 
 
 def main(lines: int = LINES) -> None:
@@ -276,7 +276,7 @@ def main(lines: int = LINES) -> None:
     lines : int
         To fuzz with.
     """
-    flash, ram = size(build().firmware)
+    flash, ram = measure_size(build_firmware().firmware)
     print(f"flash                        {flash} of {FLASH} bytes ({100 * flash / FLASH:.1f} %)")
     print(f"RAM without stack            {ram} of {RAM} bytes ({100 * ram / RAM:.1f} %)")
     with tempfile.TemporaryDirectory() as folder:
@@ -285,16 +285,16 @@ def main(lines: int = LINES) -> None:
         try:
             uno.start(port)
             wire = Wire(port)
-            for name, (mean, spread, most) in jitter(uno, wire).items():
+            for name, (mean, spread, most) in measure_jitter(uno, wire).items():
                 print(
                     f"step jitter, {name:<15} {spread * 1e6:.2f} us standard deviation, {most * 1e6:.1f} us at most, "
                     f"of {mean * 1e6:.1f} us"
                 )
-            off = [heartbeat_loss(uno, wire) for _ in range(3)]
+            off = [measure_heartbeat_loss(uno, wire) for _ in range(3)]
             print(f"heartbeat lost to motors off {', '.join(f'{1e3 * s:.0f}' for s in off)} ms")
-            off = [hung_loop(uno, wire) for _ in range(3)]
+            off = [measure_hung_loop(uno, wire) for _ in range(3)]
             print(f"main loop hung to motors off {', '.join(f'{1e3 * s:.0f}' for s in off)} ms")
-            wire.send(b"\n" + line(1, "CLEAR"))
+            wire.send(b"\n" + format_line(1, "CLEAR"))
             found = fuzz(uno, wire, lines)
             print(
                 f"fuzz                         {found.lines} lines: {found.steps} steps, {found.resets} resets; "

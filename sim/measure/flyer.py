@@ -17,7 +17,7 @@ from smolbot.flight.safety.stop_latch import Ending, Latch
 from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
 from smolbot.runs.run import CycleRecord
-from smolbot.ui.cli.live import watched
+from smolbot.ui.cli.live import connect_console
 
 
 class TimedLatch(Latch):
@@ -27,7 +27,7 @@ class TimedLatch(Latch):
         super().__init__()
         self.heard = self.rested = float("nan")
 
-    def shut(self, reason: str, ending: Ending = "failed", *, halt: bool = True) -> bool:
+    def trip(self, reason: str, ending: Ending = "failed", *, halt: bool = True) -> bool:
         """Trip the latch, and note when it was called and when it returned.
 
         Parameters
@@ -42,13 +42,13 @@ class TimedLatch(Latch):
             Whether it was the first.
         """
         heard = time.monotonic()
-        first = super().shut(reason, ending, halt=halt)
+        first = super().trip(reason, ending, halt=halt)
         if first:
             self.heard, self.rested = heard, time.monotonic()
         return first
 
 
-def lateness(cycles: Sequence[CycleRecord]) -> list[float]:
+def compute_lateness(cycles: Sequence[CycleRecord]) -> list[float]:
     """Compute how much longer each cycle took than its windows: computing, and waiting for the machine.
 
     Parameters
@@ -73,12 +73,12 @@ def main() -> None:
         settings = {"localization.quiet_s": "1", "stop.max_duration_s": str(asked["seconds"])}
         mission, latch = load_mission(mission_name, rig, settings), TimedLatch()
         folder = RunFolder(Path(asked["out"])) if asked.get("out") else None
-        link = watched(mission, 1, latch, lambda _: None) if asked.get("live") else nullcontext((None, None))
+        link = connect_console(mission, 1, latch, lambda _: None) if asked.get("live") else nullcontext((None, None))
         with link as (pause, pump):
-            run = fly(mission, 1, folder=folder, settings=settings, latch=latch, pause=pause, live=pump)
+            run = fly(mission, 1, folder=folder, settings=settings, latch=latch, pause=pause, make_live_sink=pump)
         told = {
             "status": run.status, "reason": run.stop_reason, "cycles": len(run.cycles), "heard": latch.heard,
-            "rested": latch.rested, "lateness": lateness(run.cycles),
+            "rested": latch.rested, "lateness": compute_lateness(run.cycles),
             "compute": [cycle.compute for cycle in run.cycles],
         }  # fmt: skip
         print(json.dumps(told), flush=True)

@@ -69,7 +69,7 @@ class Outcome:
 
 
 @dataclass
-class Told:
+class VictimOutput:
     """What a process had printed: when it began, flew and ended (s, monotonic), cycles and counts."""
 
     marks: dict[str, float] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class Told:
     flushed: list[tuple[float, int]] = field(default_factory=list)
 
     @classmethod
-    def read(cls, log: Path) -> Told:
+    def read(cls, log: Path) -> VictimOutput:
         """Read what a victim printed.
 
         Parameters
@@ -126,10 +126,10 @@ def kill_all(
     rng = np.random.default_rng(seed)
     whole = Victim(folder / "whole", mission, seed, settings)
     whole.process.wait(_PATIENCE)
-    marks = whole.told().marks
+    marks = whole.read_output().marks
     names = [*PHASES, "done"]
     if not set(names) <= marks.keys():
-        raise RuntimeError(f"the mission did not fly to its end: {whole.said()}")
+        raise RuntimeError(f"the mission did not fly to its end: {whole.read_errors()}")
     lengths = {a: marks[b] - marks[a] for a, b in itertools.pairwise(names)}
     told("a run takes " + ", ".join(f"{name} {length:.2f} s" for name, length in lengths.items()))
     for number in range(kills):
@@ -137,7 +137,7 @@ def kill_all(
         delay = float(rng.uniform(0.0, lengths[phase]))
         victim = Victim(folder / f"{number:03d}", mission, seed + number, settings)
         killed = victim.kill(phase, delay)
-        yield check(victim, phase, killed)
+        yield check_recovery(victim, phase, killed)
 
 
 class Victim:
@@ -171,16 +171,16 @@ class Victim:
         with self._log.open("wb") as log, self._errors.open("wb") as errors:
             self.process = subprocess.Popen(order, stdout=log, stderr=errors)
 
-    def told(self) -> Told:
+    def read_output(self) -> VictimOutput:
         """Return what it printed so far.
 
         Returns
         -------
         Told
         """
-        return Told.read(self._log)
+        return VictimOutput.read(self._log)
 
-    def said(self) -> str:
+    def read_errors(self) -> str:
         """Return its error output.
 
         Returns
@@ -203,7 +203,7 @@ class Victim:
             When, on the monotonic clock.
         """
         until = time.monotonic() + _PATIENCE
-        while phase not in self.told().marks and self.process.poll() is None and time.monotonic() < until:
+        while phase not in self.read_output().marks and self.process.poll() is None and time.monotonic() < until:
             time.sleep(_POLL)
         time.sleep(delay)
         killed = time.monotonic()
@@ -212,7 +212,7 @@ class Victim:
         return killed
 
 
-def check(victim: Victim, phase: str, killed: float) -> Outcome:
+def check_recovery(victim: Victim, phase: str, killed: float) -> Outcome:
     """Recover a killed run and compare it with what its process had printed.
 
     Parameters
@@ -229,7 +229,7 @@ def check(victim: Victim, phase: str, killed: float) -> Outcome:
     from smolbot.runs.recording.reader import read_run
     from smolbot.runs.recover import recover
 
-    told, out = victim.told(), Outcome(phase)
+    told, out = victim.read_output(), Outcome(phase)
     out.cycles = len(told.cycles)
     out.flushed = max((count for _, count in told.flushed), default=0)
     begin = time.perf_counter()
@@ -243,14 +243,14 @@ def check(victim: Victim, phase: str, killed: float) -> Outcome:
             out.faults.append(f"not recovered: {error}")
         return out
     out.messages, out.torn, out.recovered = done.found.messages, done.torn is not None, len(whole.moments)
-    if not whole.whole or again.needed:
+    if not whole.complete or again.needed:
         out.faults.append("is not whole after it was recovered")
     if out.messages < out.flushed:
         out.faults.append(f"{out.flushed} messages were said to be flushed, {out.messages} are there")
     if whole.number_of_cycle != list(range(out.recovered)):
         out.faults.append("cycles are missing in between")
     for (_, line), moment in zip(told.cycles, whole.moments, strict=False):
-        if line["poses"] != _poses(moment.cycle):
+        if line["poses"] != _format_poses(moment.cycle):
             out.faults.append(f"cycle {line['number']} is not what was played")
     if out.recovered < out.cycles:
         out.missing = killed - told.cycles[out.recovered][0]
@@ -284,7 +284,7 @@ def fly_as_victim(folder: Path, mission: str, seed: int, settings: Mapping[str, 
 
         def __call__(self, record: CycleRecord) -> None:
             command = record.command
-            say("cycle", number=self.number, poses=_poses(record), last=command.done or command.stuck)
+            say("cycle", number=self.number, poses=_format_poses(record), last=command.done or command.stuck)
             self.number += 1
 
     def listeners(_: AnyMission) -> tuple[Listener, ...]:
@@ -293,13 +293,13 @@ def fly_as_victim(folder: Path, mission: str, seed: int, settings: Mapping[str, 
     loaded = load_mission(mission, settings=dict(settings))
     say("begin")
     fly(
-        loaded, seed, folder=RunFolder(folder), settings=settings, listeners=listeners,
-        flushed=lambda count: say("flushed", messages=count),
+        loaded, seed, folder=RunFolder(folder), settings=settings, make_listeners=listeners,
+        on_flush=lambda count: say("flushed", messages=count),
     )  # fmt: skip
     say("done")
 
 
-def _poses(record: CycleRecord) -> list[list[str] | None]:
+def _format_poses(record: CycleRecord) -> list[list[str] | None]:
     """Poses as located and as believed, to the last bit, and the next currents."""
 
     def exact(pose: Pose | None) -> list[str] | None:
@@ -313,7 +313,7 @@ def _poses(record: CycleRecord) -> list[list[str] | None]:
 HEADER = "kill moment  played  there  flushed   read  torn  missing   took"
 
 
-def line(number: int, outcome: Outcome) -> str:
+def format_kill(number: int, outcome: Outcome) -> str:
     """Format one kill as a line of the table.
 
     Parameters
@@ -355,7 +355,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         tell(HEADER)
         for outcome in kill_all(given.kills, given.seed, given.mission, settings, Path(folder), tell):
-            tell(line(len(outcomes), outcome))
+            tell(format_kill(len(outcomes), outcome))
             outcomes.append(outcome)
     failed = sum(bool(o.faults) or o.late for o in outcomes)
     longest = max((o.missing for o in outcomes), default=0.0)

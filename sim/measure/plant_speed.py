@@ -8,7 +8,7 @@ from contextlib import closing
 import numpy as np
 
 from sim.tank.settings import TankSettings
-from sim.twin.plant import Plant
+from sim.twin.twin_plant import TwinPlant
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
 
@@ -16,7 +16,7 @@ PIECE = 250
 """Samples that the card lets the plant play at once."""
 
 
-def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[str, float]:
+def measure_plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[str, float]:
     """Measure the twin's plant: processor time per second of its own time, with nothing and with everything driven.
 
     Parameters
@@ -32,7 +32,7 @@ def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[st
     """
     rig = load_rig(rig_name)
     settings = rig.section_of("tank", TankSettings)
-    plant = Plant(rig, load_robot(robot_name), settings, np.zeros(2), seed=1)
+    plant = TwinPlant(rig, load_robot(robot_name), settings, np.zeros(2), seed=1)
     still = np.zeros((len(plant.loads), PIECE))
     wave = 3.0 * np.sin(2 * np.pi * 100.0 * np.arange(PIECE) / plant.rate)
     driven = np.tile(wave, (len(plant.loads), 1))
@@ -42,10 +42,10 @@ def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[st
         begin = time.process_time()
         for k in range(pieces):
             if turning:
-                plant.magnet(2 * np.pi * 0.25 * k * PIECE / plant.rate, 0.0, near=True)
+                plant.set_magnet(2 * np.pi * 0.25 * k * PIECE / plant.rate, 0.0, near=True)
             plant.advance(currents)
             if heard:
-                plant.volts(plant.played - PIECE, PIECE)
+                plant.read_volts(plant.played - PIECE, PIECE)
         return (time.process_time() - begin) * plant.rate / (pieces * PIECE)
 
     with closing(plant.carrier):
@@ -59,7 +59,7 @@ def plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) -> dict[st
 def main() -> None:
     """Print the loads of both shipped robots."""
     for rig, robot in (("tank", "gradient"), ("gel", "helical")):
-        for state, share in plant_loads(rig, robot).items():
+        for state, share in measure_plant_loads(rig, robot).items():
             print(f"{rig}, {state}: {100 * share:.1f} % of a processor, {1 / share:.0f} times real time")
 
 

@@ -17,7 +17,7 @@ from typing import Any
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.flight.session import fly
 from smolbot.runs.recording.converter import Converter
-from smolbot.runs.recording.pump import Pump
+from smolbot.runs.recording.message_queue import MessageQueue
 from smolbot.runs.recording.recorder import Recorder
 from smolbot.runs.run import Run
 
@@ -42,7 +42,7 @@ class Flight:
     dropped: int
 
 
-def flight(mission: AnyMission, seed: int, folder: Path | None) -> Flight:
+def fly_once(mission: AnyMission, seed: int, folder: Path | None) -> Flight:
     """Fly once; with a folder, the flight is recorded in it.
 
     Parameters
@@ -57,14 +57,14 @@ def flight(mission: AnyMission, seed: int, folder: Path | None) -> Flight:
     """
     made: list[Recorder] = []
 
-    def recorder(converter: Converter) -> Pump:
+    def recorder(converter: Converter) -> MessageQueue:
         assert folder is not None
         made.append(Recorder(folder, converter))
         return made[0]
 
-    with _timed_calls() as calls:
+    with _time_calls() as calls:
         process, loop, wall = time.process_time(), time.thread_time(), time.perf_counter()
-        run: Run = fly(mission, seed, live=recorder if folder is not None else None)
+        run: Run = fly(mission, seed, make_live_sink=recorder if folder is not None else None)
         process, loop, wall = time.process_time() - process, time.thread_time() - loop, time.perf_counter() - wall
     size = made[0].path.stat().st_size if made else 0
     return Flight(
@@ -74,10 +74,10 @@ def flight(mission: AnyMission, seed: int, folder: Path | None) -> Flight:
 
 
 @contextmanager
-def _timed_calls() -> Iterator[list[float]]:
+def _time_calls() -> Iterator[list[float]]:
     """Sums the processor time of what the loop's thread spends in a pump's calls."""
     spent = [0.0]
-    originals = {name: getattr(Pump, name) for name in ("played", "cycle", "happened")}
+    originals = {name: getattr(MessageQueue, name) for name in ("played", "cycle", "happened")}
 
     def timed(original: Any) -> Any:
         def call(*arguments: Any, **options: Any) -> Any:
@@ -90,15 +90,15 @@ def _timed_calls() -> Iterator[list[float]]:
         return call
 
     for name, original in originals.items():
-        setattr(Pump, name, timed(original))
+        setattr(MessageQueue, name, timed(original))
     try:
         yield spent
     finally:
         for name, original in originals.items():
-            setattr(Pump, name, original)
+            setattr(MessageQueue, name, original)
 
 
-def compare(mission: AnyMission, pairs: int, seed: int) -> Iterator[tuple[Flight, Flight]]:
+def fly_pairs(mission: AnyMission, pairs: int, seed: int) -> Iterator[tuple[Flight, Flight]]:
     """Fly pairs of the same seed, without and with a recorder, in alternating order.
 
     Parameters
@@ -111,16 +111,16 @@ def compare(mission: AnyMission, pairs: int, seed: int) -> Iterator[tuple[Flight
     ------
     without, with_recorder : Flight
     """
-    flight(mission, seed, None)  # compiled kernels, warm caches
+    fly_once(mission, seed, None)  # compiled kernels, warm caches
     for number in range(pairs):
         found: dict[bool, Flight] = {}
         for recorded in ((False, True), (True, False))[number % 2]:
             with tempfile.TemporaryDirectory() as folder:
-                found[recorded] = flight(mission, seed, Path(folder) if recorded else None)
+                found[recorded] = fly_once(mission, seed, Path(folder) if recorded else None)
         yield found[False], found[True]
 
 
-def figures(found: list[tuple[Flight, Flight]]) -> dict[str, Any]:
+def compute_figures(found: list[tuple[Flight, Flight]]) -> dict[str, Any]:
     """Compute ratios of pairs, and the cost of one cycle.
 
     Parameters
@@ -167,7 +167,7 @@ def main() -> None:
     mission = load_mission(given.mission, settings=dict(pair.split("=", 1) for pair in given.set))
     err = sys.stderr if given.json else sys.stdout
     found = []
-    for without, with_ in compare(mission, given.pairs, given.seed):
+    for without, with_ in fly_pairs(mission, given.pairs, given.seed):
         found.append((without, with_))
         print(
             f"without {without.process:6.2f} s, with {with_.process:6.2f} s of processor time; "
@@ -175,7 +175,7 @@ def main() -> None:
             f"{with_.size / 1e6:.1f} MB",
             file=err, flush=True,
         )  # fmt: skip
-    told = figures(found)
+    told = compute_figures(found)
     for name, value in told.items():
         shown = value if not isinstance(value, dict) else ", ".join(f"{k} {v:.3f}" for k, v in value.items())
         print(f"{name:30} {shown if not isinstance(shown, float) else format(shown, '.3g')}", file=err)

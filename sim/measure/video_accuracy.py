@@ -31,12 +31,12 @@ class Accuracy:
     heading: FloatArray
 
     def __str__(self) -> str:
-        center = f"centre {rms(self.center):.3f} mm rms, {self.center.max():.3f} at most"
-        heading = f"heading {rms(self.heading):.2f} deg rms, {np.abs(self.heading).max():.2f} at most"
+        center = f"centre {compute_rms(self.center):.3f} mm rms, {self.center.max():.3f} at most"
+        heading = f"heading {compute_rms(self.heading):.2f} deg rms, {np.abs(self.heading).max():.2f} at most"
         return f"{self.run}, camera {self.seed}: {len(self.center)} of {self.frames} frames; {center}; {heading}"
 
 
-def rms(values: FloatArray) -> float:
+def compute_rms(values: FloatArray) -> float:
     """Compute the root mean square.
 
     Parameters
@@ -50,7 +50,7 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def accuracy(run: Path, seed: int, folder: Path, fps: float = 12.0, size: str = "1280x960") -> Accuracy:
+def measure_accuracy(run: Path, seed: int, folder: Path, fps: float = 12.0, size: str = "1280x960") -> Accuracy:
     """Film `run` with the camera of `seed`, track the video, and compare the track with ground truth.
 
     Parameters
@@ -73,10 +73,10 @@ def accuracy(run: Path, seed: int, folder: Path, fps: float = 12.0, size: str = 
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         film(run, video, fps=fps, seed=seed, size=size, truth=truth)
         track(video, fiducials=video.with_suffix(".toml"), run=run, out=out)
-    return held_against(truth, out / "track.csv", run.name, seed)
+    return compare_track(truth, out / "track.csv", run.name, seed)
 
 
-def held_against(truth: Path, track: Path, run: str, seed: int) -> Accuracy:
+def compare_track(truth: Path, track: Path, run: str, seed: int) -> Accuracy:
     """Compare the track of a video of `run` by the camera of `seed` with ground truth.
 
     Parameters
@@ -90,7 +90,7 @@ def held_against(truth: Path, track: Path, run: str, seed: int) -> Accuracy:
     -------
     Accuracy
     """
-    from smolbot.runs.optics.opticaltrack import read_optical_track
+    from smolbot.runs.optics.optical_track import read_optical_track
 
     with truth.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -108,7 +108,7 @@ def held_against(truth: Path, track: Path, run: str, seed: int) -> Accuracy:
     )
 
 
-def measured(runs: list[Path], seeds: list[int], fps: float) -> Iterator[Accuracy]:
+def measure_runs(runs: list[Path], seeds: list[int], fps: float) -> Iterator[Accuracy]:
     """Measure every run with every camera.
 
     Parameters
@@ -124,7 +124,7 @@ def measured(runs: list[Path], seeds: list[int], fps: float) -> Iterator[Accurac
     for run in runs:
         for seed in seeds:
             with tempfile.TemporaryDirectory() as folder:
-                yield accuracy(run, seed, Path(folder), fps)
+                yield measure_accuracy(run, seed, Path(folder), fps)
 
 
 def main() -> None:
@@ -137,7 +137,7 @@ def main() -> None:
     given = parser.parse_args()
     first, _, last = given.seeds.partition("..")
     found = []
-    for one in measured(given.runs, list(range(int(first), int(last or first) + 1)), given.fps):
+    for one in measure_runs(given.runs, list(range(int(first), int(last or first) + 1)), given.fps):
         found.append(one)
         if not given.json:
             print(one, flush=True)
@@ -147,21 +147,21 @@ def main() -> None:
     figures = {
         "frames": len(centers),
         "within": float(within.mean()),
-        "center_mm": _figures(centers),
-        "heading_deg": _figures(headings),
+        "center_mm": _compute_figures(centers),
+        "heading_deg": _compute_figures(headings),
     }
     if given.json:
         print(json.dumps(figures, indent=2))
     else:
         print(f"{100 * within.mean():.1f} % of {len(centers)} frames within {ALLOWED_MM:g} mm and {ALLOWED_DEG:g} deg")
         for name, values in (("centre, mm", centers), ("heading, deg", headings)):
-            print(f"{name:13}", ", ".join(f"{key} {value:.3f}" for key, value in _figures(values).items()))
+            print(f"{name:13}", ", ".join(f"{key} {value:.3f}" for key, value in _compute_figures(values).items()))
     sys.exit(0 if within.all() else 1)
 
 
-def _figures(values: FloatArray) -> dict[str, float]:
+def _compute_figures(values: FloatArray) -> dict[str, float]:
     percentiles = zip(("median", "p95", "p99"), np.percentile(values, (50, 95, 99)).tolist(), strict=True)
-    return {"rms": rms(values), **dict(percentiles), "max": float(values.max())}
+    return {"rms": compute_rms(values), **dict(percentiles), "max": float(values.max())}
 
 
 if __name__ == "__main__":

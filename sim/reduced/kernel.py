@@ -35,16 +35,16 @@ from sim.tank.magnetics.cantilever import (
 )  # fmt: skip
 from smolbot.core.arrays import FloatArray
 
-LIVE_STEP = 2e-3
+DRIVEN_STEP = 2e-3
 """Step while a coil is driven, in s: coils settle in 3 ms, the cantilever's period is 10 ms, alignment takes longer."""
 
-DYING_STEP = 4e-3
+DECAY_STEP = 4e-3
 """Step while currents decay, in s."""
 
 IDLE_STEP = 3e-2
 """Step without currents, in s: the rest of the earth's field turns the robot by 1 degree per second."""
 
-LIVE = 2e-2
+MIN_ACTUATION_CURRENT = 2e-2
 """Current, in A, below which a coil without a command moves nothing."""
 
 ROUNDING, ROUNDED_STEPS = 1e-12, 1e-9
@@ -55,7 +55,7 @@ ROUNDING, ROUNDED_STEPS = 1e-12, 1e-9
 DEFLECTION, NOW, QUARTER = 7, 8, 9
 STATE_LENGTH = 10
 STIFFER = 7  # entry of the rates: stiffness by the field, as a share of the spring's
-SWING = slice(8, 10)
+OSCILLATION = slice(8, 10)
 # Entries of `device` and `hull`: see `sim.tank.magnetics.cantilever` and `sim.tank.carriers.hydrodynamics.Hull`.
 # Entries of `grid`: origin x, y (m), 1 / spacing (1/m), height of the plane (m)
 ORIGIN_X, ORIGIN_Y, SCALE, PLANE_HEIGHT = range(4)
@@ -66,7 +66,7 @@ SLOWEST = 1.0  # rad²/s²: least squared frequency of the oscillation
 
 
 @njit(cache=True, error_model="numpy")
-def plane_field(
+def compute_plane_field(
     x: float, y: float, z: float, currents: FloatArray, grid: FloatArray, table: FloatArray
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Compute field and gradient of all sources near the plane: cubic B-splines in the plane, Maxwell across it.
@@ -128,7 +128,7 @@ def plane_field(
 
 
 @njit(cache=True, error_model="numpy")
-def _rates(
+def _compute_rates(
     s: FloatArray,
     currents: FloatArray,
     grid: FloatArray,
@@ -161,7 +161,7 @@ def _rates(
     sine, cosine = math.sin(theta), math.cos(theta)
     # magnet from the housing's middle, body frame
     ax, ay, az = l0 * sine - device[MIDDLE], -device[MIDDLE + 1], l0 * cosine - device[MIDDLE + 2]
-    wbx, wby, wbz, gxx, gxy, gxz, gyy, gyz = plane_field(
+    wbx, wby, wbz, gxx, gxy, gxz, gyy, gyz = compute_plane_field(
         s[0] + xx * ax + xy * ay + xz * az,
         s[1] + yx * ax + yy * ay + yz * az,
         s[2] + zx * ax + zy * ay + zz * az,
@@ -208,7 +208,7 @@ def _rates(
 
 
 @njit(cache=True, error_model="numpy")
-def driving_field(
+def compute_driving_field(
     state: FloatArray, device: FloatArray, currents: FloatArray, grid: FloatArray, table: FloatArray
 ) -> float:
     """Compute the field along y x m at the magnet: the part that drives the oscillation (Eq. S1).
@@ -220,7 +220,7 @@ def driving_field(
     currents : ndarray, shape (n_sources,), in A
         Of the excitation coils.
     grid, table : ndarray
-        As `plane_field` takes them, for the excitation coils.
+        As `compute_plane_field` takes them, for the excitation coils.
 
     Returns
     -------
@@ -231,7 +231,7 @@ def driving_field(
     yx, yz = 2 * (i * j + k * w), 2 * (j * k - i * w)
     zx, zz = 2 * (i * k - j * w), 1 - 2 * (i * i + j * j)
     ahead = device[L0] - device[MIDDLE + 2]
-    field = plane_field(
+    field = compute_plane_field(
         state[0] + ahead * xz, state[1] + ahead * yz, state[2] + ahead * zz, currents, grid, table
     )  # fmt: skip
     along_x = field[0] * xx + field[1] * yx + field[2] * zx
@@ -240,7 +240,7 @@ def driving_field(
 
 
 @njit(cache=True, error_model="numpy")
-def _swing(state: FloatArray, drive: complex, stiffer: float, device: FloatArray, time: float) -> float:
+def _advance_oscillation(state: FloatArray, drive: complex, stiffer: float, device: FloatArray, time: float) -> float:
     """Advance the oscillation by `time` s, up to the stops; return its mean over that time, in rad.
 
         c' = (i omega - eta) c + drive,   theta = Re c
@@ -267,7 +267,7 @@ def _swing(state: FloatArray, drive: complex, stiffer: float, device: FloatArray
 
 
 @njit(cache=True, error_model="numpy")
-def move(
+def advance_motion(
     state: FloatArray,
     currents: FloatArray,
     commands: FloatArray,
@@ -305,7 +305,7 @@ def move(
     lags : ndarray, shape (n_excitation,), in s
         Time constants of the excitation coils.
     grid, table, excitation : ndarray
-        As `plane_field` takes them; the last is the table of the excitation coils.
+        As `compute_plane_field` takes them; the last is the table of the excitation coils.
     device, hull : ndarray
         As laid out at the top of this file.
     float_height : float, in m
@@ -338,21 +338,21 @@ def move(
                 one[:] = 0.0
                 one[n] = drives[window, n]
                 lag = math.atan(omega * lags[n])
-                field = driving_field(state, device, one, grid, excitation)
+                field = compute_driving_field(state, device, one, grid, excitation)
                 growth -= (
                     0.5 * device[MOMENT] * field / (device[INERTIA] * omega) * complex(math.cos(lag), -math.sin(lag))
                 )
         at, duration = 0.0, lengths[window]
         while duration - at > ROUNDING:
             times[rows] = start + at
-            note(state, device, poses[rows])
+            write_pose(state, device, poses[rows])
             rows += 1
             live, longest = False, IDLE_STEP
             for n in range(n_coils):
-                if abs(currents[n]) > LIVE:
-                    live, longest = True, min(longest, DYING_STEP)
+                if abs(currents[n]) > MIN_ACTUATION_CURRENT:
+                    live, longest = True, min(longest, DECAY_STEP)
                 if commands[window, n] != 0.0:
-                    live, longest = True, LIVE_STEP
+                    live, longest = True, DRIVEN_STEP
             left = duration - at
             h = left / math.ceil(left / longest - ROUNDED_STEPS)
             for n in range(n_coils):
@@ -364,14 +364,14 @@ def move(
                 else:
                     mean[n] = currents[n] = 0.0
             # midpoint rule; the deflection at rest is solved, not integrated
-            _rates(state, mean, grid, table, device, hull, float_height, 0.0, rates)
+            _compute_rates(state, mean, grid, table, device, hull, float_height, 0.0, rates)
             turn = complex(math.cos(omega * (at + h)), math.sin(omega * (at + h)))
-            swung = _swing(state, growth * turn, rates[DEFLECTION], device, h)
+            swung = _advance_oscillation(state, growth * turn, rates[DEFLECTION], device, h)
             for n in range(DEFLECTION):
                 half[n] = state[n] + 0.5 * h * rates[n]
             for n in range(DEFLECTION, STATE_LENGTH):
                 half[n] = state[n]
-            _rates(half, mean, grid, table, device, hull, float_height, swung, rates)
+            _compute_rates(half, mean, grid, table, device, hull, float_height, swung, rates)
             for n in range(DEFLECTION):
                 state[n] += h * rates[n]
             state[DEFLECTION] = half[DEFLECTION]
@@ -382,7 +382,7 @@ def move(
             at += h
         start += duration
     times[rows] = start
-    note(state, device, poses[rows])
+    write_pose(state, device, poses[rows])
     return rows + 1
 
 
@@ -398,7 +398,7 @@ def _hold_inside(state: FloatArray, box: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def note(state: FloatArray, device: FloatArray, pose: FloatArray) -> None:
+def write_pose(state: FloatArray, device: FloatArray, pose: FloatArray) -> None:
     """Compute the pose of a state.
 
     Parameters

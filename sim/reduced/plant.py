@@ -6,22 +6,22 @@ import math
 
 import numpy as np
 
-from sim.reduced.kernel import LIVE_STEP, STATE_LENGTH, move, note
-from sim.tank.carriers.floating import put_down
+from sim.reduced.kernel import DRIVEN_STEP, STATE_LENGTH, advance_motion, write_pose
+from sim.tank.carriers.floating import compute_start_pose
 from sim.tank.carriers.hydrodynamics import Hull
 from sim.tank.history import History
 from sim.tank.magnetics.coil_fields import COMMAND, TIME_CONSTANT, CoilSet
-from sim.tank.magnetics.coils import TankCoils, volume
-from sim.tank.magnetics.magnet import true_device
-from sim.tank.magnetics.sensors import TrueSensors
-from sim.tank.mismatch import Streams, Truth, draw
+from sim.tank.magnetics.device_packing import pack_true_device
+from sim.tank.magnetics.tank_coils import TankCoils, find_magnet_volume
+from sim.tank.magnetics.true_sensors import TrueSensors
+from sim.tank.mismatch import RandomStreams, TankTruth, sample_truth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Excite, Window
 
-SPACING = 1e-3
+PLANE_SPACING = 1e-3
 """Spacing of the plane's table, in m: its cubic splines are exact to a few nT/A between coils 84 mm apart."""
 
 
@@ -49,7 +49,7 @@ class ReducedPlant:
     sensors : TrueSensors
         With true positions; nothing is recorded.
     device : ndarray
-        As `sim.tank.magnetics.cantilever.swing` takes it.
+        As `sim.tank.magnetics.cantilever.advance_cantilever` takes it.
     history : History
     time : float, in s
     """
@@ -58,18 +58,18 @@ class ReducedPlant:
         self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
         *, ideal: bool = False,
     ) -> None:  # fmt: skip
-        streams = Streams.from_seed(seed)
-        self.truth: Truth = draw(settings, len(rig.driven), len(rig.sensors), streams, ideal=ideal)
+        streams = RandomStreams.from_seed(seed)
+        self.truth: TankTruth = sample_truth(settings, len(rig.driven), len(rig.sensors), streams, ideal=ideal)
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         hull = Hull.build(rig, robot, settings, self.truth)
-        self.device = true_device(robot, settings, self.truth)
+        self.device = pack_true_device(robot, settings, self.truth)
         nobody = np.zeros((0, 3))  # no sensors: nothing is recorded
         coils = TankCoils.build(rig, settings, self.truth, nobody, nobody)
         self._hull, self._float_height = hull.values, hull.float_height
         self._n, self._n_excitation = coils.n_actuation, coils.n_excitation
         self._constants = coils.circuits[: self._n, TIME_CONSTANT].copy()
         self._lags = coils.circuits[self._n : self._n + self._n_excitation, TIME_CONSTANT].copy()
-        self._grid, tables = _plane(coils, rig, hull.float_height - robot.center[1])
+        self._grid, tables = _tabulate_plane(coils, rig, hull.float_height - robot.center[1])
         # the earth's field and its compensation coil are one constant source; excitation does not move the robot
         moving = [*range(self._n), tables.shape[2] - 1]
         self._table = np.ascontiguousarray(tables[:, :, moving])
@@ -78,13 +78,13 @@ class ReducedPlant:
         self._currents[self._n] = 1.0
         (left, front, _), (right, back, _) = rig.container.low, rig.container.high
         self._box = np.array([left, right, front, back, 0.5 * robot.size[2], 0.5 * robot.size[0]])
-        position, orientation = put_down(rig, robot, self.truth, hull, start)
+        position, orientation = compute_start_pose(rig, robot, self.truth, hull, start)
         self._state = np.zeros(STATE_LENGTH)
         self._state[:3], self._state[3:7] = position, orientation
         self.history = History()
         self.time = 0.0
-        times, poses = self.history.reserve(1)
-        times[0], poses[0] = 0.0, self.pose(self._state)
+        times, poses = self.history.append_rows(1)
+        times[0], poses[0] = 0.0, self.compute_pose(self._state)
 
     def advance(self, windows: tuple[Window, ...]) -> FloatArray:
         """Play windows one after the other, and add the poses to the history.
@@ -107,9 +107,9 @@ class ReducedPlant:
                 drives[row] = window.currents[: self._n_excitation]
         states = np.empty((len(windows), STATE_LENGTH))
         self.history.drop_last()  # the last row is repeated as the first of the next
-        room = sum(math.ceil(w.duration / LIVE_STEP) + 1 for w in windows) + 1
-        times, poses = self.history.reserve(room)
-        rows = move(
+        room = sum(math.ceil(w.duration / DRIVEN_STEP) + 1 for w in windows) + 1
+        times, poses = self.history.append_rows(room)
+        rows = advance_motion(
             self._state, self._currents, commands, drives, lengths, self._constants, self._lags,
             self._grid, self._table, self._excitation, self.device, self._hull, self._float_height, self._box,
             self.time, times, poses, states,
@@ -118,11 +118,11 @@ class ReducedPlant:
         self.history.drop_last(room - rows)
         return states
 
-    def silence(self) -> None:
+    def zero_currents(self) -> None:
         """Set every current to zero, at once."""
         self._currents[: self._n] = 0.0
 
-    def pose(self, state: FloatArray) -> FloatArray:
+    def compute_pose(self, state: FloatArray) -> FloatArray:
         """Compute the pose of a state.
 
         Parameters
@@ -136,24 +136,24 @@ class ReducedPlant:
             Rotation centre (m) and orientation (scalar first), world frame.
         """
         pose = np.empty(7)
-        note(state, self.device, pose)
+        write_pose(state, self.device, pose)
         return pose
 
 
-def _plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray, FloatArray]:
+def _tabulate_plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray, FloatArray]:
     """Return grid (4,) and spline coefficients (nx, ny, n_coils + 1, 3) of every true coil on a plane, in T per A.
 
     The last source, in T, is the earth's field with its compensation coil.
     """
     from scipy.ndimage import spline_filter1d
 
-    from sim.tank.magnetics.cantilever import fields_at
+    from sim.tank.magnetics.cantilever import compute_fields
 
-    low, high = volume(rig)
-    x, y = (np.arange(low[k], high[k] + 2 * SPACING, SPACING) for k in (0, 1))
+    low, high = find_magnet_volume(rig)
+    x, y = (np.arange(low[k], high[k] + 2 * PLANE_SPACING, PLANE_SPACING) for k in (0, 1))
     points = np.stack(np.meshgrid(x, y, [height], indexing="ij"), axis=-1).reshape(-1, 3)
     fields: CoilSet = coils.fields
-    values = fields_at(points, fields.rows, fields.coefficients)
+    values = compute_fields(points, fields.rows, fields.coefficients)
     driven = coils.n_actuation + coils.n_excitation
     still = np.tile(coils.earth, (len(points), 1))
     for c in range(driven, len(values)):
@@ -162,4 +162,4 @@ def _plane(coils: TankCoils, rig: RigConfig, height: float) -> tuple[FloatArray,
     table = sources.reshape(len(x), len(y), driven + 1, 3)
     for axis in (0, 1):
         table = spline_filter1d(table, order=3, axis=axis, mode="mirror")
-    return np.array([x[0], y[0], 1.0 / SPACING, height]), np.ascontiguousarray(table)
+    return np.array([x[0], y[0], 1.0 / PLANE_SPACING, height]), np.ascontiguousarray(table)

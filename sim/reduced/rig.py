@@ -7,24 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from sim.reduced.errors import FitErrors, Heard, true_room
-from sim.reduced.kernel import SWING
+from sim.reduced.fit_errors import FitErrors, SignalSource, make_true_noise_model
+from sim.reduced.kernel import OSCILLATION
 from sim.reduced.plant import ReducedPlant
 from sim.tank.history import TankWitness
-from sim.tank.magnetics.coils import NominalExcitation
+from sim.tank.magnetics.tank_coils import TabulatedExcitation
 from sim.tank.settings import TankSettings
 from smolbot.config.load import AnyMission
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.core.rig import Witness
-from smolbot.core.rotations import half_turned
+from smolbot.core.rotations import flip_orientation
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Listen, Rest, Shot
 from smolbot.errors import InputError, RigError
 from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.synthetic import Sighting, Sightings
+from smolbot.localization.synthetic import SyntheticLocalizer, SyntheticRecording
 
 AMPLITUDE_SPREAD = 0.02
 """Relative standard deviation of the amplitude from burst to burst: the oscillation left when a drive begins."""
@@ -39,7 +39,7 @@ FLIPS = 0.5
 class ReducedRig:
     """A tank without Bullet, signals and fits.
 
-    `sim.reduced.plant` moves the robot, and `sim.reduced.errors` samples the errors of its localization.
+    `sim.reduced.plant` moves the robot, and `sim.reduced.fit_errors` samples the errors of its localization.
 
     Samples its mismatches as `sim.tank.rig.TankRig` does from the same seed; everything that it returns is labelled
     by its `provenance`.
@@ -85,14 +85,14 @@ class ReducedRig:
         self.witness: Witness | None = TankWitness(self._plant.history)
         self._rig, self._rate, self._turnaround = rig, rig.sample_rate, rig.turnaround
         self._no_samples = np.zeros((len(rig.sensors), 0))
-        self._believed_excitation = NominalExcitation(rig)
-        self._device = self._plant.truth.device(robot.device)
+        self._nominal_excitation = TabulatedExcitation(rig)
+        self._device = self._plant.truth.apply_to_device(robot.device)
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 4])))
         self._errors: FitErrors | None = None
         self._seed, self._ideal = seed, ideal or settings.mismatch.scale == 0.0
         self._open = True
 
-    def sightings(self, localizer: PoseEstimator) -> Sightings:
+    def make_synthetic_localizer(self, localizer: PoseEstimator) -> SyntheticLocalizer:
         """What takes the place of `localizer`; from now on the rig errs as that one would.
 
         Raises
@@ -110,12 +110,12 @@ class ReducedRig:
         lines = 1 + len(self._rig.sections.noise.harmonics)
         gains = self._rig.sensor_gains
         phasors = sensors.field_noise.amplitudes[:lines] / gains
-        room = true_room(self._rig, truth.noise, truth.mains_frequency, phasors)
+        room = make_true_noise_model(self._rig, truth.noise, truth.mains_frequency, phasors)
         moment = device.moment * device.moment_in_body
-        heard = Heard(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
+        heard = SignalSource(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
         constants = tuple(c.time_constant for c in self._rig.sections.excitation)
         self._errors = FitErrors(localizer, self._rig, heard, self._rng)
-        return Sightings(localizer.sensors, localizer.device, localizer.volume, constants)
+        return SyntheticLocalizer(localizer.sensors, localizer.device, localizer.volume, constants)
 
     def now(self) -> float:
         """Return the time on the plant's virtual clock.
@@ -161,7 +161,7 @@ class ReducedRig:
         if listening is None:
             return None
         start = begin + sum(w.duration for w in windows[:listening])
-        return self._seen(shot, start, middle, states[: listening + 2])
+        return self._make_pose_fix(shot, start, middle, states[: listening + 2])
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Return the nominal field of the excitation coils at a point.
@@ -176,11 +176,11 @@ class ReducedRig:
         ndarray, shape (n_exc, 3), in T per A
             World frame.
         """
-        return self._believed_excitation.at(as_floats(position, (3,), "excitation_field position"))
+        return self._nominal_excitation.compute_field(as_floats(position, (3,), "excitation_field position"))
 
     def stop(self) -> None:
         """Bring every current to zero now."""
-        self._plant.silence()
+        self._plant.zero_currents()
 
     def close(self) -> None:
         """Stop for good; harmless when repeated."""
@@ -198,22 +198,22 @@ class ReducedRig:
         truth = self._plant.truth.as_dict()
         return {"plant": "reduced", "seed": self._seed, "ideal": self._ideal, "truth": truth}
 
-    def _seen(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
+    def _make_pose_fix(self, shot: Shot, start: float, middle: float, states: FloatArray) -> Recording:
         """Make the recording of a listening window from `start` s on; the last of `states` is at its middle."""
         empty, rate, drive = self._no_samples, self._rate, shot.excite
         if drive is None or self._errors is None or shot.mode == "quiet":  # without signals there is no noise to learn
             return Recording(empty, rate, math.inf, drive=drive, clock=start)
         index = max(i for i, w in enumerate(shot.windows[: len(states)]) if w is drive)
         since = sum(w.duration for w in shot.windows[index + 1 : len(states) - 2])
-        truth, listen = self._plant.pose(states[-1]), shot.windows[len(states) - 2]
+        truth, listen = self._plant.compute_pose(states[-1]), shot.windows[len(states) - 2]
         assert isinstance(listen, Listen)
         spread = 1.0 + AMPLITUDE_SPREAD * min(max(self._rng.standard_normal(), -MAX_SIGMAS), MAX_SIGMAS)
-        amplitude = min(spread * math.hypot(*states[index + 1, SWING]), self._device.theta_max)
+        amplitude = min(spread * math.hypot(*states[index + 1, OSCILLATION]), self._device.theta_max)
         orientation = truth[3:]
         if self._rng.random() < FLIPS:  # only a prior can distinguish the two
-            orientation = half_turned(orientation)
-        fitted = self._errors.draw(truth[:3], orientation, amplitude, listen.half_periods, since)
-        return Sighting(empty, rate, since, drive=drive, clock=start, time=start + middle, fitted=fitted)
+            orientation = flip_orientation(orientation)
+        fitted = self._errors.sample(truth[:3], orientation, amplitude, listen.half_periods, since)
+        return SyntheticRecording(empty, rate, since, drive=drive, clock=start, time=start + middle, fit=fitted)
 
 
 def open_reduced(mission: AnyMission, seed: int, *, ideal: bool = False) -> ReducedRig:

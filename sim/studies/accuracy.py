@@ -13,29 +13,29 @@ from sim.studies.benches import (
     FLIP_DEG,
     QUIET_SECONDS,
     REFERENCE_POSITION,
-    characterised,
-    localizers,
+    make_characterised_device,
+    make_localizers,
+    make_pose_row,
+    make_reference_orientation,
     open_bench,
-    pose_row,
-    prior_near,
-    reference_orientation,
+    sample_prior,
 )
-from sim.studies.columns import chosen, columns_of, joined
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
+from sim.studies.columns import join_columns, make_columns, select_rows
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng
 from sim.tank.static_bench import StaticBench
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Recording
 from smolbot.localization.array.calibration import ArrayCalibration, calibrate_sensors
-from smolbot.localization.device.ringdown import measure
+from smolbot.localization.device.ringdown import measure_ring_down
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.statistics import (
-    circular_standard_deviation,
-    differential_circular_mean_absolute_error,
-    differential_mean_absolute_error,
-    standard_deviation,
+    compute_circular_standard_deviation,
+    compute_differential_circular_mae,
+    compute_differential_mae,
+    compute_standard_deviation,
 )
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -52,7 +52,7 @@ STAGE_WIDTH, STAGE_HEIGHTS = 0.03, (0.055, 0.095)
 """Half width, and lowest and highest z, of the stage poses, in m."""
 
 
-def steps(axis: str, span: str) -> FloatArray:
+def list_steps(axis: str, span: str) -> FloatArray:
     """Return true displacements from the reference; the reference (0) is among them.
 
     Parameters
@@ -71,7 +71,7 @@ def steps(axis: str, span: str) -> FloatArray:
     return 1e-3 * (np.arange(-10.0, 40.1, 5.0) if axis == "z" else np.arange(-25.0, 25.1, 5.0))
 
 
-def moved(axis: str, step: float) -> tuple[FloatArray, FloatArray]:
+def displace_pose(axis: str, step: float) -> tuple[FloatArray, FloatArray]:
     """Return the pose after a displacement: translations along world axes, rotations about the device's own.
 
     Parameters
@@ -84,14 +84,14 @@ def moved(axis: str, step: float) -> tuple[FloatArray, FloatArray]:
     position : ndarray, shape (3,), in m
     orientation : ndarray, shape (4,)
     """
-    position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
+    position, orientation = np.array(REFERENCE_POSITION), make_reference_orientation()
     along = np.eye(3)["xyz".index(axis[-1])]
     if len(axis) == 1:
         return position + step * along, orientation
-    return position, quaternion_product(orientation, quaternion_from_rotation_vector(step * along))
+    return position, multiply_quaternions(orientation, quaternion_from_rotation_vector(step * along))
 
 
-def reading(axis: str, pose: Pose) -> float:
+def measure_displacement(axis: str, pose: Pose) -> float:
     """Return the displacement along or about `axis` that a pose measures.
 
     Parameters
@@ -106,12 +106,12 @@ def reading(axis: str, pose: Pose) -> float:
     index = "xyz".index(axis[-1])
     if len(axis) == 1:
         return float(pose.position[index] - REFERENCE_POSITION[index])
-    w, *v = reference_orientation()
-    relative = quaternion_product(np.array([w, *(-np.array(v))]), np.array(pose.orientation))
+    w, *v = make_reference_orientation()
+    relative = multiply_quaternions(np.array([w, *(-np.array(v))]), np.array(pose.orientation))
     return float(2.0 * np.arctan2(relative[1 + index], relative[0]))
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Measure every axis and span on one bench, each step `repeats` times.
 
     Parameters
@@ -123,24 +123,24 @@ def work(chunk: Chunk) -> Columns:
     Columns
     """
     kind = chunk["kind"]
-    bench = open_bench(chunk, characterised(), chunk["mismatch"])
-    rng = rng_of(chunk)
+    bench = open_bench(chunk, make_characterised_device(), chunk["mismatch"])
+    rng = make_rng(chunk)
     found: Mapping[str, Localizer]
     correction: ArrayCalibration | None = None
     if kind == "calibrated":
-        found, correction = calibrated(bench, chunk["estimators"], rng)
+        found, correction = calibrate_localizers(bench, chunk["estimators"], rng)
     else:
-        found = localizers(bench, chunk["estimators"])
+        found = make_localizers(bench, chunk["estimators"])
     rows: list[dict[str, Any]] = []
     for span, half_periods in HALF_PERIODS.items():
         for axis in AXES:
-            for step in steps(axis, span):
-                position, orientation = moved(axis, float(step))
+            for step in list_steps(axis, span):
+                position, orientation = displace_pose(axis, float(step))
                 for _ in range(chunk["repeats"]):
                     recording = bench.record(position, orientation, half_periods)
                     if correction is not None:
-                        recording = correction.corrected(recording)
-                    prior = prior_near(position, orientation, rng)
+                        recording = correction.correct_recording(recording)
+                    prior = sample_prior(position, orientation, rng)
                     for name, localizer in found.items():
                         pose = localizer.locate(recording, prior)
                         rows.append(
@@ -151,14 +151,14 @@ def work(chunk: Chunk) -> Columns:
                                 "span": span,
                                 "axis": axis,
                                 "true": float(step),
-                                "measured": reading(axis, pose),
-                                **pose_row(pose, position, orientation),
+                                "measured": measure_displacement(axis, pose),
+                                **make_pose_row(pose, position, orientation),
                             }
                         )
-    return columns_of(rows)
+    return make_columns(rows)
 
 
-def calibrated(
+def calibrate_localizers(
     bench: StaticBench, estimators: Any, rng: np.random.Generator
 ) -> tuple[dict[str, Localizer], ArrayCalibration]:
     """Make localizers after a calibration on a stage: resonance, damping, gains, axes and positions.
@@ -176,9 +176,9 @@ def calibrated(
     localizers : dict of str to Localizer
     correction : ArrayCalibration
     """
-    places, turns = np.array(REFERENCE_POSITION), reference_orientation()
+    places, turns = np.array(REFERENCE_POSITION), make_reference_orientation()
     long = [bench.record(places, turns, RING_HALF_PERIODS) for _ in range(RINGS)]
-    rang = [measure(recording, bench.sensors, bench.device) for recording in long]
+    rang = [measure_ring_down(recording, bench.sensors, bench.device) for recording in long]
     device = replace(
         bench.device,
         frequency=float(np.mean([r.frequency for r in rang])),
@@ -193,11 +193,11 @@ def calibrated(
         heard.append(bench.record(position, orientation, STAGE_HALF_PERIODS))
         track.append(Pose(heard[-1].middle, position, orientation, np.eye(6) * 1e-12))
     correction = calibrate_sensors(heard, track, bench.sensors, device)
-    noise = NoiseModel.learn([correction.corrected(q) for q in bench.quiet(QUIET_SECONDS)])
+    noise = NoiseModel.learn([correction.correct_recording(q) for q in bench.record_background(QUIET_SECONDS)])
     return {e: Localizer(correction.sensors, device, noise, e) for e in estimators}, correction
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make one chunk per bench; `poses` is the number of repeats of each step.
 
     Parameters
@@ -219,7 +219,7 @@ def chunks(options: Options) -> list[Chunk]:
         for kind in kinds
         for i in range(max(BENCHES[kind] * min(repeats, REPEATS) // REPEATS, 1))
     ]
-    return cut(options, work, pieces)
+    return cut_chunks(options, run_chunk, pieces)
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -237,19 +237,19 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    columns = joined(parts)
+    columns = join_columns(parts)
     figures: dict[str, Any] = {"cases": []}
     rows: list[tuple[str, str]] = []
     for kind in dict.fromkeys(columns["kind"].tolist()):
         for name in options.estimators:
             for span in (WIDE, FINE):
-                case = one_case(chosen(columns, kind=kind, estimator=name, span=span))
+                case = summarize_case(select_rows(columns, kind=kind, estimator=name, span=span))
                 figures["cases"].append({"kind": kind, "estimator": name, "span": span, **case})
-                rows.append((f"{kind}, {name}, N = {HALF_PERIODS[span]}", line(case)))
+                rows.append((f"{kind}, {name}, N = {HALF_PERIODS[span]}", format_case(case)))
     return Outcome(rows, figures, columns)
 
 
-def one_case(columns: Columns) -> dict[str, Any]:
+def summarize_case(columns: Columns) -> dict[str, Any]:
     """Compute the figures of one estimator on all benches of one kind, over one span.
 
     Parameters
@@ -265,18 +265,18 @@ def one_case(columns: Columns) -> dict[str, Any]:
     sigma: dict[str, list[float]] = {axis: [] for axis in AXES}
     for axis in AXES:
         for bench in benches:
-            part = chosen(columns, axis=axis, bench=bench)
+            part = select_rows(columns, axis=axis, bench=bench)
             places = np.unique(part["true"])
             measured = np.stack([part["measured"][part["true"] == p] for p in places], axis=1)  # (repeats, places)
             truth = np.broadcast_to(places, measured.shape)
             reference = part["measured"][part["true"] == 0.0]
             if len(axis) == 1:
-                mae[axis].append(1e3 * differential_mean_absolute_error(measured, truth, reference))
-                sigma[axis].append(1e3 * standard_deviation(measured) if measured.size > 1 else np.nan)
+                mae[axis].append(1e3 * compute_differential_mae(measured, truth, reference))
+                sigma[axis].append(1e3 * compute_standard_deviation(measured) if measured.size > 1 else np.nan)
             else:
-                error = differential_circular_mean_absolute_error(measured, truth, reference)
+                error = compute_differential_circular_mae(measured, truth, reference)
                 mae[axis].append(float(np.degrees(error)))
-                sigma[axis].append(float(np.degrees(circular_standard_deviation(measured))))
+                sigma[axis].append(float(np.degrees(compute_circular_standard_deviation(measured))))
     untrusted = int(np.sum(columns["trusted"] == 0.0))
     flipped = int(np.sum(np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) > FLIP_DEG))
     mean = {axis: float(np.mean(mae[axis])) for axis in AXES}
@@ -295,7 +295,7 @@ def one_case(columns: Columns) -> dict[str, Any]:
     }
 
 
-def line(case: dict[str, Any]) -> str:
+def format_case(case: dict[str, Any]) -> str:
     """Format one row of the table.
 
     Parameters
@@ -324,7 +324,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import COLORS, slide, titled
+    from sim.batch.slide import COLORS, open_slide, set_titles
 
     cases = outcome.figures["cases"]
     name = cases[0]["estimator"]
@@ -338,14 +338,14 @@ def draw(outcome: Outcome, path: Path) -> None:
         f"{name}; differences from the reference at (0, 0, 80 mm), mean of the repeats, one line per bench; "
         "the paper: 0.47 mm, 2.14°"
     )
-    with slide(path, headline, subline, 2, 4, width_ratios=[1, 1, 1, 0.9], wspace=0.34) as axes:
+    with open_slide(path, headline, subline, 2, 4, width_ratios=[1, 1, 1, 0.9], wspace=0.34) as axes:
         for index, axis in enumerate(AXES):
             panel = axes[index // 3 * 4 + index % 3]
             unit = 1e3 if len(axis) == 1 else float(np.degrees(1.0))
             for kind in reversed(kinds):
-                part = chosen(outcome.columns, kind=kind, estimator=name, span=WIDE, axis=axis)
+                part = select_rows(outcome.columns, kind=kind, estimator=name, span=WIDE, axis=axis)
                 for bench in np.unique(part["bench"]):
-                    own = chosen(part, bench=bench)
+                    own = select_rows(part, bench=bench)
                     off = own["measured"] - own["true"]
                     if len(axis) == 2:
                         off = np.angle(np.exp(1j * off))
@@ -355,7 +355,7 @@ def draw(outcome: Outcome, path: Path) -> None:
                     panel.plot(unit * places, unit * means, "-", color=shade[kind], lw=1.0, alpha=0.55,
                                label=kind if bench == part["bench"][0] else None)  # fmt: skip
             what = f"Error along {axis}, in mm" if len(axis) == 1 else f"About body {axis[1]}, in degrees"
-            titled(panel, what)
+            set_titles(panel, what)
             if len(axis) == 2:
                 panel.set_xticks([0, 90, 180, 270])
             if index == 0:
@@ -372,14 +372,14 @@ def draw(outcome: Outcome, path: Path) -> None:
             middle = (len(kinds) - 1) / 2
             panel.set_xticks([middle, middle + len(kinds) + 0.7], ["N = 2, wide", "N = 20, fine"])
             panel.margins(y=0.12)
-            titled(panel, f"MAE in {what}")
+            set_titles(panel, f"MAE in {what}")
 
 
 STUDY = Study(
     name="accuracy",
     title="Differential accuracy over translations and rotations",
-    devices=lambda: {"characterised": characterised()},
-    chunks=chunks,
+    devices=lambda: {"characterised": make_characterised_device()},
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     notes={

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.studies.columns import chosen, joined
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
+from sim.studies.columns import join_columns, select_rows
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng
 from smolbot.core.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Pull:
         size = np.linalg.norm(field, axis=1)[:, None] + 1e-300
         return field, self.own.moment * np.einsum("ni,nij->nj", field / size, slope)
 
-    def allowed(self, field: FloatArray, force: FloatArray) -> FloatArray:
+    def is_allowed(self, field: FloatArray, force: FloatArray) -> FloatArray:
         """Return which forces keep to the allocator's rules.
 
         Parameters
@@ -86,16 +86,16 @@ class Pull:
         -------
         ndarray of bool, shape (k,)
         """
-        from controllers.force_allocator import SLOPES
+        from controllers.force_allocator import MAX_FIELD_SLOPES
 
         level = np.linalg.norm(field[:, :2], axis=1)
-        kept = (level >= self.own.least_field) & (np.abs(field[:, 2]) <= SLOPES[0] * level)
+        kept = (level >= self.own.least_field) & (np.abs(field[:, 2]) <= MAX_FIELD_SLOPES[0] * level)
         if self.own.head_first:
             kept &= np.sum(field[:, :2] * force[:, :2], axis=1) >= 0.0
         return kept
 
 
-def strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random.Generator) -> FloatArray:
+def find_strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Find by brute force the strongest force in each of some directions.
 
     Parameters
@@ -114,14 +114,14 @@ def strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random
     n = len(low)
     kind = rng.integers(0, 3, (TRIES, n))
     drawn = np.where(kind == 0, low, np.where(kind == 1, high, rng.uniform(low, high, (TRIES, n))))
-    drawn = _stretched(drawn[np.any(drawn != 0.0, axis=1)], high)
+    drawn = _stretch_currents(drawn[np.any(drawn != 0.0, axis=1)], high)
     field, force = pull(drawn)
-    kept = pull.allowed(field, force)
+    kept = pull.is_allowed(field, force)
     drawn, force = drawn[kept], force[kept, :2]
     size, angle = np.linalg.norm(force, axis=1), np.arctan2(force[:, 1], force[:, 0])
     parents = np.zeros((len(toward), KEPT, n))
     for k, way in enumerate(toward):
-        near = np.flatnonzero(np.abs(_wrapped(angle - way)) < misses[k] + NEAR)
+        near = np.flatnonzero(np.abs(_wrap_angle(angle - way)) < misses[k] + NEAR)
         best = near[np.argsort(size[near])[-KEPT:]]
         parents[k, : len(best)] = drawn[best]
     for share in STEPS:
@@ -131,35 +131,37 @@ def strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.random
         one, other = rng.integers(0, KEPT, (2, KEPT, CHILDREN // 2))
         change[:, :, ::2] = rng.normal(0.0, BLEND, (KEPT, CHILDREN // 2, 1)) * (parents[:, one] - parents[:, other])
         children = np.clip(parents[:, :, None] + change, low, high).reshape(len(toward), -1, n)
-        family = np.concatenate([parents, _stretched(children, high)], axis=1)
-        worth, _ = _worth(pull, family, toward, misses)
+        family = np.concatenate([parents, _stretch_currents(children, high)], axis=1)
+        worth, _ = _evaluate_currents(pull, family, toward, misses)
         best = np.argsort(worth, axis=1)[:, -KEPT:]
         parents = np.take_along_axis(family, best[:, :, None], axis=1)
-    _, found = _worth(pull, parents, toward, misses)
+    _, found = _evaluate_currents(pull, parents, toward, misses)
     return np.max(found, axis=1)
 
 
-def _worth(pull: Pull, family: FloatArray, toward: FloatArray, misses: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _evaluate_currents(
+    pull: Pull, family: FloatArray, toward: FloatArray, misses: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Force of each set, less where it misses by more than it may; and the force of those that do not."""
     field, force = pull(family.reshape(-1, family.shape[2]))
-    size = np.linalg.norm(force[:, :2], axis=1) * pull.allowed(field, force)
-    off = np.abs(_wrapped(np.arctan2(force[:, 1], force[:, 0]).reshape(family.shape[:2]) - toward[:, None]))
+    size = np.linalg.norm(force[:, :2], axis=1) * pull.is_allowed(field, force)
+    off = np.abs(_wrap_angle(np.arctan2(force[:, 1], force[:, 0]).reshape(family.shape[:2]) - toward[:, None]))
     size = size.reshape(family.shape[:2])
     beyond = np.maximum(off - misses[:, None], 0.0)
     return size / (1.0 + PENALTY * beyond), np.where(beyond <= ROUNDING, size, 0.0)
 
 
-def _stretched(currents: FloatArray, high: FloatArray) -> FloatArray:
+def _stretch_currents(currents: FloatArray, high: FloatArray) -> FloatArray:
     """The same mixes with one coil at its limit: the force grows in proportion."""
     top = np.max(np.abs(currents) / high, axis=-1, keepdims=True)
     return currents / np.maximum(top, ROUNDING)
 
 
-def _wrapped(angle: FloatArray) -> FloatArray:
+def _wrap_angle(angle: FloatArray) -> FloatArray:
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.random.Generator) -> float:
+def find_least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.random.Generator) -> float:
     """Find the smallest sum of squared currents for a force, by SLSQP from many starts.
 
     Parameters
@@ -178,7 +180,7 @@ def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.
     """
     from scipy.optimize import minimize
 
-    from controllers.force_allocator import SLOPES
+    from controllers.force_allocator import MAX_FIELD_SLOPES
 
     def rules(currents: FloatArray) -> FloatArray:
         field, force = (rows[0] for rows in pull(currents[None, :]))
@@ -187,7 +189,7 @@ def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.
         level = np.linalg.norm(field[:2]) + 1e-12
         head = field[:2] @ way / level if pull.own.head_first else 1.0
         slack = np.tan(miss) * along
-        steep = SLOPES[0] - abs(field[2]) / level
+        steep = MAX_FIELD_SLOPES[0] - abs(field[2]) / level
         return np.array([along - 1.0, slack - across, slack + across, level / pull.own.least_field - 1.0, steep, head])
 
     best = np.inf
@@ -202,7 +204,7 @@ def least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.
     return best
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Allocate forces in all directions at one position.
 
     Parameters
@@ -213,11 +215,11 @@ def work(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    from controllers.force_allocator import SLACK, ForceAllocator, UnreachableForceError
-    from sim.studies.benches import rig_named
+    from controllers.force_allocator import DIRECTION_SLACK, ForceAllocator, UnreachableForceError
+    from sim.studies.benches import load_rig_once
     from smolbot.config.robot import load_robot
 
-    rig, rng = rig_named(chunk["rig"]), rng_of(chunk)
+    rig, rng = load_rig_once(chunk["rig"]), make_rng(chunk)
     moment, limits = load_robot("gradient").device.moment, rig.limits
     own = ForceAllocator(
         rig.table(), limits.max_current, moment, unipolar=limits.unipolar, head_first=chunk["head_first"]
@@ -236,14 +238,16 @@ def work(chunk: Chunk) -> Columns:
         except UnreachableForceError:
             continue
         force[k], miss[k] = np.linalg.norm(found.force[:2]), found.direction_error
-    best = strongest(pull, toward, np.maximum(miss, np.arctan(SLACK)), rng)
+    best = find_strongest(pull, toward, np.maximum(miss, np.arctan(DIRECTION_SLACK)), rng)
     heat = np.full((DIRECTIONS, len(SHARES)), np.nan)
     for k in range(0, DIRECTIONS, EVERY):
         for j, share in enumerate(SHARES):
             if force[k] > 0.0:
                 wanted = share * force[k]
                 used = own.allocate(here, ways[k], wanted)
-                least = least_heat(pull, ways[k, :2], wanted, max(used.direction_error, np.arctan(SLACK)), rng)
+                least = find_least_heat(
+                    pull, ways[k, :2], wanted, max(used.direction_error, np.arctan(DIRECTION_SLACK)), rng
+                )
                 heat[k, j] = used.currents @ used.currents / least if np.isfinite(least) else np.nan
     picked, seconds = rng.integers(0, DIRECTIONS, WARM), np.zeros(DIRECTIONS)
     for k in picked:
@@ -258,7 +262,7 @@ def work(chunk: Chunk) -> Columns:
     return columns | {f"heat_ratio_{int(100 * share)}": heat[:, j] for j, share in enumerate(SHARES)}
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make one chunk for each position; `poses` limits how many around the centre at each distance.
 
     Parameters
@@ -277,7 +281,7 @@ def chunks(options: Options) -> list[Chunk]:
         for radius in radii
         for angle in (around if radius else around[:1])
     ]  # fmt: skip
-    return cut(options, work, pieces)
+    return cut_chunks(options, run_chunk, pieces)
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -293,11 +297,11 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    columns = joined(parts)
+    columns = join_columns(parts)
     figures: dict[str, Any] = {"cases": []}
     rows: list[tuple[str, str]] = []
     for name in CASES:
-        part = chosen(columns, case=name)
+        part = select_rows(columns, case=name)
         known = part["brute_force_un"] > 0.0
         got = part["force_un"] > 0.0
         share = part["force_un"][known & got] / part["brute_force_un"][known & got]
@@ -344,7 +348,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import BOUND, WHITENED, slide
+    from sim.batch.slide import BOUND, WHITENED, open_slide
 
     columns = outcome.columns
     head, either = outcome.figures["cases"]
@@ -358,9 +362,9 @@ def draw(outcome: Outcome, path: Path) -> None:
     around = float(columns["around_deg"][-1])
     shown = [("head first", 0.0), ("head first", 4.0), ("head first", 8.0)]
     shown += [("either end", 5.0), ("either end", 10.0), ("either end", 20.0)]
-    with slide(path, headline, subline, 2, 3, hspace=0.2, wspace=0.1, top=0.82, bottom=0.03) as axes:
+    with open_slide(path, headline, subline, 2, 3, hspace=0.2, wspace=0.1, top=0.82, bottom=0.03) as axes:
         for panel, (case, radius) in zip(axes, shown, strict=True):
-            part = chosen(columns, case=case, radius_mm=radius, around_deg=around if radius else ANGLES_DEG[0])
+            part = select_rows(columns, case=case, radius_mm=radius, around_deg=around if radius else ANGLES_DEG[0])
             angle = np.radians(np.append(part["toward_deg"], part["toward_deg"][:1]))
             for key, color, width in (("brute_force_un", BOUND, 6.0), ("force_un", WHITENED, 1.6)):
                 force = np.append(part[key], part[key][:1])
@@ -382,7 +386,7 @@ STUDY = Study(
     name="allocation",
     title="Allocated force",
     devices=dict,
-    chunks=chunks,
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     notes={"rules": "field of 20 µT or more, at most 0.3 out of the plane per unit in it; heat at 0.3 and 0.7 of the "

@@ -15,10 +15,10 @@ from smolbot.config.rig import RigConfig, load_rig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import (
+    compute_rotation_error,
+    multiply_quaternions,
     quaternion_from_axes,
     quaternion_from_rotation_vector,
-    quaternion_product,
-    rotation_error,
 )
 from smolbot.core.sensing import Device, Recording
 from smolbot.localization.localizer import Estimator, Localizer
@@ -40,7 +40,7 @@ REFERENCE_POSITION = (0.0, 0.0, 0.08)
 """The paper's reference position, in m."""
 
 
-PRIOR_OFF = (1e-3, math.radians(3.0))
+PRIOR_SIGMA = (1e-3, math.radians(3.0))
 """Standard deviations of a warm start from the truth, per axis, in m and rad."""
 
 MIN_HALF_WIDTH, WIDTH_SHARE = 0.05, 0.4
@@ -56,7 +56,7 @@ FLIP_DEG = 90.0
 """Error of orientation, in degrees, above which a pose is flipped."""
 
 
-def reference_orientation() -> FloatArray:
+def make_reference_orientation() -> FloatArray:
     """Return the paper's reference: main axis (body z) along world y, oscillating in the x-y plane.
 
     Returns
@@ -67,7 +67,7 @@ def reference_orientation() -> FloatArray:
     return quaternion_from_axes(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
 
 
-def characterised(damping: float = 1.1, model: Any = "linear") -> Device:
+def make_characterised_device(damping: float = 1.1, model: Any = "linear") -> Device:
     """Make the paper's calibrated device: 17.8 deg, 103.5 Hz, moment across the cantilever.
 
     Parameters
@@ -82,7 +82,7 @@ def characterised(damping: float = 1.1, model: Any = "linear") -> Device:
     return Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, math.radians(17.8), 103.5, damping, model)
 
 
-def optimised() -> Device:
+def make_optimised_device() -> Device:
     """Make the paper's optimised device: 30 deg, 160 Hz.
 
     Returns
@@ -93,7 +93,7 @@ def optimised() -> Device:
 
 
 @lru_cache(maxsize=8)
-def rig_named(name: str) -> RigConfig:
+def load_rig_once(name: str) -> RigConfig:
     """Read a rig file, once per process.
 
     Parameters
@@ -123,13 +123,13 @@ def open_bench(chunk: Chunk, device: Device, mismatch: float, *, spread: float =
     -------
     StaticBench
     """
-    rig = rig_named(chunk["rig"])
+    rig = load_rig_once(chunk["rig"])
     if spread != 1.0:
         rig = with_sensors(rig, spread * rig.sensors.positions, rig.sensors.axes)
     return StaticBench(rig, device, chunk.seed, mismatch)
 
 
-def localizers(
+def make_localizers(
     bench: StaticBench,
     estimators: Sequence[Estimator],
     quiet: float = QUIET_SECONDS,
@@ -157,12 +157,12 @@ def localizers(
         wide = max(MIN_HALF_WIDTH, WIDTH_SHARE * reach)
         (bottom, top), spacing = VOLUME_HEIGHTS, max(MIN_SPACING, SPACING_SHARE * reach)
         volume = SearchVolume((-wide, -wide, bottom), (wide, wide, max(reach, top)), spacing)
-    noise = NoiseModel.learn(bench.quiet(quiet)) if "whitened" in estimators else None
+    noise = NoiseModel.learn(bench.record_background(quiet)) if "whitened" in estimators else None
     return {e: Localizer(bench.sensors, bench.device, noise, e, volume) for e in estimators}
 
 
-def prior_near(position: FloatArray, orientation: FloatArray, rng: np.random.Generator) -> Pose:
-    """Sample a warm start: the true pose with a random error of size `PRIOR_OFF`.
+def sample_prior(position: FloatArray, orientation: FloatArray, rng: np.random.Generator) -> Pose:
+    """Sample a warm start: the true pose with a random error of size `PRIOR_SIGMA`.
 
     Parameters
     ----------
@@ -174,13 +174,13 @@ def prior_near(position: FloatArray, orientation: FloatArray, rng: np.random.Gen
     -------
     Pose
     """
-    off, turn = PRIOR_OFF
+    off, turn = PRIOR_SIGMA
     moved = position + off * rng.standard_normal(3)
-    turned = quaternion_product(quaternion_from_rotation_vector(turn * rng.standard_normal(3)), orientation)
+    turned = multiply_quaternions(quaternion_from_rotation_vector(turn * rng.standard_normal(3)), orientation)
     return Pose(0.0, moved, turned, np.diag([off**2] * 3 + [turn**2] * 3))
 
 
-def pose_row(pose: Pose, position: FloatArray, orientation: FloatArray) -> dict[str, float]:
+def make_pose_row(pose: Pose, position: FloatArray, orientation: FloatArray) -> dict[str, float]:
     """Make one row of `Columns`: errors, standard deviations, NEES, and quality of a pose.
 
     Parameters
@@ -195,7 +195,7 @@ def pose_row(pose: Pose, position: FloatArray, orientation: FloatArray) -> dict[
     -------
     dict of str to float
     """
-    error = np.concatenate([pose.position - position, rotation_error(pose.orientation, orientation)])
+    error = np.concatenate([pose.position - position, compute_rotation_error(pose.orientation, orientation)])
     expected = np.sqrt(np.diag(pose.covariance))
     scale = np.where(expected > 0, expected, 1.0)
     nees = float((error / scale) @ np.linalg.solve(pose.covariance / np.outer(scale, scale), error / scale))
@@ -231,6 +231,6 @@ def locate_all(
         One row per estimator.
     """
     return [
-        {"estimator": name, **pose_row(localizer.locate(recording, prior), position, orientation)}
+        {"estimator": name, **make_pose_row(localizer.locate(recording, prior), position, orientation)}
         for name, localizer in found.items()
     ]

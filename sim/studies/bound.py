@@ -11,19 +11,26 @@ import numpy as np
 from sim.studies.benches import (
     FLIP_DEG,
     REFERENCE_POSITION,
-    characterised,
-    localizers,
     locate_all,
+    make_characterised_device,
+    make_localizers,
+    make_reference_orientation,
     open_bench,
-    prior_near,
-    reference_orientation,
+    sample_prior,
 )
-from sim.studies.columns import chosen, columns_of, joined, position_errors, rms, rotation_errors
-from sim.studies.cramer_rao import bound, position_bound
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
+from sim.studies.columns import (
+    compute_rms,
+    join_columns,
+    make_columns,
+    select_rows,
+    stack_position_errors,
+    stack_rotation_errors,
+)
+from sim.studies.cramer_rao import compute_bound, compute_position_bound
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng, split_evenly
 
 HALF_PERIODS = (1, 2, 6, 20)
-CHUNK, MISMATCH_CHUNKS = 500, 10
+POSES_PER_CHUNK, MISMATCH_CHUNKS = 500, 10
 """Poses of one bench without mismatch, and by how much fewer with it: each bench has its own."""
 
 DEFAULT_POSES = 1000
@@ -32,7 +39,7 @@ PHASES = {1: 24, 2: 12}
 windows, where the phase hardly matters, 4 are enough."""
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Locate at the reference pose on one bench: errors, and the bound at each recording's phase.
 
     Parameters
@@ -43,26 +50,28 @@ def work(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    bench = open_bench(chunk, characterised(), chunk["mismatch"])
-    found = localizers(bench, chunk["estimators"])
-    position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
-    rng = rng_of(chunk)
+    bench = open_bench(chunk, make_characterised_device(), chunk["mismatch"])
+    found = make_localizers(bench, chunk["estimators"])
+    position, orientation = np.array(REFERENCE_POSITION), make_reference_orientation()
+    rng = make_rng(chunk)
     rows: list[dict[str, Any]] = []
     for half_periods in HALF_PERIODS:
         count = PHASES.get(half_periods, 4)
         grid = np.pi * np.arange(count + 1) / count
-        bounds = [position_bound(bound(bench, position, orientation, half_periods, p)) for p in grid[:-1]]
+        bounds = [
+            compute_position_bound(compute_bound(bench, position, orientation, half_periods, p)) for p in grid[:-1]
+        ]
         for _ in range(chunk["poses"]):
             recording = bench.record(position, orientation, half_periods)
-            prior = prior_near(position, orientation, rng)
-            swing = bench.last
+            prior = sample_prior(position, orientation, rng)
+            swing = bench.last_oscillation
             least = float(np.interp((swing.phase if swing else 0.0) % np.pi, grid, [*bounds, bounds[0]]))
             kind = {"mismatch": chunk["mismatch"], "half_periods": half_periods, "bound_mm": 1e3 * least}
             rows += [{**kind, **row} for row in locate_all(found, recording, position, orientation, prior)]
-    return columns_of(rows)
+    return make_columns(rows)
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make chunks without and, unless one scale is given, with mismatches: then many benches, each sampled anew.
 
     Parameters
@@ -77,9 +86,9 @@ def chunks(options: Options) -> list[Chunk]:
     scales = (0.0, 1.0) if options.mismatch is None else (options.mismatch,)
     pieces = []
     for scale in scales:
-        sizes = split(total, CHUNK if scale == 0.0 else max(CHUNK // MISMATCH_CHUNKS, 1))
+        sizes = split_evenly(total, POSES_PER_CHUNK if scale == 0.0 else max(POSES_PER_CHUNK // MISMATCH_CHUNKS, 1))
         pieces += [(f"x{scale:g}-{i:03d}", {"mismatch": scale, "poses": size}) for i, size in enumerate(sizes)]
-    return cut(options, work, pieces)
+    return cut_chunks(options, run_chunk, pieces)
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -95,7 +104,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    columns = joined(parts)
+    columns = join_columns(parts)
     figures: dict[str, Any] = {"poses": 0, "cases": []}
     rows: list[tuple[str, str]] = []
     for scale in np.unique(columns["mismatch"]):
@@ -104,12 +113,14 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         )
         for name in options.estimators:
             for half_periods in HALF_PERIODS:
-                case = summary(chosen(columns, mismatch=scale, estimator=name, half_periods=half_periods))
+                case = summarize_case(select_rows(columns, mismatch=scale, estimator=name, half_periods=half_periods))
                 figures["cases"].append({"mismatch": scale, "estimator": name, "half_periods": half_periods, **case})
-                rows.append((f"  {name}, N = {half_periods}", _line(case)))
-        by_name = {n: chosen(columns, mismatch=scale, estimator=n, half_periods=2) for n in options.estimators}
+                rows.append((f"  {name}, N = {half_periods}", _format_case(case)))
+        by_name = {n: select_rows(columns, mismatch=scale, estimator=n, half_periods=2) for n in options.estimators}
         if len(by_name) == 2:
-            ratio = rms(position_errors(by_name["whitened"])) / rms(position_errors(by_name["paper"]))
+            ratio = compute_rms(stack_position_errors(by_name["whitened"])) / compute_rms(
+                stack_position_errors(by_name["paper"])
+            )
             figures[f"whitened_over_paper_x{scale:g}"] = ratio
             both = [c for c in figures["cases"] if c["mismatch"] == scale and c["half_periods"] == 2]
             plain = both[0]["over_bound_without_flips"] / both[1]["over_bound_without_flips"]
@@ -120,7 +131,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     return Outcome(rows, figures, columns)
 
 
-def summary(columns: Columns) -> dict[str, Any]:
+def summarize_case(columns: Columns) -> dict[str, Any]:
     """Compute the figures of one case.
 
     Parameters
@@ -131,28 +142,28 @@ def summary(columns: Columns) -> dict[str, Any]:
     -------
     dict
     """
-    errors, nees = position_errors(columns), columns["nees"]
-    least = rms(columns["bound_mm"])
-    right = np.max(np.abs(rotation_errors(columns)), axis=1) <= FLIP_DEG
+    errors, nees = stack_position_errors(columns), columns["nees"]
+    least = compute_rms(columns["bound_mm"])
+    right = np.max(np.abs(stack_rotation_errors(columns)), axis=1) <= FLIP_DEG
     return {
         "n": len(nees),
         "untrusted": int(np.sum(columns["trusted"] == 0.0)),
         "flipped": int(np.sum(~right)),
-        "rms_mm": rms(errors),
+        "rms_mm": compute_rms(errors),
         "rms_by_axis_mm": np.sqrt(np.mean(errors**2, axis=0)).tolist(),
         "mean_by_axis_mm": errors.mean(axis=0).tolist(),
-        "rotation_rms_deg": rms(rotation_errors(columns)),
+        "rotation_rms_deg": compute_rms(stack_rotation_errors(columns)),
         "bound_mm": least,
-        "over_bound": rms(errors) / least,
+        "over_bound": compute_rms(errors) / least,
         "over_bound_std": 1.0 / math.sqrt(6.0 * len(nees)),
-        "over_bound_without_flips": rms(errors[right]) / rms(columns["bound_mm"][right]),
+        "over_bound_without_flips": compute_rms(errors[right]) / compute_rms(columns["bound_mm"][right]),
         "nees_over_6": float(np.mean(nees)) / 6.0,
         "nees_over_6_without_flips": float(np.mean(nees[right])) / 6.0,
         "nees_over_6_std": math.sqrt(2.0 / 6.0 / len(nees)),
     }
 
 
-def _line(case: dict[str, Any]) -> str:
+def _format_case(case: dict[str, Any]) -> str:
     left_out = f", {case['untrusted']} untrusted" if case["untrusted"] else ""
     if case["flipped"]:
         left_out += f"; {case['flipped']} flipped, without them {case['over_bound_without_flips']:.3f} times, "
@@ -172,7 +183,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import BOUND, COLORS, even_ticks, limit_line, name_line, slide, titled
+    from sim.batch.slide import BOUND, COLORS, draw_limit_line, label_line, open_slide, set_ticks, set_titles
 
     cases = outcome.figures["cases"]
     scale = min(case["mismatch"] for case in cases)
@@ -186,10 +197,10 @@ def draw(outcome: Outcome, path: Path) -> None:
         f"device at (0, 0, 80 mm), noise learned from 10 s of background, {best[0]['n']} poses for each N, {label}"
         + (f"; without {flips} flips" if flips else "")
     )
-    with slide(path, headline, subline, 1, 2, width_ratios=[1.25, 1.0]) as (left, right):
+    with open_slide(path, headline, subline, 1, 2, width_ratios=[1.25, 1.0]) as (left, right):
         left.plot([c["half_periods"] for c in best], [1e3 * c["bound_mm"] for c in best], color=BOUND, lw=9,
                   solid_capstyle="round", zorder=1)  # fmt: skip
-        name_line(left, 6, 1e3 * best[2]["bound_mm"], "bound", "#7d838e", xytext=(0, -20), ha="center")
+        label_line(left, 6, 1e3 * best[2]["bound_mm"], "bound", "#7d838e", xytext=(0, -20), ha="center")
         for name in dict.fromkeys(c["estimator"] for c in shown):
             line = [c for c in shown if c["estimator"] == name]
             apart = [1e3 * c["over_bound_without_flips"] * c["bound_mm"] for c in line]
@@ -199,28 +210,28 @@ def draw(outcome: Outcome, path: Path) -> None:
                     left.plot(c["half_periods"], 1e3 * c["rms_mm"], "o", color=COLORS[name], mfc="white", mew=1.5)
                     left.annotate(f"with {c['flipped']} flips", (c["half_periods"], 1e3 * c["rms_mm"]), xytext=(8, -3),
                                   textcoords="offset points", fontsize=9, color=COLORS[name])  # fmt: skip
-            name_line(left, 6, apart[2], name, COLORS[name], xytext=(4, 14))
+            label_line(left, 6, apart[2], name, COLORS[name], xytext=(4, 14))
         left.set(xscale="log", yscale="log", xlim=(0.9, 24))
-        even_ticks(left, [c["half_periods"] for c in best])
+        set_ticks(left, [c["half_periods"] for c in best])
         left.set_yticks([20, 50, 100, 200, 500, 1000], ["20", "50", "100", "200", "500", "1000"])
-        titled(left, "Rms position error per axis, in µm", "half-periods N")
-        columns = chosen(outcome.columns, mismatch=scale, estimator=best[0]["estimator"])
-        kept = np.max(np.abs(rotation_errors(columns)), axis=1) <= FLIP_DEG
+        set_titles(left, "Rms position error per axis, in µm", "half-periods N")
+        columns = select_rows(outcome.columns, mismatch=scale, estimator=best[0]["estimator"])
+        kept = np.max(np.abs(stack_rotation_errors(columns)), axis=1) <= FLIP_DEG
         mean, top = float(np.mean(columns["nees"][kept])) / 6.0, 24.0
         right.hist(columns["nees"][kept], bins=60, range=(0, top), density=True, color="#5fa8d3")
         x = np.linspace(0, top, 200)
         right.plot(x, x**2 * np.exp(-x / 2) / 16.0, color=COLORS["whitened"], lw=2)
-        name_line(right, 7.5, 0.082, "chi-square, 6 degrees\nof freedom: a consistent\ncovariance", COLORS["whitened"])
-        titled(right, f"Squared error over covariance; mean / 6 = {mean:.3f}", "NEES")
-        limit_line(right, 6.0, "mean if consistent", vertical=True)
+        label_line(right, 7.5, 0.082, "chi-square, 6 degrees\nof freedom: a consistent\ncovariance", COLORS["whitened"])
+        set_titles(right, f"Squared error over covariance; mean / 6 = {mean:.3f}", "NEES")
+        draw_limit_line(right, 6.0, "mean if consistent", vertical=True)
         right.set_yticks([])
 
 
 STUDY = Study(
     name="bound",
     title="Error over the Cramer-Rao bound",
-    devices=lambda: {"characterised": characterised()},
-    chunks=chunks,
+    devices=lambda: {"characterised": make_characterised_device()},
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     notes={"position_mm": [1e3 * v for v in REFERENCE_POSITION], "quiet_s": 10.0, "half_periods": HALF_PERIODS},

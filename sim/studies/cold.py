@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.benches import FLIP_DEG, characterised, localizers, open_bench, pose_row
-from sim.studies.columns import chosen, columns_of, joined, position_errors
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of, split
-from smolbot.core.rotations import rotation_error
+from sim.studies.benches import FLIP_DEG, make_characterised_device, make_localizers, make_pose_row, open_bench
+from sim.studies.columns import join_columns, make_columns, select_rows, stack_position_errors
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng, split_evenly
+from smolbot.core.rotations import compute_rotation_error
 
 HALF_PERIODS = 6
-CHUNK, DEFAULT_POSES = 125, 2000
+POSES_PER_CHUNK, DEFAULT_POSES = 125, 2000
 
 LOW, HIGH = (-0.04, -0.04, 0.05), (0.04, 0.04, 0.11)
 """Corners of the volume, in m."""
@@ -25,7 +25,7 @@ NEES_MEDIAN = 5.348
 """Median of chi-square with 6 degrees of freedom."""
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Locate random poses on one bench.
 
     Parameters
@@ -36,8 +36,8 @@ def work(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    bench = open_bench(chunk, characterised(), chunk["mismatch"])
-    found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
+    bench = open_bench(chunk, make_characterised_device(), chunk["mismatch"])
+    found, rng = make_localizers(bench, chunk["estimators"]), make_rng(chunk)
     rows: list[dict[str, Any]] = []
     for _ in range(chunk["poses"]):
         position = rng.uniform(LOW, HIGH)
@@ -47,7 +47,7 @@ def work(chunk: Chunk) -> Columns:
         place = {f"{axis}_mm": 1e3 * float(position[i]) for i, axis in enumerate("xyz")}
         for name, localizer in found.items():
             pose = localizer.locate(recording)
-            off = float(np.linalg.norm(rotation_error(np.array(pose.orientation), orientation)))
+            off = float(np.linalg.norm(compute_rotation_error(np.array(pose.orientation), orientation)))
             rows.append(
                 {
                     "mismatch": chunk["mismatch"],
@@ -56,13 +56,13 @@ def work(chunk: Chunk) -> Columns:
                     **{f"q{i}": float(v) for i, v in enumerate(orientation)},
                     "off_mm": 1e3 * float(np.linalg.norm(pose.position - position)),
                     "off_deg": float(np.degrees(off)),
-                    **pose_row(pose, position, orientation),
+                    **make_pose_row(pose, position, orientation),
                 }
             )
-    return columns_of(rows)
+    return make_columns(rows)
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make chunks without, then with mismatches, each on a bench of its own.
 
     Parameters
@@ -78,9 +78,9 @@ def chunks(options: Options) -> list[Chunk]:
     pieces = [
         (f"x{scale:g}-{i:03d}", {"mismatch": scale, "poses": size})
         for scale in scales
-        for i, size in enumerate(split(total, CHUNK))
+        for i, size in enumerate(split_evenly(total, POSES_PER_CHUNK))
     ]
-    return cut(options, work, pieces)
+    return cut_chunks(options, run_chunk, pieces)
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -96,12 +96,12 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    columns = joined(parts)
+    columns = join_columns(parts)
     figures: dict[str, Any] = {"cases": []}
     rows: list[tuple[str, str]] = []
     for scale in np.unique(columns["mismatch"]):
         for name in options.estimators:
-            part = chosen(columns, mismatch=scale, estimator=name)
+            part = select_rows(columns, mismatch=scale, estimator=name)
             trusted = part["trusted"] == 1.0
             wrong = (part["off_mm"] > WRONG_MM) | (part["off_deg"] > WRONG_DEG)
             good = trusted & ~wrong
@@ -118,7 +118,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
                 "p95_off_mm": float(np.percentile(part["off_mm"][good], 95)),
                 "median_off_deg": float(np.median(part["off_deg"][good])),
                 "nees_over_6_median": float(np.median(part["nees"][good])) / NEES_MEDIAN,
-                "rms_by_axis_mm": np.sqrt(np.mean(position_errors(part)[good] ** 2, axis=0)).tolist(),
+                "rms_by_axis_mm": np.sqrt(np.mean(stack_position_errors(part)[good] ** 2, axis=0)).tolist(),
             }
             figures["cases"].append(case)
             rows.append(
@@ -143,11 +143,11 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import COLORS, LIMIT, OTHERS, limit_line, slide, titled
+    from sim.batch.slide import COLORS, LIMIT, OTHERS, draw_limit_line, open_slide, set_titles
 
     cases = outcome.figures["cases"]
     first = cases[0]
-    shown = chosen(outcome.columns, mismatch=first["mismatch"], estimator=first["estimator"])
+    shown = select_rows(outcome.columns, mismatch=first["mismatch"], estimator=first["estimator"])
     headline = (
         f"{first['confident_wrong']} of {first['poses']} cold starts trusted but wrong, "
         f"{first['trusted_share']:.1%} trusted"
@@ -169,7 +169,7 @@ def draw(outcome: Outcome, path: Path) -> None:
         (~trusted & wrong, LIMIT, "not trusted, and wrong", 26, "o"),
         (trusted & wrong, COLORS["paper"], "trusted, but wrong", 60, "X"),
     ]
-    with slide(path, headline, subline, 1, 2) as (left, right):
+    with open_slide(path, headline, subline, 1, 2) as (left, right):
         for mask, color, text, size, marker in groups:
             kind: dict[str, Any] = {"s": size, "color": color, "lw": 0, "alpha": 0.75, "marker": marker}
             left.scatter(
@@ -180,21 +180,21 @@ def draw(outcome: Outcome, path: Path) -> None:
             panel.set_yscale("log")
             panel.set_ylim(2e-3, 500)
             panel.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
-            limit_line(panel, WRONG_MM, "5 mm")
+            draw_limit_line(panel, WRONG_MM, "5 mm")
         right.set_xscale("log")
         right.set_xlim(5e-3, 250)
         right.set_xticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
-        limit_line(right, WRONG_DEG, "20°", vertical=True)
+        draw_limit_line(right, WRONG_DEG, "20°", vertical=True)
         left.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 1.0), fontsize=10, markerscale=1.2)
-        titled(left, "Position error in mm, against height", "true height in mm")
-        titled(right, "Position error in mm, against orientation error", "orientation error in degrees")
+        set_titles(left, "Position error in mm, against height", "true height in mm")
+        set_titles(right, "Position error in mm, against orientation error", "orientation error in degrees")
 
 
 STUDY = Study(
     name="cold",
     title="Cold starts",
-    devices=lambda: {"characterised": characterised()},
-    chunks=chunks,
+    devices=lambda: {"characterised": make_characterised_device()},
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     estimators=("whitened",),

@@ -12,7 +12,7 @@ from sim.studies.study import Columns
 from smolbot.core.arrays import FloatArray
 
 
-def columns_of(rows: Sequence[Mapping[str, Any]]) -> Columns:
+def make_columns(rows: Sequence[Mapping[str, Any]]) -> Columns:
     """Convert rows to columns; every row has the same keys.
 
     Parameters
@@ -26,7 +26,7 @@ def columns_of(rows: Sequence[Mapping[str, Any]]) -> Columns:
     return {key: np.array([row[key] for row in rows]) for key in rows[0]} if rows else {}
 
 
-def joined(parts: Sequence[Columns]) -> Columns:
+def join_columns(parts: Sequence[Columns]) -> Columns:
     """Concatenate the columns of several chunks; keys with a leading underscore are left out.
 
     Parameters
@@ -42,7 +42,7 @@ def joined(parts: Sequence[Columns]) -> Columns:
     return {key: np.concatenate([np.atleast_1d(p[key]) for p in filled]) for key in keys}
 
 
-def chosen(columns: Columns, **values: Any) -> Columns:
+def select_rows(columns: Columns, **values: Any) -> Columns:
     """Select the rows in which the named columns have these values.
 
     Parameters
@@ -61,7 +61,7 @@ def chosen(columns: Columns, **values: Any) -> Columns:
     return {key: column[keep] for key, column in columns.items()}
 
 
-def position_errors(columns: Columns) -> FloatArray:
+def stack_position_errors(columns: Columns) -> FloatArray:
     """Return position errors.
 
     Parameters
@@ -75,7 +75,7 @@ def position_errors(columns: Columns) -> FloatArray:
     return np.stack([columns[f"error_{axis}_mm"] for axis in "xyz"], axis=1)
 
 
-def rotation_errors(columns: Columns) -> FloatArray:
+def stack_rotation_errors(columns: Columns) -> FloatArray:
     """Return rotation errors.
 
     Parameters
@@ -89,7 +89,7 @@ def rotation_errors(columns: Columns) -> FloatArray:
     return np.stack([columns[f"error_r{axis}_deg"] for axis in "xyz"], axis=1)
 
 
-def rms(values: FloatArray) -> float:
+def compute_rms(values: FloatArray) -> float:
     """Compute the root mean square of all values.
 
     Parameters

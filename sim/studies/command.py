@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smolbot.config.plugins import load, names
-from smolbot.errors import InputError, did_you_mean
+from smolbot.config.plugins import list_plugins, load_plugin
+from smolbot.errors import InputError, suggest_name
 from smolbot.ui.cli.options import JsonOption, SetOption
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command("study")
 def study(
-    name: Annotated[str, typer.Argument(help="One of: " + ", ".join(names("studies")) + ".", metavar="NAME")],
+    name: Annotated[str, typer.Argument(help="One of: " + ", ".join(list_plugins("studies")) + ".", metavar="NAME")],
     mission: Annotated[
         str | None,
         typer.Argument(help="For margins: a shipped mission by name, or your own by path.", metavar="[MISSION]"),
@@ -48,23 +48,23 @@ def study(
     json: JsonOption = False,
 ) -> None:
     """A study of localization, or of a mission's loop: a table, a figure and results.csv in a folder of its own."""
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.ui.cli.show import echo_json, print_table
 
     loaded = load_study(name)
     if loaded.mission:
         given = {"--poses": poses, "--mismatch": mismatch, "--estimator": estimator}
-        options = replace(_mission_options(loaded, mission, seed, jobs, rig, set_, given), weights=weights)
+        options = replace(_make_mission_options(loaded, mission, seed, jobs, rig, set_, given), weights=weights)
     elif mission is not None or set_ or weights is not None:
         what = f"MISSION '{mission}'" if mission is not None else "--set" if set_ else "--weights"
         raise InputError(f"study {name} simulates localization on a bench: it takes no {what}.")
     else:
-        options = _options(loaded, seed, jobs, poses, rig or "tank", mismatch, estimator)
+        options = _make_options(loaded, seed, jobs, poses, rig or "tank", mismatch, estimator)
     if resume and out is None:
         raise InputError("--resume needs --out: the folder of the study to continue.")
-    outcome, folder = carry_out(loaded, options, out, resume=resume)
+    outcome, folder = run_study(loaded, options, out, resume=resume)
     rows = [*outcome.rows, ("wall time", f"{outcome.figures['wall_s']:.1f} s"), ("folder", str(folder))]
     about = f"mission {mission}" if loaded.mission else f"rig {options.rig}"
-    table(f"{loaded.title} (seed {seed}, {about})", rows, err=json)
+    print_table(f"{loaded.title} (seed {seed}, {about})", rows, err=json)
     if json:
         echo_json(outcome.figures)
 
@@ -79,14 +79,14 @@ def load_study(name: str) -> Study:
     PluginError
         If it is none that can be run.
     """
-    known = names("studies")
+    known = list_plugins("studies")
     if name not in known:
-        raise InputError(f"No study is named '{name}'; there are: {', '.join(known)}.{did_you_mean(name, known)}")
-    found: Study = load("studies", name)
+        raise InputError(f"No study is named '{name}'; there are: {', '.join(known)}.{suggest_name(name, known)}")
+    found: Study = load_plugin("studies", name)
     return found
 
 
-def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool = False) -> tuple[Outcome, Path]:
+def run_study(study: Study, options: Options, out: Path | None, *, resume: bool = False) -> tuple[Outcome, Path]:
     """Run all chunks that are not done, conclude, and write ``study.json``, ``results.csv`` and the figure.
 
     Parameters
@@ -103,26 +103,29 @@ def carry_out(study: Study, options: Options, out: Path | None, *, resume: bool 
     outcome : Outcome
     folder : Path
     """
-    from sim.studies.benches import rig_named
-    from sim.studies.running import StudyFolder, described, executor_for, run_chunks
-    from smolbot.runs.folder import dated
+    from sim.studies.benches import load_rig_once
+    from sim.studies.running import StudyFolder, describe_study, open_study_executor, run_chunks
+    from smolbot.runs.folder import make_dated_path
 
     begin = time.perf_counter()
-    config = study.rig_of(options) if study.rig_of is not None else rig_named(options.rig)
-    folder = StudyFolder(out or dated(f"study-{study.name}"), options.asked(), resume=resume)
+    config = study.rig_of(options) if study.rig_of is not None else load_rig_once(options.rig)
+    folder = StudyFolder(out or make_dated_path(f"study-{study.name}"), options.list_deciding(), resume=resume)
     chunks = study.chunks(options)
-    with executor_for(options.jobs if len(chunks) > 1 else 1) as executor, _shown(study.name) as progress:
+    with (
+        open_study_executor(options.jobs if len(chunks) > 1 else 1) as executor,
+        _show_progress(study.name) as progress,
+    ):
         parts = run_chunks(chunks, folder, executor, progress)
     outcome = study.conclude(options, parts)
     outcome.figures.update({"wall_s": time.perf_counter() - begin, "folder": str(folder.path)})
-    folder.finish({**described(options, study, config), **outcome.figures}, outcome.columns)
+    folder.finish({**describe_study(options, study, config), **outcome.figures}, outcome.columns)
     for file, text in (study.files(outcome) if study.files is not None else {}).items():
         (folder.path / file).write_text(text, encoding="utf-8")
     study.draw(outcome, folder.path / f"{study.name}.png")
     return outcome, folder.path
 
 
-def _options(
+def _make_options(
     study: Study, seed: int, jobs: int, poses: int | None, rig: str, mismatch: float | None, estimator: str | None
 ) -> Options:
     from sim.studies.study import Options
@@ -137,29 +140,29 @@ def _options(
     return found if estimator is None else replace(found, estimators=("paper",))
 
 
-def _mission_options(
+def _make_mission_options(
     study: Study, mission: str | None, seed: int, jobs: int, rig: str | None, pairs: list[str] | None,
     given: Mapping[str, object],
 ) -> Options:  # fmt: skip
     from sim.studies.study import Options
-    from smolbot.ui.cli.options import settings_from
+    from smolbot.ui.cli.options import parse_settings
 
     if mission is None:
         raise InputError(f"study {study.name} needs a mission: smolbot study {study.name} MISSION, such as r_path.")
     refused = [option for option, value in given.items() if value is not None]
     if refused:
         raise InputError(f"study {study.name} samples no poses: it takes no {', '.join(refused)}.")
-    settings = tuple(sorted(settings_from(pairs).items()))
+    settings = tuple(sorted(parse_settings(pairs).items()))
     return Options(study.name, seed, jobs, mission=mission, own_rig=rig, settings=settings)
 
 
 @contextmanager
-def _shown(name: str) -> Iterator[Callable[[int, int], None]]:
+def _show_progress(name: str) -> Iterator[Callable[[int, int], None]]:
     """A bar with the time left on a terminal, nothing elsewhere."""
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
-    from smolbot.ui.cli.show import bar
+    from smolbot.ui.cli.show import show_bar
 
     columns = TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn()
-    with bar(name, *columns) as tell:
+    with show_bar(name, *columns) as tell:
         yield lambda done, total: tell(completed=done, total=total)

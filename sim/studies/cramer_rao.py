@@ -10,7 +10,7 @@ import numpy as np
 
 from sim.tank.static_bench import StaticBench
 from smolbot.core.arrays import FloatArray
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
 
 BLOCKS, SMALLEST, LARGEST = 300, 3, 12
 """Number of blocks to which samples are averaged, and fewest and most samples of one (12 are 0.24 ms at 50 kS/s): the
@@ -22,7 +22,7 @@ STEPS = np.array([2e-5, 2e-5, 2e-5, 5e-4, 5e-4, 5e-4, 1e-3, 5e-4])
 N_PARAMETERS = len(STEPS)
 
 
-def bound(
+def compute_bound(
     bench: StaticBench,
     position: FloatArray,
     orientation: FloatArray,
@@ -50,19 +50,19 @@ def bound(
     ndarray, shape (8, 8)
         Smallest covariance of position (m), rotation e (rad), phase (rad) and amplitude (rad).
     """
-    n = bench.samples(half_periods)
+    n = bench.count_samples(half_periods)
     size = min(max(n // BLOCKS, SMALLEST), LARGEST)
-    slopes = _slopes(bench, position, orientation, n, time_since_drive, phase, amplitude)
+    slopes = _differentiate_readings(bench, position, orientation, n, time_since_drive, phase, amplitude)
     count = n // size
     blocks = slopes[..., : count * size].reshape(*slopes.shape[:2], count, size).mean(axis=3)  # (8, channels, blocks)
     jacobian = np.moveaxis(blocks, 0, -1).reshape(-1, N_PARAMETERS)
     scale = np.linalg.norm(jacobian, axis=0)
-    information = whitened_gram(bench, jacobian / scale, count, size)
+    information = compute_whitened_gram(bench, jacobian / scale, count, size)
     inverse: FloatArray = np.linalg.inv(information) / np.outer(scale, scale)
     return inverse
 
 
-def whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int) -> FloatArray:
+def compute_whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int) -> FloatArray:
     """Compute ``columns^T C^-1 columns`` with a free constant in each channel.
 
     Parameters
@@ -82,8 +82,8 @@ def whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int
     from scipy.linalg import solve_triangular
 
     n_channels = len(bench.sensors)
-    factor = np.linalg.cholesky(own_covariance(bench, count, size))
-    lines = line_waves(bench, count, size)
+    factor = np.linalg.cholesky(compute_own_covariance(bench, count, size))
+    lines = sample_line_waves(bench, count, size)
 
     def whiten(matrix: FloatArray) -> FloatArray:
         stacked = matrix.reshape(n_channels, count, -1).transpose(1, 0, 2).reshape(count, -1)
@@ -106,7 +106,7 @@ def whitened_gram(bench: StaticBench, columns: FloatArray, count: int, size: int
     return gram
 
 
-def own_covariance(bench: StaticBench, count: int, size: int) -> FloatArray:
+def compute_own_covariance(bench: StaticBench, count: int, size: int) -> FloatArray:
     """Compute the covariance of block means of one sensor's own noise and its converter's.
 
     Parameters
@@ -133,7 +133,7 @@ def own_covariance(bench: StaticBench, count: int, size: int) -> FloatArray:
     return total + np.eye(count) * bench.true_sensors.converter_step**2 / 12.0 / size
 
 
-def line_waves(bench: StaticBench, count: int, size: int) -> FloatArray:
+def sample_line_waves(bench: StaticBench, count: int, size: int) -> FloatArray:
     """Return cosine and sine of each mains line, averaged over blocks.
 
     Parameters
@@ -158,7 +158,7 @@ def line_waves(bench: StaticBench, count: int, size: int) -> FloatArray:
     return np.stack(waves, axis=1)
 
 
-def _slopes(
+def _differentiate_readings(
     bench: StaticBench,
     position: FloatArray,
     orientation: FloatArray,
@@ -171,14 +171,16 @@ def _slopes(
     size = bench.true_device.theta_max if amplitude is None else amplitude
 
     def readings(step: FloatArray) -> FloatArray:
-        turned = quaternion_product(quaternion_from_rotation_vector(step[3:6]), orientation)
-        return bench.clean(position + step[:3], turned, n, since, size + float(step[7]), phase + float(step[6]))
+        turned = multiply_quaternions(quaternion_from_rotation_vector(step[3:6]), orientation)
+        return bench.compute_clean_readings(
+            position + step[:3], turned, n, since, size + float(step[7]), phase + float(step[6])
+        )
 
     steps = np.diag(STEPS)
     return np.stack([(readings(s) - readings(-s)) / (2.0 * STEPS[i]) for i, s in enumerate(steps)])
 
 
-def position_bound(covariance: FloatArray) -> float:
+def compute_position_bound(covariance: FloatArray) -> float:
     """Compute the root mean square of the bound over the three axes.
 
     Parameters

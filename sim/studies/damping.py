@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.benches import REFERENCE_POSITION, characterised, localizers, open_bench
-from sim.studies.columns import chosen, columns_of, joined
-from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
-from smolbot.localization.statistics import coefficient_of_determination
+from sim.studies.benches import REFERENCE_POSITION, make_characterised_device, make_localizers, open_bench
+from sim.studies.columns import join_columns, make_columns, select_rows
+from sim.studies.scatter import compute_mean_bound, compute_scatter, locate_repeatedly
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng
+from smolbot.localization.statistics import compute_r_squared
 
 DAMPINGS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 31.7, 40.0)
 HALF_PERIODS = (2, 20)
@@ -22,7 +22,7 @@ DEFAULT_POSES, BENCHES = 300, 2
 """Poses of each damping, and benches among which they are divided."""
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Locate with one damping, in both modes.
 
     Parameters
@@ -33,16 +33,16 @@ def work(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    bench = open_bench(chunk, characterised(chunk["damping"], "exponential"), chunk["mismatch"])
-    found, rng = localizers(bench, chunk["estimators"]), rng_of(chunk)
+    bench = open_bench(chunk, make_characterised_device(chunk["damping"], "exponential"), chunk["mismatch"])
+    found, rng = make_localizers(bench, chunk["estimators"]), make_rng(chunk)
     rows: list[dict[str, Any]] = []
     for n in HALF_PERIODS:
-        labels = {"damping_per_s": chunk["damping"], "bound_mm": mean_bound(bench, REFERENCE_POSITION[2], n)}
-        rows += scatter_rows(bench, found, REFERENCE_POSITION[2], n, chunk["poses"], rng, labels)
-    return columns_of(rows)
+        labels = {"damping_per_s": chunk["damping"], "bound_mm": compute_mean_bound(bench, REFERENCE_POSITION[2], n)}
+        rows += locate_repeatedly(bench, found, REFERENCE_POSITION[2], n, chunk["poses"], rng, labels)
+    return make_columns(rows)
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make two benches for each damping.
 
     Parameters
@@ -59,7 +59,7 @@ def chunks(options: Options) -> list[Chunk]:
         for eta in DAMPINGS
         for i in range(BENCHES)
     ]
-    return cut(options, work, pieces)
+    return cut_chunks(options, run_chunk, pieces)
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -75,19 +75,19 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    columns = joined(parts)
+    columns = join_columns(parts)
     figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": [], "trends": []}
     rows: list[tuple[str, str]] = []
     for name in options.estimators:
         for n in HALF_PERIODS:
             sigmas = []
             for eta in DAMPINGS:
-                part = chosen(columns, estimator=name, half_periods=n, damping_per_s=eta)
-                case = scatter_of(part) | {"bound_mm": float(np.sqrt(np.mean(part["bound_mm"] ** 2)))}
+                part = select_rows(columns, estimator=name, half_periods=n, damping_per_s=eta)
+                case = compute_scatter(part) | {"bound_mm": float(np.sqrt(np.mean(part["bound_mm"] ** 2)))}
                 figures["cases"].append({"estimator": name, "half_periods": n, "damping_per_s": eta, **case})
                 sigmas.append(case["sigma_xyz_without_flips_mm"])
             slope, start = np.polyfit(DAMPINGS, sigmas, 1)
-            r2 = coefficient_of_determination(sigmas, start + slope * np.array(DAMPINGS))
+            r2 = compute_r_squared(sigmas, start + slope * np.array(DAMPINGS))
             trend = {"slope_um_s": 1e3 * float(slope), "intercept_um": 1e3 * float(start), "r_squared": r2}
             figures["trends"].append({"estimator": name, "half_periods": n, **trend})
             each = ", ".join(f"{1e3 * s:.0f}" for s in sigmas)
@@ -115,7 +115,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import BOUND, COLORS, limit_line, slide, titled
+    from sim.batch.slide import BOUND, COLORS, draw_limit_line, open_slide, set_titles
 
     cases, trends = outcome.figures["cases"], outcome.figures["trends"]
     names = list(dict.fromkeys(c["estimator"] for c in cases))
@@ -127,7 +127,7 @@ def draw(outcome: Outcome, path: Path) -> None:
         f"{names[0]}; at (0, 0, 80 mm), exponential damping, 20 ms ring-down, {cases[0]['n']} poses each, "
         f"mismatch x {outcome.figures['mismatch']:g}; flips, left out here: {flips}"
     )
-    with slide(path, headline, subline, 1, 2) as axes:
+    with open_slide(path, headline, subline, 1, 2) as axes:
         for panel, n in zip(axes, HALF_PERIODS, strict=True):
             top = 0.0
             for name in names:
@@ -143,16 +143,16 @@ def draw(outcome: Outcome, path: Path) -> None:
                 panel.plot(x, trend["intercept_um"] + trend["slope_um_s"] * x, "--", color=COLORS[name], lw=1.4)
                 top = max(top, 1.5 * float(np.max(sigmas)))
             panel.set_ylim(0, top)
-            limit_line(panel, GLYCEROL, "glycerol", vertical=True)
-            titled(panel, f"N = {n}: standard deviation, mean of x, y and z, in µm", "damping coefficient in 1/s")
+            draw_limit_line(panel, GLYCEROL, "glycerol", vertical=True)
+            set_titles(panel, f"N = {n}: standard deviation, mean of x, y and z, in µm", "damping coefficient in 1/s")
             panel.legend(frameon=False, loc="upper left")
 
 
 STUDY = Study(
     name="damping",
     title="Precision against damping",
-    devices=lambda: {"characterised": characterised(0.0, "exponential")},
-    chunks=chunks,
+    devices=lambda: {"characterised": make_characterised_device(0.0, "exponential")},
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     notes={"dampings_per_s": DAMPINGS, "half_periods": HALF_PERIODS, "position_mm": [0, 0, 80]},

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.benches import characterised, localizers, open_bench, optimised
-from sim.studies.columns import chosen, columns_of, joined
-from sim.studies.scatter import mean_bound, scatter_of, scatter_rows
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
+from sim.studies.benches import make_characterised_device, make_localizers, make_optimised_device, open_bench
+from sim.studies.columns import join_columns, make_columns, select_rows
+from sim.studies.scatter import compute_mean_bound, compute_scatter, locate_repeatedly
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
 
@@ -20,7 +20,7 @@ EDGE_MM = (math.pi / 4.0) ** (1.0 / 3.0)
 """Edge of the cube with the volume of the paper's magnet, diameter 1 x 1 mm."""
 
 SIZES_MM = (0.5, 0.7, EDGE_MM, 1.2, 1.5, 2.0)
-CASES = {"characterised": (characterised, 2), "optimised": (optimised, 6)}
+CASES = {"characterised": (make_characterised_device, 2), "optimised": (make_optimised_device, 6)}
 LIMIT_MM = 1.0
 """Largest standard deviation at the depth that is searched."""
 
@@ -36,10 +36,10 @@ SMALL_EXPONENT = 0.75
 VOLUME_FACTOR = 1.3
 """Height of a cold start's volume, relative to the greatest height."""
 
-AROUND = (0.42, 0.55, 0.65, 0.75, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
+RELATIVE_HEIGHTS = (0.42, 0.55, 0.65, 0.75, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12, 1.2)
 
 
-def device_with(case: str, size_mm: float) -> Device:
+def make_device(case: str, size_mm: float) -> Device:
     """Make the device with a cubic magnet of another size; frequency, stop, damping and l0 stay.
 
     Parameters
@@ -56,7 +56,7 @@ def device_with(case: str, size_mm: float) -> Device:
     return replace(device, moment=device.moment * (size_mm / EDGE_MM) ** 3)
 
 
-def spread_of(size_mm: float) -> float:
+def compute_array_scale(size_mm: float) -> float:
     """Return the scale of the array: it grows with magnets larger than the paper's, and does not shrink.
 
     Parameters
@@ -70,7 +70,7 @@ def spread_of(size_mm: float) -> float:
     return max(size_mm / EDGE_MM, 1.0)
 
 
-def heights(case: str, size_mm: float) -> FloatArray:
+def list_heights(case: str, size_mm: float) -> FloatArray:
     """Return heights around the expected depth.
 
     Parameters
@@ -83,10 +83,10 @@ def heights(case: str, size_mm: float) -> FloatArray:
     ndarray, shape (n,), in m
     """
     scale = size_mm / EDGE_MM if size_mm > EDGE_MM else (size_mm / EDGE_MM) ** SMALL_EXPONENT
-    return 1e-3 * FIRST_GUESS_MM[case] * scale * np.array(AROUND)
+    return 1e-3 * FIRST_GUESS_MM[case] * scale * np.array(RELATIVE_HEIGHTS)
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Locate one size of one device on one bench at all heights.
 
     Parameters
@@ -98,18 +98,18 @@ def work(chunk: Chunk) -> Columns:
     Columns
     """
     case, size = chunk["case"], chunk["size_mm"]
-    bench = open_bench(chunk, device_with(case, size), chunk["mismatch"], spread=spread_of(size))
-    reach = float(heights(case, size).max())
-    found, rng = localizers(bench, chunk["estimators"], reach=VOLUME_FACTOR * reach), rng_of(chunk)
+    bench = open_bench(chunk, make_device(case, size), chunk["mismatch"], spread=compute_array_scale(size))
+    reach = float(list_heights(case, size).max())
+    found, rng = make_localizers(bench, chunk["estimators"], reach=VOLUME_FACTOR * reach), make_rng(chunk)
     rows: list[dict[str, Any]] = []
-    for height in heights(case, size):
-        least = mean_bound(bench, float(height), CASES[case][1])
+    for height in list_heights(case, size):
+        least = compute_mean_bound(bench, float(height), CASES[case][1])
         labels = {"case": case, "size_mm": size, "bound_mm": least}
-        rows += scatter_rows(bench, found, float(height), CASES[case][1], chunk["poses"], rng, labels)
-    return columns_of(rows)
+        rows += locate_repeatedly(bench, found, float(height), CASES[case][1], chunk["poses"], rng, labels)
+    return make_columns(rows)
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make two benches for each size of each device.
 
     Parameters
@@ -130,10 +130,10 @@ def chunks(options: Options) -> list[Chunk]:
         for size in SIZES_MM
         for i in range(BENCHES)
     ]
-    return cut(options, work, pieces)
+    return cut_chunks(options, run_chunk, pieces)
 
 
-def crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) -> float:
+def find_crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) -> float:
     """Find where rising `values` first pass `limit`, by linear interpolation of logarithms.
 
     Parameters
@@ -149,7 +149,7 @@ def crossing(places: FloatArray, values: FloatArray, limit: float = LIMIT_MM) ->
 
     Examples
     --------
-    >>> round(crossing(np.array([100.0, 120.0]), np.array([0.5, 2.0])), 3)
+    >>> round(find_crossing(np.array([100.0, 120.0]), np.array([0.5, 2.0])), 3)
     110.0
     """
     above = np.flatnonzero(values >= limit)
@@ -174,23 +174,23 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    columns = joined(parts)
+    columns = join_columns(parts)
     figures: dict[str, Any] = {"mismatch": options.mismatch or 0.0, "cases": [], "depths": []}
     rows: list[tuple[str, str]] = []
     for case in CASES:
         for size in SIZES_MM:
             for name in options.estimators:
                 sigmas, bounds, lost = [], [], 0
-                for height in heights(case, size):
-                    part = chosen(columns, case=case, size_mm=size, estimator=name, height_mm=1e3 * height)
-                    one = scatter_of(part) | {"bound_mm": float(np.sqrt(np.mean(part["bound_mm"] ** 2)))}
+                for height in list_heights(case, size):
+                    part = select_rows(columns, case=case, size_mm=size, estimator=name, height_mm=1e3 * height)
+                    one = compute_scatter(part) | {"bound_mm": float(np.sqrt(np.mean(part["bound_mm"] ** 2)))}
                     kind = {"case": case, "size_mm": size, "estimator": name, "height_mm": 1e3 * float(height)}
                     figures["cases"].append({**kind, **one})
                     sigmas.append(one["sigma_xyz_mm"])
                     bounds.append(one["bound_mm"])
                     lost += one["untrusted"]
-                places = 1e3 * heights(case, size)
-                depth, least = crossing(places, np.array(sigmas)), crossing(places, np.array(bounds))
+                places = 1e3 * list_heights(case, size)
+                depth, least = find_crossing(places, np.array(sigmas)), find_crossing(places, np.array(bounds))
                 figures["depths"].append(
                     {"case": case, "size_mm": size, "estimator": name, "z_max_mm": depth, "z_max_bound_mm": least,
                      "half_periods": CASES[case][1], "untrusted": lost}
@@ -214,7 +214,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import BOUND, COLORS, OTHERS, limit_line, name_line, slide, titled
+    from sim.batch.slide import BOUND, COLORS, OTHERS, draw_limit_line, label_line, open_slide, set_titles
 
     depths, cases = outcome.figures["depths"], outcome.figures["cases"]
     name = depths[0]["estimator"]
@@ -223,7 +223,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     headline = f"Under 1 mm to {mine['characterised']:.0f} mm; optimised device to {mine['optimised']:.0f} mm"
     subline = f"{name}; N = 2 and N = 6; above the array's middle; array scaled with magnets larger than the paper's"
     shade = {"characterised": COLORS["whitened"], "optimised": OTHERS[0]}
-    with slide(path, headline, subline, 1, 2) as (left, right):
+    with open_slide(path, headline, subline, 1, 2) as (left, right):
         for case in CASES:
             for estimator in dict.fromkeys(d["estimator"] for d in depths):
                 line = [d for d in depths if d["case"] == case and d["estimator"] == estimator]
@@ -235,13 +235,13 @@ def draw(outcome: Outcome, path: Path) -> None:
                 if known:
                     last = known[-1]
                     shift = (6, 12 if (case, estimator) == ("characterised", name) else -8)
-                    name_line(left, last["size_mm"], last["z_max_mm"], f"{case},\n{estimator}", color, fontsize=10,
+                    label_line(left, last["size_mm"], last["z_max_mm"], f"{case},\n{estimator}", color, fontsize=10,
                               xytext=shift)  # fmt: skip
         left.set_xlim(right=2.75)
         left.plot([EDGE_MM] * 2, [112.5, 156], "D", color="#777777", ms=8, mfc="white", mew=2, zorder=5)
         left.plot([], [], "D", color="#777777", ms=8, mfc="white", mew=2, label="the paper: 110 to 115, and 156 mm")
         left.legend(frameon=False, loc="upper left", labelcolor="#777777")
-        titled(left, "Depth with sigma below 1 mm, in mm", "edge a of the cubic magnet in mm")
+        set_titles(left, "Depth with sigma below 1 mm, in mm", "edge a of the cubic magnet in mm")
         for case in CASES:
             line = [c for c in cases if c["case"] == case and c["size_mm"] == EDGE_MM and c["estimator"] == name]
             x = [c["height_mm"] for c in line]
@@ -251,18 +251,18 @@ def draw(outcome: Outcome, path: Path) -> None:
             shift_by: dict[str, Any] = {"xytext": (10, -8)}
             if case == "characterised":
                 shift_by = {"xytext": (-10, 8), "ha": "right"}
-            name_line(right, x[at], line[at]["sigma_xyz_mm"], f"{case}, N = {CASES[case][1]}", shade[case], **shift_by)
+            label_line(right, x[at], line[at]["sigma_xyz_mm"], f"{case}, N = {CASES[case][1]}", shade[case], **shift_by)
         right.set_yscale("log")
         right.set_yticks([0.05, 0.1, 0.2, 0.5, 1, 2, 5], ["0.05", "0.1", "0.2", "0.5", "1", "2", "5"])
-        limit_line(right, 1.0, "1 mm")
-        titled(right, "Sigma for the paper's magnet, in mm (grey: bound)", "height above the sensors in mm")
+        draw_limit_line(right, 1.0, "1 mm")
+        set_titles(right, "Sigma for the paper's magnet, in mm (grey: bound)", "height above the sensors in mm")
 
 
 STUDY = Study(
     name="depth",
     title="Depth with under 1 mm of scatter",
-    devices=lambda: {"characterised": characterised(), "optimised": optimised()},
-    chunks=chunks,
+    devices=lambda: {"characterised": make_characterised_device(), "optimised": make_optimised_device()},
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     notes={

@@ -7,27 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.benches import RING_DOWN, characterised, rig_named
-from sim.studies.layout_search import Judge, Layout, Search
-from sim.studies.layout_value import AXES, Mismatch, Poses, Volume, judge
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
-from smolbot.config.feasibility import noise_levels
+from sim.studies.benches import RING_DOWN, load_rig_once, make_characterised_device
+from sim.studies.layout_search import Layout, LayoutScorer, Search
+from sim.studies.layout_value import AXES, Mismatch, Poses, Volume, evaluate_layout_value
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks
+from smolbot.config.feasibility import make_noise_levels
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_matrix
 from smolbot.core.sensing import Device, SensorArray
-from smolbot.localization.bounds import Window
-from smolbot.localization.expected import expected_covariance
+from smolbot.localization.bounds import ListeningWindow
+from smolbot.localization.expected_covariance import compute_expected_covariance
 
 HALF_PERIODS = 2
-ROOMS = 4
+NOISE_DRAWS = 4
 """Random directions of the mains, each learned; a layout is evaluated with all of them."""
 
-FRESH = 100
+TEST_DRAWS = 100
 """First noise draw for the final evaluation: other draws than the search used."""
 
-WEIGHT = 0.1
+SYSTEMATIC_WEIGHT = 0.1
 """Weight of the variance from misplaced sensors against that of noise: calibration removes most of it."""
 
 DESCENTS = 4
@@ -48,24 +48,24 @@ ROUNDING = 1e-6
 MAP_HEIGHT = 0.080
 """z of the map, in m."""
 
-WORTHWHILE = 3
+MIN_GAIN = 3
 """Improvement, in %, below which a layout counts as no better."""
 
 
-def devices() -> dict[str, Device]:
+def make_devices() -> dict[str, Device]:
     """Make the calibrated device with its moment across the cantilever, and along it.
 
     Returns
     -------
     dict of str to Device
     """
-    across = characterised()
+    across = make_characterised_device()
     along = Device(across.moment, np.array([0.0, 0.0, 1.0]), across.l0, across.theta_max, across.frequency,
                    across.damping, across.damping_model)  # fmt: skip
     return {"across": across, "along": along}
 
 
-def window(rig: RigConfig) -> Window:
+def make_window(rig: RigConfig) -> ListeningWindow:
     """Return the listening window.
 
     Parameters
@@ -76,10 +76,10 @@ def window(rig: RigConfig) -> Window:
     -------
     Window
     """
-    return Window(HALF_PERIODS, rig.sample_rate, RING_DOWN)
+    return ListeningWindow(HALF_PERIODS, rig.sample_rate, RING_DOWN)
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Run one descent: from the rig's own layout, or from the best of some random ones.
 
     Parameters
@@ -90,16 +90,18 @@ def work(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    rig = rig_named(chunk["rig"])
-    poses = Volume().poses(3, 2, 0)
-    judged = Judge(
-        tuple(devices().values()), noise_levels(rig), window(rig), poses, rig.sensors.bandwidth, Mismatch(),
-        chunk["weight"], ROOMS,
+    rig = load_rig_once(chunk["rig"])
+    poses = Volume().make_poses(3, 2, 0)
+    judged = LayoutScorer(
+        tuple(make_devices().values()), make_noise_levels(rig), make_window(rig), poses, rig.sensors.bandwidth, Mismatch(),
+        chunk["weight"], NOISE_DRAWS,
     )  # fmt: skip
     rng = np.random.default_rng(chunk.seed)
-    own = layout_of(rig.sensors)
+    own = find_layout(rig.sensors)
     start = (
-        own if chunk["from_own"] and own is not None else judged.best_of_random(len(rig.sensors), RANDOM_STARTS, rng)
+        own
+        if chunk["from_own"] and own is not None
+        else judged.find_best_of_random(len(rig.sensors), RANDOM_STARTS, rng)
     )
     search = Search(judged, start, rng)
     search.run(chunk["patience"])
@@ -112,7 +114,7 @@ def work(chunk: Chunk) -> Columns:
     }
 
 
-def layout_of(sensors: SensorArray) -> Layout | None:
+def find_layout(sensors: SensorArray) -> Layout | None:
     """Convert an array to a `Layout`.
 
     Parameters
@@ -130,7 +132,7 @@ def layout_of(sensors: SensorArray) -> Layout | None:
     return Layout(np.array(sensors.positions[:, :2]), axes) if straight and flat else None
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make the descents; `poses` is their number.
 
     Parameters
@@ -142,10 +144,10 @@ def chunks(options: Options) -> list[Chunk]:
     list of Chunk
     """
     pieces = [
-        (f"descent-{i:02d}", {"from_own": i == 0, "weight": WEIGHT, "patience": PATIENCE})
+        (f"descent-{i:02d}", {"from_own": i == 0, "weight": SYSTEMATIC_WEIGHT, "patience": PATIENCE})
         for i in range(options.poses or DESCENTS)
     ]
-    return cut(options, work, pieces)
+    return cut_chunks(options, run_chunk, pieces)
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -161,13 +163,13 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    rig = rig_named(options.rig)
+    rig = load_rig_once(options.rig)
     best = min(parts, key=lambda part: float(part["score_um"][0]))
     found = Layout(best["_places"][0], best["_axes"][0])
-    proposed = {"rig": rig.sensors, "found": found.sensors(rig.sensors.bandwidth)}
-    poses = Volume().poses(4, 2, 1)
-    values = {name: value(sensors, rig, poses) for name, sensors in proposed.items()}
-    toml = as_toml(found)
+    proposed = {"rig": rig.sensors, "found": found.to_sensors(rig.sensors.bandwidth)}
+    poses = Volume().make_poses(4, 2, 1)
+    values = {name: evaluate_layout(sensors, rig, poses) for name, sensors in proposed.items()}
+    toml = format_toml(found)
     rows: list[tuple[str, str]] = []
     for name, one in values.items():
         rows.append((f"{name} layout", ""))
@@ -183,7 +185,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     }  # fmt: skip
     columns: Columns = {key: np.concatenate([p[key] for p in parts]) for key in ("descent", "score_um", "steps")}
     for name, sensors in proposed.items():
-        columns[f"_map_{name}"] = bound_map(sensors, rig)
+        columns[f"_map_{name}"] = compute_bound_map(sensors, rig)
         columns[f"_places_{name}"], columns[f"_axes_{name}"] = sensors.positions, sensors.axes
     return Outcome(rows, figures, columns)
 
@@ -197,7 +199,7 @@ LABELS = {
 }
 
 
-def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
+def evaluate_layout(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
     """Compute the figures of one layout, over both devices and all noise environments.
 
     Parameters
@@ -210,27 +212,29 @@ def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
     -------
     dict
     """
-    levels, listened = noise_levels(rig), window(rig)
-    center = Poses(np.array([[0.0, 0.0, MAP_HEIGHT]] * CENTER_POSES), Volume().poses(2, 1, 2).rotations)
+    levels, listened = make_noise_levels(rig), make_window(rig)
+    center = Poses(np.array([[0.0, 0.0, MAP_HEIGHT]] * CENTER_POSES), Volume().make_poses(2, 1, 2).rotations)
     bound, reference, systematic, correlation, paper = [], [], [], [], []
-    for device in devices().values():
-        for room in range(ROOMS):
-            noise = levels.room(sensors, FRESH + room)
-            judged = judge(sensors, device, noise, listened, poses, Mismatch())
+    for device in make_devices().values():
+        for room in range(NOISE_DRAWS):
+            noise = levels.sample_room_model(sensors, TEST_DRAWS + room)
+            judged = evaluate_layout_value(sensors, device, noise, listened, poses, Mismatch())
             bound.append(judged.bound.position_rms)
             systematic.append(judged.systematic_rms)
             correlation.append(np.abs(judged.bound.height_amplitude_correlation))
-            reference.append(judge(sensors, device, noise, listened, center, Mismatch()).bound.position_rms)
+            reference.append(
+                evaluate_layout_value(sensors, device, noise, listened, center, Mismatch()).bound.position_rms
+            )
         for place, turn in zip(poses.positions[::POSES_PER_PAPER], poses.rotations[::POSES_PER_PAPER], strict=True):
             pose = Pose(0.0, place, quaternion_from_matrix(turn), np.eye(6))
-            covariance = expected_covariance(
+            covariance = compute_expected_covariance(
                 sensors, device, levels, pose, HALF_PERIODS, listened.sample_rate, listened.since
             )
             paper.append(np.sqrt(np.trace(covariance[:3, :3]) / 3.0))
     out: dict[str, Any] = {
-        "bound_um": 1e6 * _rms(bound), "reference_um": 1e6 * _rms(reference), "systematic_um": 1e6 * _rms(systematic),
+        "bound_um": 1e6 * _compute_rms(bound), "reference_um": 1e6 * _compute_rms(reference), "systematic_um": 1e6 * _compute_rms(systematic),
         "correlation": float(np.median(correlation)), "worst_correlation": float(np.max(correlation)),
-        "paper_um": 1e6 * _rms(paper), "worst_bound_um": 1e6 * float(np.max(bound)),
+        "paper_um": 1e6 * _compute_rms(paper), "worst_bound_um": 1e6 * float(np.max(bound)),
     }  # fmt: skip
     out |= {
         "bound_text": f"{out['bound_um']:.0f} µm (worst pose {out['worst_bound_um']:.0f} µm)",
@@ -242,11 +246,11 @@ def value(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[str, Any]:
     return out
 
 
-def _rms(values: Any) -> float:
+def _compute_rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def as_toml(layout: Layout) -> str:
+def format_toml(layout: Layout) -> str:
     """Format a layout as lines of the ``[sensors]`` section of a rig file.
 
     Parameters
@@ -259,7 +263,7 @@ def as_toml(layout: Layout) -> str:
 
     Examples
     --------
-    >>> print(as_toml(Layout(np.array([[0.01, -0.02], [0.0, 0.03]]), np.array([2, 0]))))
+    >>> print(format_toml(Layout(np.array([[0.01, -0.02], [0.0, 0.03]]), np.array([2, 0]))))
     positions_mm = [[10, -20, 0], [0, 30, 0]]
     axes = ["z", "x"]
     """
@@ -273,7 +277,7 @@ MAP = np.linspace(-0.02, 0.02, 9)
 """x and y of the map, in m."""
 
 
-def bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
+def compute_bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
     """Compute the bound over `MAP` at `MAP_HEIGHT`, over both devices, four orientations and two noise environments.
 
     Parameters
@@ -287,11 +291,18 @@ def bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
         Rows are y.
     """
     places = np.array([[x, y, MAP_HEIGHT] for y in MAP for x in MAP])
-    turns = Volume().poses(2, 1, 3).rotations[:4]
+    turns = Volume().make_poses(2, 1, 3).rotations[:4]
     poses = Poses(np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1)))
     found = [
-        judge(sensors, device, noise_levels(rig).room(sensors, FRESH + room), window(rig), poses, Mismatch()).bound
-        for device in devices().values()
+        evaluate_layout_value(
+            sensors,
+            device,
+            make_noise_levels(rig).sample_room_model(sensors, TEST_DRAWS + room),
+            make_window(rig),
+            poses,
+            Mismatch(),
+        ).bound
+        for device in make_devices().values()
         for room in range(2)
     ]
     squares = np.mean([b.position_rms**2 for b in found], axis=0).reshape(len(places), len(turns)).mean(axis=1)
@@ -308,19 +319,19 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import OTHERS, slide, titled
+    from sim.batch.slide import OTHERS, open_slide, set_titles
 
     figures, columns = outcome.figures, outcome.columns
     before, after = figures["layouts"]["rig"], figures["layouts"]["found"]
     less = [round(100 * (1 - after[key] / before[key])) for key in ("bound_um", "systematic_um")]
     headline = f"Better sensor positions: {less[0]} % less error by noise, {less[1]} % less by sensor errors"
-    if max(less) < WORTHWHILE:
+    if max(less) < MIN_GAIN:
         headline = "No better sensor positions found than those of the rig file"
     subline = "Cramer-Rao bound, rms per axis, N = 2, |x|, |y| ≤ 20 mm, z 50 to 100 mm, moment across and along"
     both = np.concatenate([columns["_map_rig"], columns["_map_found"]])
     colors = dict(zip("xyz", (OTHERS[1], OTHERS[3], "#1d4e6b"), strict=True))
     edge = 1e3 * float(MAP[-1])
-    with slide(path, headline, subline, 1, 2, wspace=0.3, left=0.06, right=0.9) as axes:
+    with open_slide(path, headline, subline, 1, 2, wspace=0.3, left=0.06, right=0.9) as axes:
         for panel, (name, title) in zip(axes, (("rig", "rig file"), ("found", "found")), strict=True):
             image = panel.imshow(
                 columns[f"_map_{name}"], origin="lower", extent=(-edge, edge, -edge, edge), cmap="YlGnBu",
@@ -339,7 +350,7 @@ def draw(outcome: Outcome, path: Path) -> None:
                 panel.text(place[0], place[1], letter, **style)
             one = figures["layouts"][name]
             text = f"{title}: noise {one['bound_um']:.0f} µm, sensor errors {one['systematic_um']:.0f} µm"
-            titled(panel, text, "x in mm", "y in mm")
+            set_titles(panel, text, "x in mm", "y in mm")
             panel.set(xlim=(-80, 80), ylim=(-80, 80), aspect="equal")
         bar = axes[1].inset_axes((1.06, 0.0, 0.04, 1.0))
         axes[1].figure.colorbar(image, cax=bar, label="bound at z = 80 mm, in µm")
@@ -348,13 +359,13 @@ def draw(outcome: Outcome, path: Path) -> None:
 STUDY = Study(
     name="layout",
     title="Sensor layout: the bound over a volume, N = 2",
-    devices=devices,
-    chunks=chunks,
+    devices=make_devices,
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     notes={
         "volume_mm": [[1e3 * v for v in Volume().low], [1e3 * v for v in Volume().high]],
-        "half_periods": HALF_PERIODS, "rooms": ROOMS, "weight": WEIGHT, "axes": AXES.tolist(),
+        "half_periods": HALF_PERIODS, "rooms": NOISE_DRAWS, "weight": SYSTEMATIC_WEIGHT, "axes": AXES.tolist(),
         "square_mm": 150.0, "apart_mm": 10.0,
     },
 )  # fmt: skip

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sim.studies.layout_value import AXES, HALF_WIDTH, MIN_DISTANCE, Mismatch, Poses, sideways
+from sim.studies.layout_value import AXES, HALF_WIDTH, MIN_DISTANCE, Mismatch, Poses, find_side_axes
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device, SensorArray
 from smolbot.localization import basis as time_functions
-from smolbot.localization.bounds import Window, channel_series
+from smolbot.localization.bounds import ListeningWindow, compute_channel_series
 from smolbot.localization.noise.room import NoiseLevels
-from smolbot.localization.noise.whitening import blocks
+from smolbot.localization.noise.whitening import make_block_taps
 
 IntArray = npt.NDArray[np.int64]
 
@@ -70,7 +70,7 @@ class Layout:
     places: FloatArray
     axes: IntArray
 
-    def sensors(self, bandwidth: float) -> SensorArray:
+    def to_sensors(self, bandwidth: float) -> SensorArray:
         """Convert to a sensor array.
 
         Parameters
@@ -83,7 +83,7 @@ class Layout:
         """
         return SensorArray(np.column_stack([self.places, np.zeros(len(self.places))]), AXES[self.axes], bandwidth)
 
-    def allowed(self) -> bool:
+    def is_allowed(self) -> bool:
         """Return whether sensors lie in the square, far enough apart, and along at least two axes.
 
         Returns
@@ -95,7 +95,7 @@ class Layout:
         return inside and bool(apart.min() >= MIN_DISTANCE - ROUNDING) and len(set(self.axes.tolist())) >= 2
 
 
-class Judge:
+class LayoutScorer:
     """Scores layouts by the rms error over poses, devices, phases and sampled directions of the mains.
 
     Parameters
@@ -116,7 +116,7 @@ class Judge:
         self,
         devices: Sequence[Device],
         levels: NoiseLevels,
-        window: Window,
+        window: ListeningWindow,
         poses: Poses,
         bandwidth: float,
         mismatch: Mismatch,
@@ -125,11 +125,11 @@ class Judge:
     ) -> None:
         self.devices, self.levels, self.window, self.poses = devices, levels, window, poses
         self.bandwidth, self.mismatch, self.weight, self.draws = bandwidth, mismatch, weight, draws
-        chain = blocks(window.n_samples(devices[0].frequency), window.sample_rate, BLOCK)
+        chain = make_block_taps(window.count_samples(devices[0].frequency), window.sample_rate, BLOCK)
         n_blocks, size = chain.weights.shape
         block = size / window.sample_rate
         one = SensorArray(np.zeros((1, 3)), np.eye(3)[2:], bandwidth)
-        own = replace(levels, mains=0.0, mains_gradient=0.0).model(one, TOP_FREQUENCY).covariance(n_blocks, block)
+        own = replace(levels, mains=0.0, mains_gradient=0.0).make_model(one, TOP_FREQUENCY).covariance(n_blocks, block)
         kept = np.linalg.qr(np.ones((n_blocks, 1)), mode="complete")[0][:, 1:]  # a constant is free
         whiten = np.linalg.inv(np.linalg.cholesky(kept.T @ own @ kept)) @ kept.T
         self._orders = np.array([1, *levels.harmonics])
@@ -139,7 +139,7 @@ class Judge:
         self._courses: list[tuple[Device, FloatArray]] = []  # device, and its whitened functions (n_data, 2 K)
         self._amplitude = devices[0].theta_max / time_functions.REFERENCE_ANGLE
         for device in devices:
-            basis = time_functions.time_basis(device, chain, window.sample_rate, window.since, bandwidth)
+            basis = time_functions.compute_time_basis(device, chain, window.sample_rate, window.since, bandwidth)
             size_k = self._amplitude ** np.arange(len(basis))
             harmonics = 1j * np.arange(basis.shape[1])
             for phase in np.pi * np.arange(N_PHASES) / N_PHASES:
@@ -148,7 +148,7 @@ class Judge:
                 ahead = size_k[:, None] * np.real((harmonics[None, :, None] * turned).sum(axis=1))
                 self._courses.append((device, whiten @ np.concatenate([now, ahead]).T))
 
-    def share(self, place: FloatArray, axis: int) -> Share:
+    def compute_share(self, place: FloatArray, axis: int) -> Share:
         """Compute the contribution of one sensor.
 
         Parameters
@@ -164,7 +164,7 @@ class Judge:
         parts: list[tuple[FloatArray, ...]] = []
         for number, (device, functions) in enumerate(self._courses):
             if number % N_PHASES == 0:
-                columns, errors = self._columns(sensor, device)
+                columns, errors = self._compute_columns(sensor, device)
             gram, heard = functions.T @ functions, self._waves.T @ functions
             seen = gram @ columns
             parts.append((
@@ -173,10 +173,10 @@ class Judge:
             ))  # fmt: skip
         return Share(*(np.array(group) for group in zip(*parts, strict=True)))
 
-    def _columns(self, sensor: SensorArray, device: Device) -> tuple[FloatArray, FloatArray]:
+    def _compute_columns(self, sensor: SensorArray, device: Device) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n_poses, 2 K, ·) of the eight unknowns, and of the sensor's six errors."""
         places, turns = self.poses.positions, self.poses.rotations
-        values, slopes = (a[:, 0] for a in channel_series(sensor, device, places, turns))
+        values, slopes = (a[:, 0] for a in compute_channel_series(sensor, device, places, turns))
         n_poses, n_powers = values.shape
         columns = np.zeros((n_poses, 2 * n_powers, 8))
         columns[:, :n_powers, :6] = slopes
@@ -186,12 +186,12 @@ class Judge:
         if self.weight > 0.0:
             errors[:, :n_powers, :3] = self.mismatch.place * slopes[..., :3]
             errors[:, :n_powers, 3] = self.mismatch.gain * values
-            for i, side in enumerate(sideways(sensor.axes)):
-                tilted = channel_series(replace(sensor, axes=side), device, places, turns)[0][:, 0]
+            for i, side in enumerate(find_side_axes(sensor.axes)):
+                tilted = compute_channel_series(replace(sensor, axes=side), device, places, turns)[0][:, 0]
                 errors[:, :n_powers, 4 + i] = self.mismatch.tilt * tilted
         return columns, errors
 
-    def shares(self, layout: Layout) -> list[Share]:
+    def compute_shares(self, layout: Layout) -> list[Share]:
         """Compute the contribution of each sensor of a layout.
 
         Parameters
@@ -202,9 +202,9 @@ class Judge:
         -------
         list of Share
         """
-        return [self.share(place, int(axis)) for place, axis in zip(layout.places, layout.axes, strict=True)]
+        return [self.compute_share(place, int(axis)) for place, axis in zip(layout.places, layout.axes, strict=True)]
 
-    def best_of_random(self, n_sensors: int, count: int, rng: np.random.Generator) -> Layout:
+    def find_best_of_random(self, n_sensors: int, count: int, rng: np.random.Generator) -> Layout:
         """Find the best of some random layouts: the start of a search.
 
         Parameters
@@ -223,11 +223,11 @@ class Judge:
                 np.round(rng.uniform(-START_HALF_WIDTH, START_HALF_WIDTH, (n_sensors, 2)), GRID_DIGITS),
                 rng.integers(0, 3, n_sensors),
             )
-            if layout.allowed():
+            if layout.is_allowed():
                 found.append(layout)
-        return min(found, key=lambda one: self.score(one, self.shares(one)))
+        return min(found, key=lambda one: self.compute_score(one, self.compute_shares(one)))
 
-    def score(self, layout: Layout, shares: Sequence[Share]) -> float:
+    def compute_score(self, layout: Layout, shares: Sequence[Share]) -> float:
         """Compute the root mean square error per axis.
 
         Parameters
@@ -240,18 +240,18 @@ class Judge:
         -------
         float, in m
         """
-        sensors = layout.sensors(self.bandwidth)
+        sensors = layout.to_sensors(self.bandwidth)
         information = np.sum([s.information for s in shares], axis=0)
         overlap = self._waves.T @ self._waves
         total = 0.0
         for draw in range(self.draws):
-            phasors = self.levels.drawn_lines(sensors, np.random.default_rng(draw))
-            mixers = [_mixer(phasors[:, j]) for j in range(len(sensors))]
+            phasors = self.levels.sample_lines(sensors, np.random.default_rng(draw))
+            mixers = [_make_mixer(phasors[:, j]) for j in range(len(sensors))]
             # noise of the lines of the mains, by the Woodbury identity
             inside = np.linalg.inv(np.eye(len(overlap)) + sum(m @ overlap @ m.T for m in mixers))
             heard = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
             left = np.swapaxes(heard, -1, -2) @ inside
-            covariance = _inverse(information - left @ heard)
+            covariance = _invert(information - left @ heard)
             total += float(np.mean(np.einsum("cpaa->cp", covariance[..., :3, :3])))
             if self.weight > 0.0:
                 for mixer, share in zip(mixers, shares, strict=True):
@@ -260,7 +260,7 @@ class Judge:
         return float(np.sqrt(total / self.draws / 3.0))
 
 
-def _mixer(phasors: npt.NDArray[np.complex128]) -> FloatArray:
+def _make_mixer(phasors: npt.NDArray[np.complex128]) -> FloatArray:
     """How one sensor's cosine and sine of each line enter the lines' two quadratures, (2 L, 2 L)."""
     out = np.zeros((2 * len(phasors), 2 * len(phasors)))
     for i, a in enumerate(phasors):
@@ -268,7 +268,7 @@ def _mixer(phasors: npt.NDArray[np.complex128]) -> FloatArray:
     return out
 
 
-def _inverse(information: FloatArray) -> FloatArray:
+def _invert(information: FloatArray) -> FloatArray:
     scale = 1.0 / np.sqrt(np.einsum("...ii->...i", information))
     outer = scale[..., :, None] * scale[..., None, :]
     inverse: FloatArray = np.linalg.inv(information * outer) * outer
@@ -285,11 +285,11 @@ class Search:
     rng : numpy.random.Generator
     """
 
-    def __init__(self, judge: Judge, start: Layout, rng: np.random.Generator) -> None:
+    def __init__(self, judge: LayoutScorer, start: Layout, rng: np.random.Generator) -> None:
         self._judge, self._rng = judge, rng
         self.layout, self.steps = start, 0
-        self.shares = judge.shares(start)
-        self.score = judge.score(start, self.shares)
+        self.shares = judge.compute_shares(start)
+        self.score = judge.compute_score(start, self.shares)
 
     def step(self) -> bool:
         """Try one change.
@@ -314,10 +314,12 @@ class Search:
             places[i] += rng.choice(SHIFTS) * rng.standard_normal(2)
         places = np.clip(np.round(places, GRID_DIGITS), -HALF_WIDTH, HALF_WIDTH)
         layout = Layout(places, axes)
-        if not layout.allowed():
+        if not layout.is_allowed():
             return False
-        shares = [self._judge.share(places[j], int(axes[j])) if j in changed else s for j, s in enumerate(self.shares)]
-        score = self._judge.score(layout, shares)
+        shares = [
+            self._judge.compute_share(places[j], int(axes[j])) if j in changed else s for j, s in enumerate(self.shares)
+        ]
+        score = self._judge.compute_score(layout, shares)
         self.steps += 1
         if score >= self.score:
             return False

@@ -9,7 +9,7 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.core.sensing import Device, SensorArray
-from smolbot.localization.bounds import Bound, Response, Window, channel_series
+from smolbot.localization.bounds import Bound, ListeningWindow, Response, compute_channel_series
 from smolbot.localization.noise.model import NoiseModel
 
 HALF_WIDTH = 0.075
@@ -51,7 +51,7 @@ class Volume:
     low: tuple[float, float, float] = (-0.020, -0.020, 0.050)
     high: tuple[float, float, float] = (0.020, 0.020, 0.100)
 
-    def poses(self, per_axis: int, turns: int, seed: int) -> Poses:
+    def make_poses(self, per_axis: int, turns: int, seed: int) -> Poses:
         """Make positions on a grid, faces included, each in random orientations.
 
         Parameters
@@ -75,7 +75,7 @@ class Volume:
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class LayoutValue:
     """What a layout is worth for one device, pose by pose.
 
     Attributes
@@ -94,9 +94,9 @@ class Judgement:
         return np.sqrt(np.trace(self.systematic, axis1=1, axis2=2) / 3.0)
 
 
-def judge(
-    sensors: SensorArray, device: Device, noise: NoiseModel, window: Window, poses: Poses, mismatch: Mismatch
-) -> Judgement:
+def evaluate_layout_value(
+    sensors: SensorArray, device: Device, noise: NoiseModel, window: ListeningWindow, poses: Poses, mismatch: Mismatch
+) -> LayoutValue:
     """Compute the bound, and to first order the effect of small sensor errors on an estimator that reaches it.
 
     Parameters
@@ -113,14 +113,14 @@ def judge(
     Judgement
     """
     response = Response(sensors, device, noise, window)
-    values, slopes = response.series(poses.positions, poses.rotations)
-    bound = response.bound(poses.positions, poses.rotations)
-    changes = _sensor_changes(sensors, device, poses, mismatch, values, slopes)
+    values, slopes = response.compute_series(poses.positions, poses.rotations)
+    bound = response.compute_bound(poses.positions, poses.rotations)
+    changes = _differentiate_by_sensors(sensors, device, poses, mismatch, values, slopes)
     phases = np.pi * np.arange(N_PHASES) / N_PHASES
     total = np.zeros((len(poses), 3, 3))
     for phase in phases:
-        jacobian = response.jacobian(values, slopes, float(phase))
-        now, _ = response.waves(float(phase))
+        jacobian = response.compute_jacobian(values, slopes, float(phase))
+        now, _ = response.compute_waves(float(phase))
         scale = 1.0 / np.sqrt(np.einsum("nma,nma->na", jacobian, jacobian))
         scaled = jacobian * scale[:, None, :]
         turned = np.swapaxes(scaled, 1, 2)
@@ -128,21 +128,21 @@ def judge(
         through = (gain @ now.reshape(len(now), -1)).reshape(len(poses), 3, *now.shape[1:])
         moved = np.einsum("najk,njkp->najp", through, changes)
         total += np.einsum("najp,nbjp->nab", moved, moved) / len(phases)
-    return Judgement(bound, total)
+    return LayoutValue(bound, total)
 
 
-def _sensor_changes(
+def _differentiate_by_sensors(
     sensors: SensorArray, device: Device, poses: Poses, mismatch: Mismatch, values: FloatArray, slopes: FloatArray
 ) -> FloatArray:
     """What one standard deviation of each sensor's six errors does to its power series, (n, n_sensors, K, 6)."""
     parts = [mismatch.place * slopes[..., i] for i in range(3)] + [mismatch.gain * values]
-    for side in sideways(sensors.axes):
-        tilted = channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0]
+    for side in find_side_axes(sensors.axes):
+        tilted = compute_channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0]
         parts.append(mismatch.tilt * tilted)
     return np.stack(parts, axis=-1)
 
 
-def sideways(axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+def find_side_axes(axes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two directions across each axis.
 
     Parameters

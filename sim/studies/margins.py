@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from sim.analysis.flight import Model, fly
-from sim.analysis.linear import Cycle, averaged, linearised
-from sim.analysis.loop import Margins, SampledLoop, margins
-from sim.analysis.lqr import Weights, between, closest_gains
-from sim.studies.columns import joined
-from sim.studies.margins_report import figures_of, files, rows_of
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut
-from smolbot.config.mission import Mission, load_mission
+from sim.analysis.flight import Model, simulate_flight
+from sim.analysis.linear import Cycle, average_cycles, linearize_cycle
+from sim.analysis.loop import Margins, SampledLoop, compute_margins
+from sim.analysis.lqr import Weights, find_closest_gains, interpolate_gains
+from sim.studies.columns import join_columns
+from sim.studies.margins_report import collect_figures, format_files, format_rows
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks
+from smolbot.config.mission import Mission, load_steering_mission
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
@@ -38,16 +38,16 @@ MATRICES = {"motion": (2, 2), "feedback": (2, 2), "kalman": (3, 2), "sigma": (2,
 
 
 @lru_cache(maxsize=1)
-def _loaded(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Mission:
-    return load_mission(mission, rig, dict(settings))
+def _load_mission(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Mission:
+    return load_steering_mission(mission, rig, dict(settings))
 
 
 @lru_cache(maxsize=1)
-def _model(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Model:
-    return Model(_loaded(mission, rig, settings))
+def _make_model(mission: str, rig: str | None, settings: tuple[tuple[str, str], ...]) -> Model:
+    return Model(_load_mission(mission, rig, settings))
 
 
-def mission_of(options: Options) -> Mission:
+def load_study_mission(options: Options) -> Mission:
     """Load the mission of a study.
 
     Parameters
@@ -65,10 +65,10 @@ def mission_of(options: Options) -> Mission:
     """
     if options.mission is None:
         raise InputError("study margins needs a mission: smolbot study margins MISSION, such as r_path.")
-    return _loaded(options.mission, options.own_rig, options.settings)
+    return _load_mission(options.mission, options.own_rig, options.settings)
 
 
-def weights_of(text: str | None) -> Weights:
+def parse_weights(text: str | None) -> Weights:
     """Read the regulator's weights.
 
     Parameters
@@ -83,7 +83,7 @@ def weights_of(text: str | None) -> Weights:
     return Weights() if text is None else Weights.parse(text)
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make the flight's cycles in some pieces, and the search for gains; an unreachable path is refused here.
 
     Parameters
@@ -102,12 +102,12 @@ def chunks(options: Options) -> list[Chunk]:
     from sim.analysis.flight import require_loop
     from smolbot.flight.preview.gradient import preview
 
-    mission = mission_of(options)
+    mission = load_study_mission(options)
     require_loop(mission)
     found = preview(mission)
     if not found.go:
         raise InputError(f"{mission.name}: there is no flight to analyse: {' '.join(found.reasons)}")
-    weights_of(options.weights)
+    parse_weights(options.weights)
     given = {
         "weights": options.weights,
         "mission": options.mission,
@@ -116,10 +116,10 @@ def chunks(options: Options) -> list[Chunk]:
     }
     pieces = [("gains", {**given, "seed": options.seed})]
     pieces += [(f"path-{i}", {**given, "part": i}) for i in range(PARTS)]
-    return [*cut(options, work_gains, pieces[:1]), *cut(options, work_path, pieces[1:])]
+    return [*cut_chunks(options, search_gains, pieces[:1]), *cut_chunks(options, linearize_path, pieces[1:])]
 
 
-def work_path(chunk: Chunk) -> Columns:
+def linearize_path(chunk: Chunk) -> Columns:
     """Linearise every `PARTS`-th cycle of the flight.
 
     Parameters
@@ -130,11 +130,11 @@ def work_path(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
+    model = _make_model(chunk["mission"], chunk["own_rig"], chunk["settings"])
     rows: list[tuple[int, Cycle]] = []
-    for instant in fly(model, model.controller(), keep=lambda k: k % PARTS == chunk["part"]):
+    for instant in simulate_flight(model, model.make_controller(), keep=lambda k: k % PARTS == chunk["part"]):
         if instant.tracker is not None and instant.command.phase == "follow" and not instant.command.done:
-            rows.append((instant.number, linearised(model, instant)))
+            rows.append((instant.number, linearize_cycle(model, instant)))
     cycles = [c for _, c in rows]
     out: Columns = {
         "cycle": np.array([number for number, _ in rows]),
@@ -147,7 +147,7 @@ def work_path(chunk: Chunk) -> Columns:
     return out
 
 
-def work_gains(chunk: Chunk) -> Columns:
+def search_gains(chunk: Chunk) -> Columns:
     """Find gains closest to the regulator, and fly the reduced plant with the present gains and with these.
 
     Parameters
@@ -158,15 +158,17 @@ def work_gains(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    model = _model(chunk["mission"], chunk["own_rig"], chunk["settings"])
-    mission, found = model.mission, closest_gains(model, weights_of(chunk["weights"]))
-    names, settings, declared = list(found.gains), dict(chunk["settings"]), _declared(mission)
+    model = _make_model(chunk["mission"], chunk["own_rig"], chunk["settings"])
+    mission, found = model.mission, find_closest_gains(model, parse_weights(chunk["weights"]))
+    names, settings, declared = list(found.gains), dict(chunk["settings"]), _list_gains(mission)
     start = {name: float(mission.gains.get(name, declared[name].default)) for name in names}
-    before = _flown(chunk, mission, settings)
+    before = _fly_reduced(chunk, mission, settings)
     values, share, after = found.gains, 1.0, np.zeros((0, 4))
     for share in SHARES if names else ():
-        values = between(declared, start, found.gains, share)
-        after = _flown(chunk, mission, {**settings, **{f"controller.gains.{n}": repr(v) for n, v in values.items()}})
+        values = interpolate_gains(declared, start, found.gains, share)
+        after = _fly_reduced(
+            chunk, mission, {**settings, **{f"controller.gains.{n}": repr(v) for n, v in values.items()}}
+        )
         if np.sum(after[:, 3:]) >= np.sum(before[:, 3:]):
             break
     return {
@@ -182,16 +184,16 @@ def work_gains(chunk: Chunk) -> Columns:
     }
 
 
-def _declared(mission: Mission) -> Mapping[str, Any]:
-    from smolbot.config.plugins import load
+def _list_gains(mission: Mission) -> Mapping[str, Any]:
+    from smolbot.config.plugins import load_plugin
 
-    declared: Mapping[str, Any] = load("controllers", mission.law).gains
+    declared: Mapping[str, Any] = load_plugin("controllers", mission.law).gains
     return declared
 
 
-def _flown(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> FloatArray:
+def _fly_reduced(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> FloatArray:
     """Rows (seed, tracking rms in mm, robot time in s, passed) of flights of the reduced plant; none on a bench."""
-    from sim.batch.flights import Plant, fly_one
+    from sim.batch.flights import PlantModel, fly_one
     from sim.reduced.rig import require_flyable
 
     try:
@@ -200,14 +202,14 @@ def _flown(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> Float
         return np.zeros((0, 4))
     rows = []
     for seed in range(chunk["seed"], chunk["seed"] + FLIGHTS):
-        summary = fly_one(chunk["mission"], chunk["own_rig"], dict(settings), seed, Plant.REDUCED).summary
+        summary = fly_one(chunk["mission"], chunk["own_rig"], dict(settings), seed, PlantModel.REDUCED).summary
         done = summary["status"] == "completed"
         rms = summary["tracking_error_mm"]["rms"] if done else math.nan
         rows.append([seed, rms, summary["duration_s"] if done else math.nan, summary["verdict"] == "passed"])
     return np.array(rows, dtype=np.float64)
 
 
-def cycles_of(columns: Columns) -> list[Cycle]:
+def rebuild_cycles(columns: Columns) -> list[Cycle]:
     """Rebuild the cycles of a flight from their columns, in order.
 
     Parameters
@@ -251,12 +253,12 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     -------
     Outcome
     """
-    gains, columns = parts[0], joined(parts[1:])
-    cycles = cycles_of(columns)
+    gains, columns = parts[0], join_columns(parts[1:])
+    cycles = rebuild_cycles(columns)
     if len(cycles) < 2:
         raise InputError("The flight follows its path for less than two cycles: there is no loop to analyse.")
-    loops = [averaged(cycles, k, REACH) for k in range(len(cycles))]
-    found = [margins(SampledLoop.of(loop)) for loop in loops]
+    loops = [average_cycles(cycles, k, REACH) for k in range(len(cycles))]
+    found = [compute_margins(SampledLoop.from_cycle(loop)) for loop in loops]
     periods = np.array([loop.duration for loop in loops])
     table: Columns = {
         "cycle": np.sort(columns["cycle"]),
@@ -265,7 +267,7 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         "y_mm": 1e3 * np.array([c.position[1] for c in cycles]),
         "cycle_ms": 1e3 * np.array([c.duration for c in cycles]),
         "gain_margin_db": np.array([m.gain_db for m in found]),
-        "gain_reduction_margin_db": np.array([_reduction(m) for m in found]),
+        "gain_reduction_margin_db": np.array([_compute_reduction(m) for m in found]),
         "phase_margin_deg": np.degrees([m.phase for m in found]),
         "delay_margin_cycles": np.array([m.delay for m in found]),
         "delay_margin_ms": 1e3 * np.array([m.delay for m in found]) * periods,
@@ -280,11 +282,11 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         "_period": periods,
         "_wait": np.array([loop.wait for loop in loops]),
     }
-    figures = figures_of(mission_of(options), weights_of(options.weights), table, found, gains)
-    return Outcome(rows_of(figures, table), figures, table)
+    figures = collect_figures(load_study_mission(options), parse_weights(options.weights), table, found, gains)
+    return Outcome(format_rows(figures, table), figures, table)
 
 
-def _reduction(found: Margins) -> float:
+def _compute_reduction(found: Margins) -> float:
     return -20.0 * math.log10(found.least_gain) if found.least_gain > 0.0 else math.inf
 
 
@@ -306,12 +308,12 @@ STUDY = Study(
     name="margins",
     title="Margins of the loop",
     devices=dict,
-    chunks=chunks,
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     mission=True,
-    rig_of=lambda options: mission_of(options).rig,
-    files=files,
+    rig_of=lambda options: load_study_mission(options).rig,
+    files=format_files,
     notes={
         "cut": "at the motion by the law's command: cross-track position and heading together",
         "loop": "frozen at each cycle, averaged over four before and after; the tracker at its covariance there; "

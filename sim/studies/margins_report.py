@@ -14,7 +14,7 @@ from sim.studies.study import Columns, Outcome
 from smolbot.config.mission import Mission
 
 
-def _summary(table: Columns, name: str) -> dict[str, Any]:
+def _summarize(table: Columns, name: str) -> dict[str, Any]:
     """Worst (least), what nineteen of twenty places have at least, median, and place of the worst."""
     values = np.asarray(table[name])
     worst = int(np.argmin(values))
@@ -27,7 +27,7 @@ def _summary(table: Columns, name: str) -> dict[str, Any]:
     }
 
 
-def worst_place(table: Columns) -> int:
+def find_worst_place(table: Columns) -> int:
     """Find the cycle with the smallest disc margin; if some are unstable, the one with the largest pole.
 
     Parameters
@@ -42,7 +42,7 @@ def worst_place(table: Columns) -> int:
     return int(np.argmin(disc)) if disc.min() > 0.0 else int(np.argmax(table["largest_pole"]))
 
 
-def median_place(table: Columns) -> int:
+def find_median_place(table: Columns) -> int:
     """Find the cycle with the median disc margin.
 
     Parameters
@@ -57,7 +57,7 @@ def median_place(table: Columns) -> int:
     return int(order[len(order) // 2])
 
 
-def figures_of(
+def collect_figures(
     mission: Mission, weights: Weights, table: Columns, found: Sequence[Margins], gains: Columns
 ) -> dict[str, Any]:
     """Collect all results as numbers for ``--json``.
@@ -74,7 +74,7 @@ def figures_of(
     -------
     dict
     """
-    worst = worst_place(table)
+    worst = find_worst_place(table)
     steady = np.array([m.stable for m in found])
     settle = np.asarray(table["settle_s"])
     values = dict(zip(gains["_names"].tolist(), gains["_values"].tolist(), strict=True))
@@ -84,7 +84,7 @@ def figures_of(
         "places": len(found),
         "path_length_mm": 1e3 * mission.path.length,
         "cycle_ms": float(np.median(table["cycle_ms"])),
-        **{name: _summary(table, name) for name in (
+        **{name: _summarize(table, name) for name in (
             "gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_ms", "delay_margin_cycles",
             "disc_margin",
         )},
@@ -117,7 +117,7 @@ def figures_of(
     }  # fmt: skip
 
 
-def rows_of(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]:
+def format_rows(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]:
     """Format the results as a table.
 
     Parameters
@@ -134,11 +134,11 @@ def rows_of(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]
     period = figures["cycle_ms"]
     rows = [
         ("law", f"{figures['law']}, {n} cycles of {period:.0f} ms along {figures['path_length_mm']:.0f} mm"),
-        ("gain margin", _least(figures["gain_margin_db"], "dB")),
-        ("phase margin", _least(figures["phase_margin_deg"], "°", 0)),
-        ("delay margin", _least(figures["delay_margin_ms"], "ms", 0)),
+        ("gain margin", _format_least(figures["gain_margin_db"], "dB")),
+        ("phase margin", _format_least(figures["phase_margin_deg"], "°", 0)),
+        ("delay margin", _format_least(figures["delay_margin_ms"], "ms", 0)),
         ("", f"poses may be {max(late['worst'], 0)} cycles late everywhere, {late['median']:.0f} at the median place"),
-        ("disc margin", _least(figures["disc_margin"], "", 2)),
+        ("disc margin", _format_least(figures["disc_margin"], "", 2)),
         ("bandwidth, settling", f"{figures['bandwidth_hz']:.2f} Hz, {figures['settle_s']:.2f} s to 5 % (medians)"),
         ("largest pole", f"{poles['median']:.3f}; worst {poles['worst']:.3f}"),
     ]
@@ -165,7 +165,7 @@ def rows_of(figures: Mapping[str, Any], table: Columns) -> list[tuple[str, str]]
     return rows
 
 
-def _least(summary: Mapping[str, Any], unit: str, digits: int = 1) -> str:
+def _format_least(summary: Mapping[str, Any], unit: str, digits: int = 1) -> str:
     gap = "" if unit in ("", "°") else " "
     x, y = summary["at_mm"]
 
@@ -178,7 +178,7 @@ def _least(summary: Mapping[str, Any], unit: str, digits: int = 1) -> str:
     )
 
 
-def files(outcome: Outcome) -> dict[str, str]:
+def format_files(outcome: Outcome) -> dict[str, str]:
     """Format the gains file, which a mission or ``--set @gains.toml`` takes.
 
     Parameters
@@ -190,14 +190,14 @@ def files(outcome: Outcome) -> dict[str, str]:
     dict of str to str
         Text by file name.
     """
-    from sim.tuning.report import gains_text
+    from sim.tuning.report import format_gains
 
     figures = outcome.figures
     if not figures["gains"]:
         return {}
     weights = figures["regulator"]["weights"]
     return {
-        "gains.toml": gains_text(
+        "gains.toml": format_gains(
             [
                 f"Gains of {figures['law']} for {figures['mission']} whose feedback comes closest to a linear",
                 f"quadratic regulator: {weights['across_mm']:g} mm, {weights['heading_deg']:.0f} degrees and "

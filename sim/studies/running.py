@@ -18,8 +18,8 @@ from sim.batch.executors import open_executor
 from sim.studies.study import Chunk, Columns, Options, Study
 from smolbot.config.rig import RigConfig
 from smolbot.core.sensing import Device, SensorArray
-from smolbot.core.text_table import write_rows
-from smolbot.errors import InputError, writing
+from smolbot.core.text_table import write_table
+from smolbot.errors import InputError, report_write_errors
 
 
 class StudyFolder:
@@ -47,7 +47,7 @@ class StudyFolder:
             if not resume:
                 raise InputError(f"{path}: is not empty; name a new folder, or continue with --resume.")
             self._check()
-        with writing(path, "the study's folder", "made"):
+        with report_write_errors(path, "the study's folder", "made"):
             (path / "chunks").mkdir(parents=True, exist_ok=True)
         self._write_json("asked.json", self.asked)
 
@@ -103,21 +103,21 @@ class StudyFolder:
         """
         self._write_json("study.json", figures)
         shown = {key: column for key, column in columns.items() if not key.startswith("_")}
-        write_rows(self.path / "results.csv", shown, zip(*map(_texts, shown.values()), strict=True))
+        write_table(self.path / "results.csv", shown, zip(*map(_format_column, shown.values()), strict=True))
 
     def _write_json(self, name: str, data: Any) -> None:
-        from smolbot.core.results import json_text
+        from smolbot.core.results import format_json
 
-        (self.path / name).write_text(json_text(data), encoding="utf-8")
+        (self.path / name).write_text(format_json(data), encoding="utf-8")
 
 
-def _texts(column: Any) -> list[str]:
+def _format_column(column: Any) -> list[str]:
     values = np.atleast_1d(column)
     return [f"{v:.8g}" if values.dtype.kind == "f" else str(v) for v in values]
 
 
 @contextmanager
-def executor_for(jobs: int) -> Iterator[Executor | None]:
+def open_study_executor(jobs: int) -> Iterator[Executor | None]:
     """Open processes for chunks.
 
     Parameters
@@ -188,7 +188,7 @@ def run_chunks(
     return [found[i] for i in range(len(chunks))]
 
 
-def described(options: Options, study: Study, rig: RigConfig) -> dict[str, Any]:
+def describe_study(options: Options, study: Study, rig: RigConfig) -> dict[str, Any]:
     """Describe a study for ``study.json``: seed, noise, layout, devices, mismatch, versions.
 
     Parameters
@@ -201,23 +201,23 @@ def described(options: Options, study: Study, rig: RigConfig) -> dict[str, Any]:
     -------
     dict
     """
-    from smolbot.runs.folder import provenance
+    from smolbot.runs.folder import collect_provenance
 
-    origin = provenance(options.seed, {}, {})
+    origin = collect_provenance(options.seed, {}, {})
     noise = rig.sections.noise.model_dump()
     return {
-        **options.asked(),
+        **options.list_deciding(),
         "title": study.title,
         "noise": noise,
-        "layout": layout_of(rig.sensors),
-        "devices": {name: device_of(device) for name, device in study.devices().items()},
+        "layout": describe_layout(rig.sensors),
+        "devices": {name: describe_device(device) for name, device in study.devices().items()},
         "mismatch_section": rig.sections.tank.get("mismatch", {}),
         "notes": dict(study.notes),
         "versions": {key: origin[key] for key in ("smolbot", "commit", "python", "platform", "packages")},
     }
 
 
-def layout_of(sensors: SensorArray) -> dict[str, Any]:
+def describe_layout(sensors: SensorArray) -> dict[str, Any]:
     """Return positions and axes of an array as plain lists.
 
     Parameters
@@ -235,7 +235,7 @@ def layout_of(sensors: SensorArray) -> dict[str, Any]:
     }
 
 
-def device_of(device: Device) -> dict[str, Any]:
+def describe_device(device: Device) -> dict[str, Any]:
     """Return a device's values, with units in their keys.
 
     Parameters

@@ -6,19 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from sim.studies.benches import FLIP_DEG, prior_near, reference_orientation
-from sim.studies.columns import position_errors, rms
-from sim.studies.cramer_rao import bound
+from sim.studies.benches import FLIP_DEG, make_reference_orientation, sample_prior
+from sim.studies.columns import compute_rms, stack_position_errors
+from sim.studies.cramer_rao import compute_bound
 from sim.studies.study import Columns
 from sim.tank.static_bench import StaticBench
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.statistics import standard_deviation
+from smolbot.localization.statistics import compute_standard_deviation
 
 PHASES = 6
 """Phases of the oscillation, over half a turn, across which the bound is averaged."""
 
 
-def scatter_rows(
+def locate_repeatedly(
     bench: StaticBench,
     found: dict[str, Localizer],
     height: float,
@@ -46,18 +46,18 @@ def scatter_rows(
     """
     from sim.studies.benches import locate_all
 
-    position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
+    position, orientation = np.array([0.0, 0.0, height]), make_reference_orientation()
     rows: list[dict[str, Any]] = []
     for _ in range(repeats):
         recording = bench.record(position, orientation, half_periods)
-        prior = prior_near(position, orientation, rng)
+        prior = sample_prior(position, orientation, rng)
         kind = {**labels, "height_mm": 1e3 * height, "half_periods": half_periods}
         rows += [{**kind, **row} for row in locate_all(found, recording, position, orientation, prior)]
     return rows
 
 
-def mean_bound(bench: StaticBench, height: float, half_periods: int) -> float:
-    """Compute the Cramer-Rao bound at (0, 0, `height`) for the sigma_xyz of `scatter_of`.
+def compute_mean_bound(bench: StaticBench, height: float, half_periods: int) -> float:
+    """Compute the Cramer-Rao bound at (0, 0, `height`) for the sigma_xyz of `compute_scatter`.
 
     Parameters
     ----------
@@ -70,13 +70,13 @@ def mean_bound(bench: StaticBench, height: float, half_periods: int) -> float:
     float, in mm
         Mean over the three axes.
     """
-    position, orientation = np.array([0.0, 0.0, height]), reference_orientation()
+    position, orientation = np.array([0.0, 0.0, height]), make_reference_orientation()
     phases = np.pi * np.arange(PHASES) / PHASES
-    covariance = np.mean([bound(bench, position, orientation, half_periods, float(p)) for p in phases], axis=0)
+    covariance = np.mean([compute_bound(bench, position, orientation, half_periods, float(p)) for p in phases], axis=0)
     return 1e3 * float(np.mean(np.sqrt(np.diag(covariance)[:3])))
 
 
-def scatter_of(columns: Columns) -> dict[str, Any]:
+def compute_scatter(columns: Columns) -> dict[str, Any]:
     """Compute the mean over the axes of the standard deviation (Eq. S26), and figures beside it; lengths in mm.
 
     Parameters
@@ -87,17 +87,17 @@ def scatter_of(columns: Columns) -> dict[str, Any]:
     -------
     dict
     """
-    errors = position_errors(columns)
-    sigmas = [standard_deviation(errors[:, i]) if len(errors) > 1 else float("nan") for i in range(3)]
+    errors = stack_position_errors(columns)
+    sigmas = [compute_standard_deviation(errors[:, i]) if len(errors) > 1 else float("nan") for i in range(3)]
     right = np.max(np.abs([columns[f"error_r{a}_deg"] for a in "xyz"]), axis=0) <= FLIP_DEG
     kept = errors[right]
-    apart = [standard_deviation(kept[:, i]) if len(kept) > 1 else float("nan") for i in range(3)]
+    apart = [compute_standard_deviation(kept[:, i]) if len(kept) > 1 else float("nan") for i in range(3)]
     return {
         "n": len(errors),
         "sigma_xyz_mm": float(np.mean(sigmas)),
         "sigma_by_axis_mm": sigmas,
         "mean_by_axis_mm": errors.mean(axis=0).tolist(),
-        "rms_mm": rms(errors),
+        "rms_mm": compute_rms(errors),
         "untrusted": int(np.sum(columns["trusted"] == 0.0)),
         "flipped": int(np.sum(~right)),
         "sigma_xyz_without_flips_mm": float(np.mean(apart)),

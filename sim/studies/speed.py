@@ -14,19 +14,19 @@ import numpy as np
 from sim.studies.benches import (
     REFERENCE_POSITION,
     RING_DOWN,
-    characterised,
-    localizers,
+    make_characterised_device,
+    make_localizers,
+    make_reference_orientation,
     open_bench,
-    prior_near,
-    reference_orientation,
+    sample_prior,
 )
-from sim.studies.running import executor_for, run_chunks
-from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut, rng_of
+from sim.studies.running import open_study_executor, run_chunks
+from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Recording
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.localizer import Localizer
 
 HALF_PERIODS = (2, 20)
@@ -46,7 +46,7 @@ MAX_JOBS, DEFAULT_POSES = 2, 2000
 """Processes of the Monte-Carlo run, and poses of each."""
 
 
-def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[FloatArray, FloatArray]:
+def fit_plainly(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[FloatArray, FloatArray]:
     """Fit as one would write it first: numpy, and scipy's Levenberg-Marquardt with finite differences.
 
     Same data, same whitening, same eight unknowns and prior of the amplitude. The model is evaluated at every sample,
@@ -75,17 +75,17 @@ def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[
     size = model.chain.weights.shape[1]
     count = len(model.chain.first)
     mean, std = device.amplitude_prior
-    start, _ = problem.phase_and_amplitude(prior.position, prior.rotation)
+    start, _ = problem.estimate_phase_and_amplitude(prior.position, prior.rotation)
 
     def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
         move = x * SCALES
-        turned = quaternion_product(quaternion_from_rotation_vector(move[3:6]), np.array(prior.orientation))
+        turned = multiply_quaternions(quaternion_from_rotation_vector(move[3:6]), np.array(prior.orientation))
         return prior.position + move[:3], turned, start + float(move[6]), mean + float(move[7])
 
     def residual(x: FloatArray) -> FloatArray:
         position, orientation, phase, amplitude = unpack(x)
-        field = sensor_field(
-            localizer.sensors, device, position, orientation, deflection(device, times, amplitude, phase)
+        field = compute_sensor_field(
+            localizer.sensors, device, position, orientation, compute_deflection(device, times, amplitude, phase)
         )
         low = lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], field - field[:, :1], axis=1)[:, lead:]
         blocks = low[:, : count * size].reshape(len(low), count, size).mean(axis=2)
@@ -97,7 +97,7 @@ def plain_fit(localizer: Localizer, recording: Recording, prior: Pose) -> tuple[
     return position, orientation
 
 
-def seconds(action: Callable[[int], Any], repeats: int) -> FloatArray:
+def measure_seconds(action: Callable[[int], Any], repeats: int) -> FloatArray:
     """Measure processor times of single calls; the first, to warm up, is not counted.
 
     Other programs that share the core do not enter.
@@ -121,7 +121,7 @@ def seconds(action: Callable[[int], Any], repeats: int) -> FloatArray:
     return out
 
 
-def work(chunk: Chunk) -> Columns:
+def run_chunk(chunk: Chunk) -> Columns:
     """Measure times on this core, then the throughput of a Monte-Carlo on two.
 
     Parameters
@@ -132,27 +132,27 @@ def work(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    bench = open_bench(chunk, characterised(), 0.0)
-    found, rng = localizers(bench, ("whitened", "paper")), rng_of(chunk)
-    position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
+    bench = open_bench(chunk, make_characterised_device(), 0.0)
+    found, rng = make_localizers(bench, ("whitened", "paper")), make_rng(chunk)
+    position, orientation = np.array(REFERENCE_POSITION), make_reference_orientation()
     out: Columns = {}
     for n in HALF_PERIODS:
         fast, slow = REPEATS[n]
         recordings = [bench.record(position, orientation, n, RING_DOWN) for _ in range(min(fast, RECORDINGS))]
-        priors = [prior_near(position, orientation, rng) for _ in recordings]
+        priors = [sample_prior(position, orientation, rng) for _ in recordings]
         for name, localizer in found.items():
             locate = partial(_locate, localizer, recordings, priors)
-            out[f"_{name}_{n}"] = seconds(locate, fast)
+            out[f"_{name}_{n}"] = measure_seconds(locate, fast)
             cold = partial(_locate, localizer, recordings, [None] * len(recordings))
-            out[f"_{name}_cold_{n}"] = seconds(cold, COLD_REPEATS)
-        plain = partial(_plain, found["whitened"], recordings, priors)
-        out[f"_plain_{n}"] = seconds(plain, slow)
+            out[f"_{name}_cold_{n}"] = measure_seconds(cold, COLD_REPEATS)
+        plain = partial(_fit_plainly_at, found["whitened"], recordings, priors)
+        out[f"_plain_{n}"] = measure_seconds(plain, slow)
         apart = []
         for recording, prior in zip(recordings[:COMPARED], priors[:COMPARED], strict=True):
             ours = found["whitened"].locate(recording, prior)
-            apart.append(np.abs(plain_fit(found["whitened"], recording, prior)[0] - ours.position).max())
+            apart.append(np.abs(fit_plainly(found["whitened"], recording, prior)[0] - ours.position).max())
         out[f"_apart_{n}"] = np.array(apart)
-    out |= throughput(chunk)
+    out |= measure_throughput(chunk)
     return out
 
 
@@ -160,13 +160,13 @@ def _locate(localizer: Localizer, recordings: list[Recording], priors: Sequence[
     return localizer.locate(recordings[i % len(recordings)], priors[i % len(priors)])
 
 
-def _plain(
+def _fit_plainly_at(
     localizer: Localizer, recordings: list[Recording], priors: list[Pose], i: int
 ) -> tuple[FloatArray, FloatArray]:
-    return plain_fit(localizer, recordings[i % len(recordings)], priors[i % len(priors)])
+    return fit_plainly(localizer, recordings[i % len(recordings)], priors[i % len(priors)])
 
 
-def monte_carlo(chunk: Chunk) -> Columns:
+def run_monte_carlo(chunk: Chunk) -> Columns:
     """Record and locate at N = 2, as every study does, and measure the time; learning of the noise is left out.
 
     Parameters
@@ -177,10 +177,10 @@ def monte_carlo(chunk: Chunk) -> Columns:
     -------
     Columns
     """
-    bench = open_bench(chunk, characterised(), 0.0)
-    localizer = localizers(bench, ("whitened",))["whitened"]
-    position, orientation = np.array(REFERENCE_POSITION), reference_orientation()
-    prior = prior_near(position, orientation, rng_of(chunk))
+    bench = open_bench(chunk, make_characterised_device(), 0.0)
+    localizer = make_localizers(bench, ("whitened",))["whitened"]
+    position, orientation = np.array(REFERENCE_POSITION), make_reference_orientation()
+    prior = sample_prior(position, orientation, make_rng(chunk))
     for _ in range(WARM_UP):
         localizer.locate(bench.record(position, orientation, 2), prior)
     wall, processor = time.perf_counter(), time.thread_time()
@@ -194,7 +194,7 @@ def monte_carlo(chunk: Chunk) -> Columns:
     }
 
 
-def throughput(chunk: Chunk) -> Columns:
+def measure_throughput(chunk: Chunk) -> Columns:
     """Measure poses per second of a Monte-Carlo over two processes.
 
     Parameters
@@ -207,8 +207,8 @@ def throughput(chunk: Chunk) -> Columns:
     """
     jobs = min(MAX_JOBS, os.cpu_count() or 1)
     options = Options("speed", chunk.seed % 2**32, jobs, rig=chunk["rig"])
-    pieces = cut(options, monte_carlo, [(f"throughput-{i}", {"poses": chunk["poses"]}) for i in range(jobs)])
-    with executor_for(jobs) as executor:
+    pieces = cut_chunks(options, run_monte_carlo, [(f"throughput-{i}", {"poses": chunk["poses"]}) for i in range(jobs)])
+    with open_study_executor(jobs) as executor:
         parts = run_chunks(pieces, None, executor)
     spans = np.concatenate([p["_span"] for p in parts])
     return {
@@ -219,7 +219,7 @@ def throughput(chunk: Chunk) -> Columns:
     }
 
 
-def chunks(options: Options) -> list[Chunk]:
+def make_chunks(options: Options) -> list[Chunk]:
     """Make one chunk, which runs in this process: times are of one core.
 
     Parameters
@@ -230,7 +230,7 @@ def chunks(options: Options) -> list[Chunk]:
     -------
     list of Chunk
     """
-    return cut(options, work, [("speed", {"poses": options.poses or DEFAULT_POSES})])
+    return cut_chunks(options, run_chunk, [("speed", {"poses": options.poses or DEFAULT_POSES})])
 
 
 def conclude(options: Options, parts: list[Columns]) -> Outcome:
@@ -300,7 +300,7 @@ def draw(outcome: Outcome, path: Path) -> None:
     path : Path
         PNG to write.
     """
-    from sim.batch.slide import BOUND, COLORS, LIMIT, slide, titled
+    from sim.batch.slide import BOUND, COLORS, LIMIT, open_slide, set_titles
 
     cases = outcome.figures["cases"]
     fast, ratio = cases[0]["locate_ms"], cases[0]["ratio"]
@@ -309,7 +309,7 @@ def draw(outcome: Outcome, path: Path) -> None:
         f"warm, raw samples to pose with covariance, one core; Monte-Carlo with recording: "
         f"{outcome.figures['monte_carlo_poses_per_processor_s']:.0f} poses per second of processor time"
     )
-    with slide(path, headline, subline, 1, 2) as axes:
+    with open_slide(path, headline, subline, 1, 2) as axes:
         for panel, case, limits in zip(axes, cases, ((1.0, 50.0), (3.0, 360.0)), strict=True):
             names = ["smolbot", "estimator paper,\nin smolbot", "numpy and scipy"]
             values = [case["locate_ms"], case["paper_ms"], case["plain_ms"]]
@@ -324,14 +324,14 @@ def draw(outcome: Outcome, path: Path) -> None:
             for value, text in ((limits[0], f"goal:\n{limits[0]:g} ms"), (limits[1], f"the paper:\n{paper}")):
                 panel.axhline(value, color=LIMIT, lw=1, ls="--", zorder=0)
                 panel.text(-1.2, value * 1.1, text, color="#777777", fontsize=10, va="bottom")
-            titled(panel, f"Time of one pose in ms, N = {case['half_periods']}")
+            set_titles(panel, f"Time of one pose in ms, N = {case['half_periods']}")
 
 
 STUDY = Study(
     name="speed",
     title="Time of a pose",
-    devices=lambda: {"characterised": characterised()},
-    chunks=chunks,
+    devices=lambda: {"characterised": make_characterised_device()},
+    chunks=make_chunks,
     conclude=conclude,
     draw=draw,
     estimators=("whitened",),

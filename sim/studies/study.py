@@ -45,7 +45,7 @@ class Options:
     settings: tuple[tuple[str, str], ...] = ()
     weights: str | None = None
 
-    def asked(self) -> dict[str, Any]:
+    def list_deciding(self) -> dict[str, Any]:
         """Return the options that decide the result; they must be the same when a study resumes.
 
         Returns
@@ -132,7 +132,7 @@ class Study:
     notes: Mapping[str, Any] = field(default_factory=dict)
 
 
-def cut(
+def cut_chunks(
     options: Options, work: Callable[[Chunk], Columns], pieces: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> list[Chunk]:
     """Cut a study into chunks, with seeds spawned from the study's own.
@@ -157,7 +157,7 @@ def cut(
     ]
 
 
-def split(total: int, size: int) -> list[int]:
+def split_evenly(total: int, size: int) -> list[int]:
     """Split a number into the fewest, nearly equal pieces of at most `size`.
 
     Parameters
@@ -171,14 +171,14 @@ def split(total: int, size: int) -> list[int]:
 
     Examples
     --------
-    >>> split(1000, 400)
+    >>> split_evenly(1000, 400)
     [334, 333, 333]
     """
     count = max(math.ceil(total / size), 1)
     return [total // count + (i < total % count) for i in range(count)]
 
 
-def rng_of(chunk: Chunk) -> np.random.Generator:
+def make_rng(chunk: Chunk) -> np.random.Generator:
     """Make the random generator for what a study itself samples, separate from the bench's.
 
     Parameters

@@ -23,7 +23,7 @@ class History:
         self._poses = np.empty((FIRST_ROWS, 7))
         self._count = 0
 
-    def reserve(self, more: int) -> tuple[FloatArray, FloatArray]:
+    def append_rows(self, more: int) -> tuple[FloatArray, FloatArray]:
         """Append `more` empty rows and return views of them for the caller to fill.
 
         Parameters
@@ -69,7 +69,7 @@ class History:
         self._poses[:left] = self._poses[first : self._count].copy()
         self._count = left
 
-    def since(self, time: float) -> tuple[FloatArray, FloatArray]:
+    def find_rows_since(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Return the rows from the last one before a time on.
 
         Parameters
@@ -86,7 +86,7 @@ class History:
         first = max(int(np.searchsorted(times, time)) - 1, 0)
         return times[first:], self._poses[first : self._count]
 
-    def at(self, time: float) -> FloatArray:
+    def interpolate_pose(self, time: float) -> FloatArray:
         """Return the pose at a time, interpolated linearly between physics steps.
 
         Parameters
@@ -146,5 +146,5 @@ class TankWitness:
         InputError
             If the time was not played.
         """
-        pose = self._history.at(time)
+        pose = self._history.interpolate_pose(time)
         return Pose(time, pose[:3], pose[3:], np.zeros((6, 6)))

@@ -11,12 +11,12 @@ from sim.tank.settings import TankSettings
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
 
-CLIP = 3.0  # standard deviations to which mismatches are clipped: no lab builds a coil 2 mm away
+MAX_SIGMAS = 3.0  # standard deviations to which mismatches are clipped: no lab builds a coil 2 mm away
 START_CLIP = 2.0  # standard deviations to which the start is clipped
 MIN_FACTOR = 0.05  # least factor on a value: it must stay positive
 
 
-class DrawnValues:
+class SampledValues:
     """Base of the dataclasses that hold sampled numbers and arrays."""
 
     def as_dict(self) -> dict[str, Any]:
@@ -31,10 +31,10 @@ class DrawnValues:
         return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
 
 
-class Spreads:
+class MismatchSampler:
     """Samples mismatches about nominal values.
 
-    The scale multiplies the samples and changes nothing else. No sample lies beyond `CLIP` standard deviations.
+    The scale multiplies the samples and changes nothing else. No sample lies beyond `MAX_SIGMAS` standard deviations.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Spreads:
         self._rng = rng
         self._scale = scale
 
-    def spread(self, deviation: float, *shape: int) -> FloatArray:
+    def sample_offsets(self, deviation: float, *shape: int) -> FloatArray:
         """Sample offsets from zero.
 
         Parameters
@@ -61,9 +61,9 @@ class Spreads:
         -------
         ndarray, shape `shape`, in the unit of `deviation`
         """
-        return self._scale * deviation * np.clip(self._rng.standard_normal(shape), -CLIP, CLIP)
+        return self._scale * deviation * np.clip(self._rng.standard_normal(shape), -MAX_SIGMAS, MAX_SIGMAS)
 
-    def factor(self, deviation: float, *shape: int) -> FloatArray:
+    def sample_factors(self, deviation: float, *shape: int) -> FloatArray:
         """Sample factors about 1, none below 0.05.
 
         Parameters
@@ -77,9 +77,9 @@ class Spreads:
         -------
         ndarray, shape `shape`
         """
-        return np.maximum(1.0 + self.spread(deviation, *shape), MIN_FACTOR)
+        return np.maximum(1.0 + self.sample_offsets(deviation, *shape), MIN_FACTOR)
 
-    def one(self, deviation: float) -> float:
+    def sample_factor(self, deviation: float) -> float:
         """Sample a single factor about 1.
 
         Parameters
@@ -91,11 +91,11 @@ class Spreads:
         -------
         float
         """
-        return float(self.factor(deviation, 1)[0])
+        return float(self.sample_factors(deviation, 1)[0])
 
 
 @dataclass(frozen=True, eq=False)
-class Truth(DrawnValues):
+class TankTruth(SampledValues):
     """Sampled mismatches of one tank. Those without a unit are factors on the nominal value.
 
     Attributes
@@ -143,12 +143,12 @@ class Truth(DrawnValues):
     start_offset: FloatArray
     start_heading: float
 
-    def device(self, believed: Device) -> Device:
+    def apply_to_device(self, assumed: Device) -> Device:
         """Apply the sampled factors to the assumed device.
 
         Parameters
         ----------
-        believed : Device
+        assumed : Device
             As the controller assumes it.
 
         Returns
@@ -157,17 +157,17 @@ class Truth(DrawnValues):
             As it truly is.
         """
         return replace(
-            believed,
-            moment=believed.moment * self.moment,
-            l0=believed.l0 * self.l0,
-            theta_max=believed.theta_max * self.theta_max,
-            frequency=believed.frequency * self.frequency,
-            damping=believed.damping * self.damping,
+            assumed,
+            moment=assumed.moment * self.moment,
+            l0=assumed.l0 * self.l0,
+            theta_max=assumed.theta_max * self.theta_max,
+            frequency=assumed.frequency * self.frequency,
+            damping=assumed.damping * self.damping,
         )
 
 
 @dataclass(frozen=True)
-class Streams:
+class RandomStreams:
     """Independent random generators of one tank: more samples of one thing do not change another.
 
     Attributes
@@ -191,7 +191,7 @@ class Streams:
     constants: np.random.Generator
 
     @classmethod
-    def from_seed(cls, seed: int) -> Streams:
+    def from_seed(cls, seed: int) -> RandomStreams:
         """Spawn all generators from one seed.
 
         Parameters
@@ -205,7 +205,9 @@ class Streams:
         return cls(*(np.random.Generator(np.random.SFC64(s)) for s in np.random.SeedSequence(seed).spawn(5)))
 
 
-def draw(settings: TankSettings, n_coils: int, n_sensors: int, streams: Streams, *, ideal: bool = False) -> Truth:
+def sample_truth(
+    settings: TankSettings, n_coils: int, n_sensors: int, streams: RandomStreams, *, ideal: bool = False
+) -> TankTruth:
     """Sample the mismatches of one tank.
 
     The order of the samples is fixed, and the scale only multiplies them: the same seed at twice the scale is
@@ -228,9 +230,9 @@ def draw(settings: TankSettings, n_coils: int, n_sensors: int, streams: Streams,
     Truth
     """
     section = settings.mismatch
-    spreads = Spreads(streams.mismatch, 0.0 if ideal else section.scale)
-    spread, factor, one = spreads.spread, spreads.factor, spreads.one
-    return Truth(
+    spreads = MismatchSampler(streams.mismatch, 0.0 if ideal else section.scale)
+    spread, factor, one = spreads.sample_offsets, spreads.sample_factors, spreads.sample_factor
+    return TankTruth(
         coil_places=spread(section.coil_place, n_coils, 3),
         coil_tilts=spread(section.coil_axis, n_coils, 3),
         coil_gains=factor(section.coil_gain, n_coils),

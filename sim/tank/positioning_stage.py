@@ -8,12 +8,12 @@ from sim.tank.settings import TankSettings
 from sim.tank.static_bench import StaticBench
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray, as_floats
-from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import matrix_from_quaternion, multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Device, Recording
 
-HOLDER_PLACE, HOLDER_TURN = 1e-4, float(np.radians(0.5))  # m, rad: the device is glued into its holder by hand
+HOLDER_OFFSET, HOLDER_ROTATION = 1e-4, float(np.radians(0.5))  # m, rad: the device is glued into its holder by hand
 STAGE_ERROR = 1e-5  # m, per axis and pose: a good manual or motorised stage
-DRIVES = (0.6, 0.9)  # amplitude after a drive, as a share of theta_max: unknown, and different each time
+AMPLITUDE_RANGE = (0.6, 0.9)  # amplitude after a drive, as a share of theta_max: unknown, and different each time
 
 
 class TankStage:
@@ -36,7 +36,7 @@ class TankStage:
         self._scale = settings.mismatch.scale
         self.bench = StaticBench(rig, device, seed, self._scale)
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 3])))
-        self.holder: FloatArray = self._scale * np.repeat([HOLDER_PLACE, HOLDER_TURN], 3)
+        self.holder: FloatArray = self._scale * np.repeat([HOLDER_OFFSET, HOLDER_ROTATION], 3)
         self.holder *= self._rng.standard_normal(6)
 
     def record(self, position: FloatArray, orientation: FloatArray, half_periods: int) -> Recording:
@@ -59,6 +59,6 @@ class TankStage:
         turn = as_floats(orientation, (4,), "record orientation")
         missed = self._scale * STAGE_ERROR * self._rng.standard_normal(3)
         true_place = place + missed + matrix_from_quaternion(turn) @ self.holder[:3]
-        true_turn = quaternion_product(turn, quaternion_from_rotation_vector(self.holder[3:]))
-        amplitude = self.bench.true_device.theta_max * float(self._rng.uniform(*DRIVES))
+        true_turn = multiply_quaternions(turn, quaternion_from_rotation_vector(self.holder[3:]))
+        amplitude = self.bench.true_device.theta_max * float(self._rng.uniform(*AMPLITUDE_RANGE))
         return self.bench.record(true_place, true_turn, half_periods, amplitude=amplitude)

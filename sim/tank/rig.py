@@ -6,24 +6,24 @@ import math
 from typing import Any
 
 from sim.tank.history import TankWitness
-from sim.tank.magnetics.coils import NominalExcitation
+from sim.tank.magnetics.tank_coils import TabulatedExcitation
 from sim.tank.settings import TankSettings
-from sim.tank.tank import Step, Tank
+from sim.tank.tank import HoldCoil, Tank
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray, as_floats
-from smolbot.core.closing import Closing
-from smolbot.core.coil_probe import AFTER, BEFORE, HELD, Probe, probe_shot
+from smolbot.core.closeable import Closeable
+from smolbot.core.coil_probe import BASELINE_DURATION, DECAY_DURATION, HOLD_DURATION, Probe, make_probe_shot
 from smolbot.core.rig import Witness
 from smolbot.core.sensing import Recording
-from smolbot.core.shots import Excite, Listen, MoveMagnet, Rest, Shot, magnet_near_after
+from smolbot.core.shots import Excite, Listen, MoveMagnet, Rest, Shot, is_magnet_near_after
 from smolbot.errors import RigError
 
 MIN_REST = 1e-3
 """Rest after a probe, in s, where the rig file has no turnaround."""
 
 
-class TankRig(Closing):
+class TankRig(Closeable):
     """A rig whose world is simulated. What it reports of itself is nominal; only the witness knows the truth.
 
     Parameters
@@ -74,7 +74,7 @@ class TankRig(Closing):
         self.limits = rig.limits
         self._tank = Tank(rig, robot, settings, start, seed, gui=gui, ideal=ideal)
         self.witness: Witness | None = TankWitness(self._tank.history)
-        self._excitation = NominalExcitation(rig)
+        self._excitation = TabulatedExcitation(rig)
         self._driven = rig.driven
         self._rate, self._gains = rig.sample_rate, rig.sensor_gains[:, None]
         self._turnaround = rig.turnaround
@@ -124,8 +124,8 @@ class TankRig(Closing):
         self._stopped, heard = False, None
         played = tank.advance(windows)
         if played:
-            self._magnet_near = magnet_near_after(shot, near=self._magnet_near)
-            heard = self._recording(shot, begin)
+            self._magnet_near = is_magnet_near_after(shot, near=self._magnet_near)
+            heard = self._make_recording(shot, begin)
         if self._stopped or not played:  # during motion, or while samples were computed
             raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
         return heard
@@ -152,18 +152,20 @@ class TankRig(Closing):
         """
         if not self._open:
             raise RigError("This tank is closed; nothing was driven.")
-        self.limits.check(probe_shot(self.limits, coil, current), magnet_near=self._magnet_near)
+        self.limits.check(make_probe_shot(self.limits, coil, current), magnet_near=self._magnet_near)
         tank, begin = self._tank, self._tank.time
         self._stopped = False
-        step = Step(HELD, self._driven.index(coil), current)
-        played = tank.advance((Rest(BEFORE), step, Rest(AFTER), Rest(max(self._turnaround, MIN_REST))))
+        step = HoldCoil(HOLD_DURATION, self._driven.index(coil), current)
+        played = tank.advance(
+            (Rest(BASELINE_DURATION), step, Rest(DECAY_DURATION), Rest(max(self._turnaround, MIN_REST)))
+        )
         if self._stopped or not played:
             raise RigError(
                 f"Stopped at {tank.time:.3f} s, while {coil} was probed; every output is at zero.", channel=coil
             )
-        field, saturated = tank.listen(begin, round((BEFORE + HELD + AFTER) * self._rate))
+        field, saturated = tank.measure(begin, round((BASELINE_DURATION + HOLD_DURATION + DECAY_DURATION) * self._rate))
         heard = Recording(field / self._gains, self._rate, math.inf, saturated, None, begin)
-        return Probe(heard, BEFORE, BEFORE + HELD)
+        return Probe(heard, BASELINE_DURATION, BASELINE_DURATION + HOLD_DURATION)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Return the nominal field of the excitation coils at a point.
@@ -178,12 +180,12 @@ class TankRig(Closing):
         ndarray, shape (n_exc, 3), in T per A
             World frame.
         """
-        return self._excitation.at(as_floats(position, (3,), "excitation_field position"))
+        return self._excitation.compute_field(as_floats(position, (3,), "excitation_field position"))
 
     def stop(self) -> None:
         """Bring every output to zero now and end a shot under way. Safe from any thread, any number of times."""
         self._stopped, self._tank.running = True, False
-        self._tank.silence()
+        self._tank.zero_commands()
 
     def close(self) -> None:
         """Stop, then release what carries the robot; harmless when repeated."""
@@ -199,9 +201,9 @@ class TankRig(Closing):
         dict
             Plain lists and numbers.
         """
-        return {"seed": self._seed, "ideal": self._ideal, **self._tank.drawn()}
+        return {"seed": self._seed, "ideal": self._ideal, **self._tank.list_mismatches()}
 
-    def _recording(self, shot: Shot, begin: float) -> Recording | None:
+    def _make_recording(self, shot: Shot, begin: float) -> Recording | None:
         heard: Recording | None = None
         for at, window in shot.timed():
             start = begin + at
@@ -211,6 +213,6 @@ class TankRig(Closing):
                 drive = shot.excite
                 since = start - self._last_drive[1] if drive is not None and self._last_drive else math.inf
                 n = round(window.duration * self._rate)
-                field, saturated = self._tank.listen(start, n)
+                field, saturated = self._tank.measure(start, n)
                 heard = Recording(field / self._gains, self._rate, since, saturated, drive, start)
         return heard

@@ -81,7 +81,7 @@ class RouteSection(FileModel):
 
     @field_validator("points_mm")
     @classmethod
-    def _apart(cls, value: list[Vector]) -> list[Vector]:
+    def _check_spacing(cls, value: list[Vector]) -> list[Vector]:
         for number, (a, b) in enumerate(pairwise(value), 1):
             if math.dist(a, b) < MIN_DISTANCE_MM:
                 raise ValueError(f"points {number} and {number + 1} must lie at least {MIN_DISTANCE_MM:g} mm apart.")
@@ -108,7 +108,7 @@ class ShaftSection(FileModel):
         """Number of magnetised pieces."""
         return max(round(self.length_mm / self.piece_mm), MIN_PIECES)
 
-    def fields(self, size: float) -> tuple[float, float]:
+    def compute_fields(self, size: float) -> tuple[float, float]:
         """Return the shaft's flux density at two places.
 
         Parameters
@@ -125,7 +125,7 @@ class ShaftSection(FileModel):
         return size * self.tip_ut * 1e-6, size * self.surface_ut * 1e-6
 
 
-class HandSection(FileModel):
+class OperatorSection(FileModel):
     """An operator who guides the device along routes, one after the other, all from one start point."""
 
     routes: Annotated[list[RouteSection], Field(min_length=1)]
@@ -147,7 +147,7 @@ class HandSection(FileModel):
 
     @field_validator("routes")
     @classmethod
-    def _one_start(cls, value: list[RouteSection]) -> list[RouteSection]:
+    def _check_common_start(cls, value: list[RouteSection]) -> list[RouteSection]:
         first = value[0].points_mm[0]
         for number, route in enumerate(value[1:], 2):
             if route.points_mm[0] != first:
@@ -172,12 +172,12 @@ class PlaceSection(FileModel):
         """Nominal heading in rad, or None if it is sampled."""
         return None if self.heading_deg is None else math.radians(self.heading_deg)
 
-    def drawn(self, off: FloatArray) -> tuple[FloatArray, float, float]:
+    def compute_placement(self, deviations: FloatArray) -> tuple[FloatArray, float, float]:
         """Compute a sampled placement from standard-normal samples.
 
         Parameters
         ----------
-        off : ndarray, shape (4,)
+        deviations : ndarray, shape (4,)
             Deviations in x, y, pitch and roll, in standard deviations.
 
         Returns
@@ -186,8 +186,12 @@ class PlaceSection(FileModel):
             World frame.
         pitch, roll : float, in rad
         """
-        place = 1e-3 * (np.array(self.position_mm) + self.scatter_mm * np.array([*off[:2], 0.0]))
-        return place, math.radians(self.pitch_scatter_deg * off[2]), math.radians(self.roll_scatter_deg * off[3])
+        place = 1e-3 * (np.array(self.position_mm) + self.scatter_mm * np.array([*deviations[:2], 0.0]))
+        return (
+            place,
+            math.radians(self.pitch_scatter_deg * deviations[2]),
+            math.radians(self.roll_scatter_deg * deviations[3]),
+        )
 
 
 class TankSettings(FileModel):
@@ -201,7 +205,7 @@ class TankSettings(FileModel):
     surface: SurfaceSection = SurfaceSection()
     gel: GelSettings = GelSettings()
     mismatch: MismatchSection = MismatchSection()
-    hand: HandSection | None = None
+    hand: OperatorSection | None = None
     place: PlaceSection | None = None
 
     physics_step, start_scatter = SI("physics_step_ms"), SI("start_scatter_mm")

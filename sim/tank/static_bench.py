@@ -1,6 +1,6 @@
 """A simulated bench without liquid, coils or Bullet: sensors, noise and magnet, with a device at given poses.
 
-For studies of localization alone. Readings are computed by `sim.tank.magnetics.sensors`, as in the tank; only
+For studies of localization alone. Readings are computed by `sim.tank.magnetics.true_sensors`, as in the tank; only
 the oscillation is given in closed form, and poses come from a stage instead of hydrodynamics.
 """
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.tank.magnetics.magnet import pack_device
-from sim.tank.magnetics.sensors import TrueSensors
-from sim.tank.mismatch import Streams, Truth, draw
+from sim.tank.magnetics.device_packing import pack_device
+from sim.tank.magnetics.true_sensors import TrueSensors
+from sim.tank.mismatch import RandomStreams, TankTruth, sample_truth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import BoolArray, FloatArray, as_floats
@@ -23,9 +23,9 @@ from smolbot.core.shots import Excite
 from smolbot.errors import InputError
 
 DRIVE_CYCLES, DRIVE_CURRENT = 5, 5.0  # of the drive that a recording names; the current in A, in both coils
-LONGEST_QUIET = 2.0  # s: of one background recording
+MAX_BACKGROUND_DURATION = 2.0  # s: of one background recording
 TRACK_STEP = 2.5e-4  # s: between two poses of a moving device; linear between them
-GAP = (0.05, 1.05)  # s: random pause between recordings, for another phase of the mains each time
+PAUSE_RANGE = (0.05, 1.05)  # s: random pause between recordings, for another phase of the mains each time
 ROUNDING = 1e-9  # share of a sample or recording
 
 Track = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
@@ -36,7 +36,7 @@ Disturbance = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
-class Swing:
+class TrueOscillation:
     """The true oscillation of one recording, for a study's evaluation only.
 
     Attributes
@@ -73,9 +73,9 @@ class StaticBench:
         Bench time; runs on from recording to recording.
     truth : Truth
     true_device : Device
-        As sampled. For a study's evaluation only, like `true_sensors` and `last`.
+        As sampled. For a study's evaluation only, like `true_sensors` and `last_oscillation`.
     true_sensors : TrueSensors
-    last : Swing or None
+    last_oscillation : Swing or None
         Of the last recording.
 
     Raises
@@ -91,7 +91,7 @@ class StaticBench:
     >>> recording = bench.record(np.array([0, 0, 0.08]), np.array([1.0, 0, 0, 0]), half_periods=2)
     >>> print(recording.field.shape, recording.time_since_drive)
     (10, 483) 0.02
-    >>> print(round(float(np.degrees(bench.last.amplitude)), 1))
+    >>> print(round(float(np.degrees(bench.last_oscillation.amplitude)), 1))
     17.8
     """
 
@@ -100,8 +100,8 @@ class StaticBench:
             raise InputError(f"mismatch_scale must not be negative; got {mismatch_scale}.")
         settings = rig.section_of("tank", TankSettings)
         mismatch = settings.mismatch.model_copy(update={"scale": float(mismatch_scale)})
-        streams = Streams.from_seed(seed)
-        self.truth: Truth = draw(
+        streams = RandomStreams.from_seed(seed)
+        self.truth: TankTruth = sample_truth(
             settings.model_copy(update={"mismatch": mismatch}), len(rig.driven), len(rig.sensors), streams
         )
         self.true_sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
@@ -110,15 +110,15 @@ class StaticBench:
         self.rate = rig.sample_rate
         self._gains = rig.sensor_gains[:, None]
         self.clock = 0.0
-        self.last: Swing | None = None
+        self.last_oscillation: TrueOscillation | None = None
         self._rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, 1])))
-        self.true_device = d = self.truth.device(device)
+        self.true_device = d = self.truth.apply_to_device(device)
         self._magnet = pack_device(
             d.moment, d.moment_in_body, d.l0, d.theta_max, d.frequency, d.damping, d.damping_model, 0.0, (0.0, 0.0, 0.0)
         )
         self._lead = math.ceil(self.true_sensors.lead * self.rate) + 1
 
-    def samples(self, half_periods: int) -> int:
+    def count_samples(self, half_periods: int) -> int:
         """Return the number of samples in a window.
 
         Parameters
@@ -167,10 +167,10 @@ class StaticBench:
         """
         place = as_floats(position, (3,), "record position")
         turn = as_floats(orientation, (4,), "record orientation")
-        n, swing = self.samples(half_periods), self._drawn(amplitude, phase)
+        n, swing = self.count_samples(half_periods), self._sample_oscillation(amplitude, phase)
         poses = np.tile(np.concatenate([place, turn]), (2, 1))
-        field = self._clean(n, time_since_drive, swing, np.array([-1.0, n / self.rate]), poses)
-        return self._measured(field, time_since_drive, disturbance)
+        field = self._compute_clean_field(n, time_since_drive, swing, np.array([-1.0, n / self.rate]), poses)
+        return self._measure(field, time_since_drive, disturbance)
 
     def record_track(
         self,
@@ -202,7 +202,7 @@ class StaticBench:
         -------
         Recording
         """
-        n, swing = self.samples(half_periods), self._drawn(amplitude, phase)
+        n, swing = self.count_samples(half_periods), self._sample_oscillation(amplitude, phase)
         begin, end = -self._lead / self.rate, n / self.rate
         times = np.linspace(begin, end, max(math.ceil((end - begin) / TRACK_STEP), 1) + 1)
         places, turns = track(times)
@@ -210,10 +210,10 @@ class StaticBench:
         signs = np.cumprod(np.concatenate([[1.0], np.sign(np.sum(turns[1:] * turns[:-1], axis=1))]))
         # one sign for all quaternions: they are interpolated
         poses = np.concatenate([as_floats(places, (len(times), 3), "track positions"), turns * signs[:, None]], axis=1)
-        field = self._clean(n, time_since_drive, swing, times, poses)
-        return self._measured(field, time_since_drive, disturbance)
+        field = self._compute_clean_field(n, time_since_drive, swing, times, poses)
+        return self._measure(field, time_since_drive, disturbance)
 
-    def quiet(self, seconds: float, disturbance: Disturbance | None = None) -> list[Recording]:
+    def record_background(self, seconds: float, disturbance: Disturbance | None = None) -> list[Recording]:
         """Make background noise recordings, without an oscillation.
 
         Parameters
@@ -227,11 +227,11 @@ class StaticBench:
         -------
         list of Recording
         """
-        count = max(math.ceil(seconds / LONGEST_QUIET - ROUNDING), 1)
+        count = max(math.ceil(seconds / MAX_BACKGROUND_DURATION - ROUNDING), 1)
         n = math.ceil(seconds * self.rate / count - ROUNDING)
-        return [self._measured(np.zeros((len(self.sensors), n)), np.inf, disturbance) for _ in range(count)]
+        return [self._measure(np.zeros((len(self.sensors), n)), np.inf, disturbance) for _ in range(count)]
 
-    def clean(
+    def compute_clean_readings(
         self,
         position: FloatArray,
         orientation: FloatArray,
@@ -263,15 +263,19 @@ class StaticBench:
         """
         size = self.true_device.theta_max if amplitude is None else amplitude
         poses = np.tile(np.concatenate([position, orientation]), (2, 1))
-        return self._clean(n, time_since_drive, Swing(size, phase), np.array([-1.0, n / self.rate]), poses)
+        return self._compute_clean_field(
+            n, time_since_drive, TrueOscillation(size, phase), np.array([-1.0, n / self.rate]), poses
+        )
 
-    def _drawn(self, amplitude: float | None, phase: float | None) -> Swing:
+    def _sample_oscillation(self, amplitude: float | None, phase: float | None) -> TrueOscillation:
         drawn = float(self._rng.uniform(-np.pi, np.pi))  # sampled even if given: what follows does not change
         size = self.true_device.theta_max if amplitude is None else amplitude
-        self.last = Swing(size, drawn if phase is None else phase)
-        return self.last
+        self.last_oscillation = TrueOscillation(size, drawn if phase is None else phase)
+        return self.last_oscillation
 
-    def _clean(self, n: int, since: float, swing: Swing, pose_times: FloatArray, poses: FloatArray) -> FloatArray:
+    def _compute_clean_field(
+        self, n: int, since: float, swing: TrueOscillation, pose_times: FloatArray, poses: FloatArray
+    ) -> FloatArray:
         """Compute the readings of an oscillation in closed form (Eqs. S2 to S4), after the sensors' low pass."""
         device = self.true_device
         times = np.arange(-self._lead, n + 1) / self.rate
@@ -282,22 +286,24 @@ class StaticBench:
             envelope = np.exp(-device.damping * after)
         theta = swing.amplitude * envelope * np.cos(2 * np.pi * device.frequency * (since + times) + swing.phase)
         coupling = np.zeros((0, len(self.sensors)))
-        return self.true_sensors.clean(0.0, n, self._magnet, coupling, times, theta[:, None], pose_times, poses)
+        return self.true_sensors.compute_clean_readings(
+            0.0, n, self._magnet, coupling, times, theta[:, None], pose_times, poses
+        )
 
-    def _measured(self, field: FloatArray, since: float, disturbance: Disturbance | None) -> Recording:
+    def _measure(self, field: FloatArray, since: float, disturbance: Disturbance | None) -> Recording:
         """Add disturbance, noise, constants and conversion errors, and advance the bench's clock."""
         n = field.shape[1]
         if disturbance is not None:
-            field += self._heard(disturbance, n)
+            field += self._measure_disturbance(disturbance, n)
         clock = self.clock
         saturated: BoolArray = self.true_sensors.measure(field, clock)
-        self.clock = clock + n / self.rate + float(self._rng.uniform(*GAP))
+        self.clock = clock + n / self.rate + float(self._rng.uniform(*PAUSE_RANGE))
         drive = (
             Excite((DRIVE_CURRENT, DRIVE_CURRENT), self.device.frequency, DRIVE_CYCLES) if np.isfinite(since) else None
         )
         return Recording(field / self._gains, self.rate, since, saturated, drive, clock)
 
-    def _heard(self, disturbance: Disturbance, n: int) -> FloatArray:
+    def _measure_disturbance(self, disturbance: Disturbance, n: int) -> FloatArray:
         """Compute a disturbing field along the true sensor axes, after the sensors' low pass."""
         from scipy.signal import lfilter
 

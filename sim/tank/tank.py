@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from sim.tank.carriers.carrier import Carrier, Drawn, Magnetised, Turned
-from sim.tank.carriers.choose import make_carrier
+from sim.tank.carriers.carrier import Carrier, MagnetDriven, Magnetised, Sampled
+from sim.tank.carriers.selection import make_carrier
 from sim.tank.history import History
-from sim.tank.magnetics.cantilever import DEFLECTION, DRIVE, MIDDLE, RATE, STATE_LENGTH, TIME, swing
+from sim.tank.magnetics.cantilever import DEFLECTION, DRIVE, MIDDLE, RATE, STATE_LENGTH, TIME, advance_cantilever
 from sim.tank.magnetics.coil_fields import COMMAND, CURRENT, SINE
-from sim.tank.magnetics.coils import TankCoils, volume
-from sim.tank.magnetics.magnet import true_device
-from sim.tank.magnetics.sensors import TrueSensors
-from sim.tank.mismatch import Streams, Truth, draw
+from sim.tank.magnetics.device_packing import pack_true_device
+from sim.tank.magnetics.tank_coils import TankCoils, find_magnet_volume
+from sim.tank.magnetics.true_sensors import TrueSensors
+from sim.tank.mismatch import RandomStreams, TankTruth, sample_truth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -25,14 +25,14 @@ from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rest, Rotate, Window
 from smolbot.errors import RigError
 
-STRIDES = 500  # steps of a mechanical window between two checks whether to stop
+STEPS_PER_STOP_CHECK = 500  # steps of a mechanical window between two checks whether to stop
 SUBSTEP = 2e-5  # s: period of the sample clock; the cantilever's period is 500 times longer
 ROUNDING = 1e-9  # share of a step that is rounding, not one more step
 NO_SAMPLES = np.zeros((0, 1))
 
 
 @dataclass(frozen=True)
-class Step(Rest):
+class HoldCoil(Rest):
     """Hold one coil at a constant current.
 
     Attributes
@@ -68,24 +68,24 @@ class Tank:
         self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
         *, gui: bool = False, ideal: bool = False,
     ) -> None:  # fmt: skip
-        streams = Streams.from_seed(seed)
-        self.truth: Truth = draw(settings, len(rig.driven), len(rig.sensors), streams, ideal=ideal)
+        streams = RandomStreams.from_seed(seed)
+        self.truth: TankTruth = sample_truth(settings, len(rig.driven), len(rig.sensors), streams, ideal=ideal)
         self.sensors = TrueSensors(rig, self.truth, streams.field_noise, streams.sensor_noise, streams.constants)
         self.coils = TankCoils.build(rig, settings, self.truth, self.sensors.positions, self.sensors.axes)
-        self.device = true_device(robot, settings, self.truth)
+        self.device = pack_true_device(robot, settings, self.truth)
         self.carrier: Carrier = make_carrier(rig, robot, settings, self.truth, start, seed, gui=gui, ideal=ideal)
         self._magnetised = self.carrier if isinstance(self.carrier, Magnetised) else None
         self.history = History()
         self.time = 0.0
         self.running = False
         self._step = settings.physics_step
-        self._low, self._high = volume(rig)
+        self._low, self._high = find_magnet_volume(rig)
         self._state = np.zeros(STATE_LENGTH)
         self._trace_times = np.zeros(1)
         self._trace = np.zeros((1, 1 + len(self.coils.circuits)))
         self._trace[0, 1:] = self.coils.circuits[:, CURRENT]
         self._used = 1
-        self._note_pose(*self.history.reserve(1))
+        self._record_pose(*self.history.append_rows(1))
 
     def advance(self, windows: tuple[Window, ...]) -> bool:
         """Play windows one after the other, then set every command to zero.
@@ -104,30 +104,30 @@ class Tank:
         RigError
             If the robot left the container.
         """
-        lengths = [(w, *self._strides(w)) for w in windows]
+        lengths = [(w, *self._divide_window(w)) for w in windows]
         steps = sum(n for _, n, _ in lengths)
         self.history.drop_last()  # the first row of this shot repeats the last row of the one before
-        times, poses = self.history.reserve(steps + 1)
-        self._begin_trace(sum(1 if _is_mechanical(w) else n * _substeps(h) for w, n, h in lengths))
+        times, poses = self.history.append_rows(steps + 1)
+        self._begin_trace(sum(1 if _is_mechanical(w) else n * _count_substeps(h) for w, n, h in lengths))
         done, self.running = 0, True
         try:
             for window, n, step in lengths:
-                self._command(window)
-                run = self._turn if isinstance(window, Rotate | MoveMagnet) else self._run
+                self._apply_command(window)
+                run = self._run_mechanical if isinstance(window, Rotate | MoveMagnet) else self._run
                 done += run(n, step, times[done:], poses[done:])
-                if isinstance(self.carrier, Turned) and _is_mechanical(window):
-                    self.carrier.end(window)
+                if isinstance(self.carrier, MagnetDriven) and _is_mechanical(window):
+                    self.carrier.end_window(window)
                 if not self.running:
                     break
         finally:
             self.running = False
-            self.silence()
-            self._note_pose(times[done : done + 1], poses[done : done + 1])
+            self.zero_commands()
+            self._record_pose(times[done : done + 1], poses[done : done + 1])
             self.history.drop_last(steps - done)
-        self._stays(poses[done, :3])
+        self._check_inside(poses[done, :3])
         return done == steps
 
-    def listen(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
+    def measure(self, clock: float, n: int) -> tuple[FloatArray, BoolArray]:
         """Sample the sensors during the windows just played.
 
         Parameters
@@ -143,38 +143,38 @@ class Tank:
             Along the sensors' axes.
         saturated : ndarray of bool, shape (n_sensors,)
         """
-        pose_times, poses = self.history.since(clock - self.sensors.lead)
+        pose_times, poses = self.history.find_rows_since(clock - self.sensors.lead)
         end, sensors = self._used, self.sensors
-        field = sensors.clean(
+        field = sensors.compute_clean_readings(
             clock, n, self.device, self.coils.coupling, self._trace_times[:end], self._trace[:end], pose_times, poses
         )
         if self._magnetised is not None:
-            field += self._magnetised.heard(
+            field += self._magnetised.compute_sensor_field(
                 clock, n, sensors.rate, sensors.time_constant, sensors.positions, sensors.axes
             )
         return field, sensors.measure(field, clock)
 
-    def drawn(self) -> dict[str, Any]:
+    def list_mismatches(self) -> dict[str, Any]:
         """Return every sampled mismatch of this tank, as plain lists and numbers.
 
         Returns
         -------
         dict
         """
-        own = {"carrier": self.carrier.as_dict()} if isinstance(self.carrier, Drawn) else {}
+        own = {"carrier": self.carrier.as_dict()} if isinstance(self.carrier, Sampled) else {}
         return {"truth": self.truth.as_dict(), **own}
 
-    def silence(self) -> None:
+    def zero_commands(self) -> None:
         """Set the command of every driven coil to zero; its current decays."""
         driven = self.coils.n_actuation + self.coils.n_excitation
         self.coils.circuits[:driven, COMMAND : SINE + 1] = 0.0
 
     def _run(self, n: int, step: float, times: FloatArray, poses: FloatArray, commands: FloatArray = NO_SAMPLES) -> int:
         """Advance by `n` steps, with the window's command or with one row of `commands` (in A) per substep."""
-        substeps = _substeps(step)
+        substeps = _count_substeps(step)
         device, earth, state = self.device, self.coils.earth, self._state
         rows, table, circuits = self.coils.fields.rows, self.coils.fields.coefficients, self.coils.circuits
-        read, move = self.carrier.state, self.carrier.advance
+        read, move = self.carrier.read_state, self.carrier.advance
         used, start = self._used, self.time
         trace = self._trace
         near = None if self._magnetised is None else self._magnetised.field_at_magnet
@@ -186,7 +186,7 @@ class Tank:
             body = read()
             if near is not None:
                 earth = steady + matrix_from_quaternion(np.array(body[1])) @ near
-            magnetic = swing(
+            magnetic = advance_cantilever(
                 body[0], body[1], device, earth, rows, table, circuits, state, poses, i, trace, used, step, substeps,
                 commands, i * substeps,
             )  # fmt: skip
@@ -200,13 +200,13 @@ class Tank:
         self.time = start + played * step
         return played
 
-    def _turn(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
+    def _run_mechanical(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
         """Play a mechanical window: the magnet's field stops the oscillation, and no samples are recorded."""
         carrier, start, played = self.carrier, self.time, 0
-        assert isinstance(carrier, Turned)  # the limits of other rigs refuse such windows
+        assert isinstance(carrier, MagnetDriven)  # the limits of other rigs refuse such windows
         while self.running and played < n:
-            stride = min(STRIDES, n - played)
-            carrier.turn(step, poses[played : played + stride])
+            stride = min(STEPS_PER_STOP_CHECK, n - played)
+            carrier.advance_mechanical(step, poses[played : played + stride])
             played += stride
         times[:played] = start + step * np.arange(played)
         self.time = start + played * step
@@ -216,17 +216,17 @@ class Tank:
         self._used += 1
         return played
 
-    def _strides(self, window: Window) -> tuple[int, float]:
-        if isinstance(self.carrier, Turned) and _is_mechanical(window):
-            return _divide(self.carrier.lasting(window), self.carrier.longest_step)
-        return _divide(window.duration, self._step)
+    def _divide_window(self, window: Window) -> tuple[int, float]:
+        if isinstance(self.carrier, MagnetDriven) and _is_mechanical(window):
+            return _divide_duration(self.carrier.sample_duration(window), self.carrier.longest_step)
+        return _divide_duration(window.duration, self._step)
 
-    def _command(self, window: Window) -> None:
-        self.silence()
-        self.carrier.begin(window, self.time)
+    def _apply_command(self, window: Window) -> None:
+        self.zero_commands()
+        self.carrier.begin_window(window, self.time)
         self._state[TIME : DRIVE + 1] = 0.0
         actuation = self.coils.n_actuation
-        if isinstance(window, Step):
+        if isinstance(window, HoldCoil):
             self.coils.circuits[window.coil, COMMAND] = window.current
         elif isinstance(window, Actuate):
             self.coils.circuits[:actuation, COMMAND] = window.currents
@@ -247,12 +247,12 @@ class Tank:
         self._trace_times[:kept], self._trace[:kept] = times, trace
         self._used = kept
 
-    def _stays(self, place: FloatArray) -> None:
+    def _check_inside(self, place: FloatArray) -> None:
         if not (np.all(place > self._low) and np.all(place < self._high)):
             raise RigError(f"The robot left the container, to {np.round(1e3 * place, 2)} mm, at {self.time:.3f} s.")
 
-    def _note_pose(self, time: FloatArray, pose: FloatArray) -> None:
-        position, quaternion, _, _ = self.carrier.state()
+    def _record_pose(self, time: FloatArray, pose: FloatArray) -> None:
+        position, quaternion, _, _ = self.carrier.read_state()
         turn = matrix_from_quaternion(np.array(quaternion))
         time[0] = self.time
         pose[0, :3] = position - turn @ self.device[MIDDLE : MIDDLE + 3]
@@ -263,11 +263,11 @@ def _is_mechanical(window: Window) -> bool:
     return isinstance(window, Rotate | MoveMagnet)
 
 
-def _divide(duration: float, longest: float) -> tuple[int, float]:
+def _divide_duration(duration: float, longest: float) -> tuple[int, float]:
     """Return number and length of equal steps that exactly fill `duration`, none longer than `longest`."""
     n = max(math.ceil(duration / longest - ROUNDING), 1)
     return n, duration / n
 
 
-def _substeps(step: float) -> int:
+def _count_substeps(step: float) -> int:
     return max(math.ceil(step / SUBSTEP - ROUNDING), 1)

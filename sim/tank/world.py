@@ -30,11 +30,11 @@ class TankWorld:
         -------
         list of Fault
         """
-        from sim.tank.carriers.route_checks import holding_faults
+        from sim.tank.carriers.route_checks import check_routes_and_place
         from sim.tank.settings import TankSettings
 
         settings, faults = document.section("tank", TankSettings)
-        return faults if settings is None else holding_faults(settings, document.data.get("container"))
+        return faults if settings is None else check_routes_and_place(settings, document.data.get("container"))
 
     @staticmethod
     def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:

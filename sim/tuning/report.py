@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.tuning.search import Problem, finished
+from sim.tuning.search import Problem, list_finished
 from sim.tuning.verdict import Flown
-from smolbot.core.text_table import write_rows
+from smolbot.core.text_table import write_table
 
 if TYPE_CHECKING:
     from optuna import Study
 
 
-def importances(study: Study) -> dict[str, float]:
+def compute_importances(study: Study) -> dict[str, float]:
     """Compute the share of each gain in the variation of the cost among the good trials.
 
     Parameters
@@ -41,7 +41,7 @@ def importances(study: Study) -> dict[str, float]:
     return {name: float(value) for name, value in found.items()}
 
 
-def gains_file(problem: Problem, law: str, tuned: Flown, before: Flown, seed: int) -> str:
+def format_tuned_gains(problem: Problem, law: str, tuned: Flown, before: Flown, seed: int) -> str:
     """Format the gains as a section of a mission file, with a comment on how they were found.
 
     Parameters
@@ -63,10 +63,10 @@ def gains_file(problem: Problem, law: str, tuned: Flown, before: Flown, seed: in
         f"({problem.plant} plant). Full tank, {after['flown']} held-out simulations: {after['passed']} passed, cost "
         f"{after['cost_mm']:.3f} mm; before: {now['passed']} passed, cost {now['cost_mm']:.3f} mm.",
     ]
-    return gains_text(lines, tuned.gains)
+    return format_gains(lines, tuned.gains)
 
 
-def gains_text(comments: Sequence[str], gains: Mapping[str, float]) -> str:
+def format_gains(comments: Sequence[str], gains: Mapping[str, float]) -> str:
     """Format gains as a section of a mission file.
 
     Parameters
@@ -95,16 +95,16 @@ def write_trials(study: Study, path: Path) -> None:
     trials = study.get_trials(deepcopy=False)
     names = sorted({name for t in trials for name in t.params})
     rows = ([t.number, t.state.name.lower(), t.value, *[t.params.get(name) for name in names]] for t in trials)
-    write_rows(path, ["trial", "state", "cost_mm", *names], rows)
+    write_table(path, ["trial", "state", "cost_mm", *names], rows)
 
 
 def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown, headline: str, path: Path) -> None:
     """Cost of every trial with the best so far; what each gain matters; held-out simulations, before and after."""
     from matplotlib.ticker import MaxNLocator
 
-    from sim.batch.slide import LIMIT, PAPER, WHITENED, slide, titled
+    from sim.batch.slide import LIMIT, PAPER, WHITENED, open_slide, set_titles
 
-    trials: list[Any] = [t for t in finished(study)]
+    trials: list[Any] = [t for t in list_finished(study)]
     numbers = np.array([t.number for t in trials])
     costs = np.array([t.value if t.value is not None else list(t.intermediate_values.values())[-1] for t in trials])
     whole = np.array([t.state.name == "COMPLETE" for t in trials])
@@ -114,19 +114,19 @@ def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown,
         f"{len(trials)} trials; held-out simulations in the full tank: passed {now['passed']} of {now['flown']} "
         f"before, {after['passed']} of {after['flown']} tuned"
     )
-    with slide(path, headline, subline, 1, 3, wspace=0.45, left=0.06) as (left, middle, right):
+    with open_slide(path, headline, subline, 1, 3, wspace=0.45, left=0.06) as (left, middle, right):
         left.scatter(numbers[whole], costs[whole], s=18, color=WHITENED, alpha=0.6, label="flown in every world")
         left.scatter(numbers[~whole], costs[~whole], s=14, color=LIMIT, alpha=0.6, label="given up")
         left.step(numbers, best, where="post", color=PAPER, lw=2, label="best so far")
         left.set_yscale("log")
         left.xaxis.set_major_locator(MaxNLocator(integer=True))
         left.legend(frameon=False, fontsize=10)
-        titled(left, "Cost of each trial, in mm", "trial")
+        set_titles(left, "Cost of each trial, in mm", "trial")
         names = list(shares)[::-1]
         middle.barh(names, [shares[n] for n in names], color=WHITENED)
         if not names:
             middle.text(0.5, 0.5, "too few trials to tell", ha="center", color="#777777", transform=middle.transAxes)
-        titled(middle, "What each gain matters", "share")
+        set_titles(middle, "What each gain matters", "share")
         for i, (one, color) in enumerate(((before, LIMIT), (tuned, WHITENED))):
             spread = i + np.linspace(-0.2, 0.2, len(one.costs))
             right.scatter(spread, one.costs, s=22, color=color)
@@ -137,4 +137,4 @@ def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown,
         right.set_xticks([0, 1], ["before", "tuned"])
         right.set_xlim(-0.6, 1.6)
         right.set_ylim(0.0, 1.2 * max(*before.costs, *tuned.costs))
-        titled(right, "Cost in held-out simulations, in mm")
+        set_titles(right, "Cost in held-out simulations, in mm")

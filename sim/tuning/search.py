@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.batch.flights import Plant, fly_one
-from sim.tuning.cost import REFUSED, cost
+from sim.batch.flights import PlantModel, fly_one
+from sim.tuning.cost import REFUSED_COST, compute_cost
 from smolbot.errors import InputError
 from smolbot.motion.controller import Gain
 
@@ -54,9 +54,9 @@ class Problem:
     gains: Mapping[str, Gain]
     start: Mapping[str, float]
     worlds: Sequence[int]
-    plant: Plant
+    plant: PlantModel
 
-    def settings_with(self, gains: Mapping[str, float]) -> dict[str, str]:
+    def make_settings(self, gains: Mapping[str, float]) -> dict[str, str]:
         """Return the settings of a flight with given gains.
 
         Parameters
@@ -100,7 +100,7 @@ def open_study(path: Path | None, seed: int, name: str, *, resume: bool) -> Stud
     )
     for trial in study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):
         study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-    done = len(finished(study))
+    done = len(list_finished(study))
     study.sampler = optuna.samplers.TPESampler(
         seed=int(np.random.SeedSequence([seed, done]).generate_state(1)[0]),
         n_startup_trials=STARTUP,
@@ -109,7 +109,7 @@ def open_study(path: Path | None, seed: int, name: str, *, resume: bool) -> Stud
     return study
 
 
-def finished(study: Study) -> list[Any]:
+def list_finished(study: Study) -> list[Any]:
     """Return the trials that ended, pruned ones included.
 
     Parameters
@@ -125,7 +125,7 @@ def finished(study: Study) -> list[Any]:
     return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
 
 
-def search(
+def run_search(
     study: Study, problem: Problem, trials: int, executor: Executor, ended: Callable[[Study], None] = lambda study: None
 ) -> None:
     """Run trials until `trials` have ended; the first has the mission's present gains.
@@ -141,9 +141,9 @@ def search(
     """
     if not study.get_trials(deepcopy=False):
         study.enqueue_trial(dict(problem.start))
-    while (left := trials - len(finished(study))) > 0:
+    while (left := trials - len(list_finished(study))) > 0:
         batch = [study.ask() for _ in range(min(BATCH, left))]
-        gains = [{name: _suggested(trial, name, gain) for name, gain in problem.gains.items()} for trial in batch]
+        gains = [{name: _suggest_gain(trial, name, gain) for name, gain in problem.gains.items()} for trial in batch]
         for trial, values in zip(batch, fly_batch(study, problem, batch, gains, executor), strict=True):
             if len(values) == len(problem.worlds):
                 study.tell(trial, float(np.mean(values)))
@@ -175,34 +175,34 @@ def fly_batch(
     """
     costs: list[list[float]] = [[] for _ in batch]
     alive = list(range(len(batch)))
-    for rung in _rungs(problem.worlds):
+    for rung in _list_rungs(problem.worlds):
         flights: list[tuple[int, Future[Any]]] = [
-            (i, executor.submit(fly_one, problem.mission, problem.rig, problem.settings_with(gains[i]), seed,
+            (i, executor.submit(fly_one, problem.mission, problem.rig, problem.make_settings(gains[i]), seed,
                                 problem.plant))
             for i in alive for seed in rung
         ]  # fmt: skip
         for i, future in flights:
-            costs[i].append(_cost_of(future, refusable=dict(gains[i]) != dict(problem.start)))
+            costs[i].append(_compute_cost(future, refusable=dict(gains[i]) != dict(problem.start)))
         for i in alive:
             batch[i].report(float(np.mean(costs[i])), len(costs[i]))
         alive = [i for i in alive if len(costs[i]) == len(problem.worlds) or not batch[i].should_prune()]
     return costs
 
 
-def _cost_of(future: Future[Any], *, refusable: bool) -> float:
+def _compute_cost(future: Future[Any], *, refusable: bool) -> float:
     """Cost of a flight; gains that the law refuses, such as a least above a most, cost as much as not to move."""
     try:
-        return cost(future.result().summary)
+        return compute_cost(future.result().summary)
     except InputError:
         if not refusable:
             raise
-        return REFUSED
+        return REFUSED_COST
 
 
-def _rungs(worlds: Sequence[int]) -> Iterator[Sequence[int]]:
+def _list_rungs(worlds: Sequence[int]) -> Iterator[Sequence[int]]:
     for i in range(0, len(worlds), RUNG):
         yield worlds[i : i + RUNG]
 
 
-def _suggested(trial: Trial, name: str, gain: Gain) -> float:
+def _suggest_gain(trial: Trial, name: str, gain: Gain) -> float:
     return trial.suggest_float(name, gain.low, gain.high, log=gain.log)

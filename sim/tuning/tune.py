@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sim.batch.executors import open_executor
-from sim.batch.flights import Plant, forget_missions
-from sim.tuning.report import draw, gains_file, importances, write_trials
-from sim.tuning.search import Problem, finished, open_study, search
-from sim.tuning.verdict import FIRST_HELD_OUT, better
-from sim.tuning.verdict import held_out as confirm
-from smolbot.config.mission import Mission, load_mission
-from smolbot.config.plugins import load
-from smolbot.errors import InputError, writing
+from sim.batch.flights import PlantModel, forget_missions
+from sim.tuning.report import compute_importances, draw, format_tuned_gains, write_trials
+from sim.tuning.search import Problem, list_finished, open_study, run_search
+from sim.tuning.verdict import FIRST_HELD_OUT, is_better
+from sim.tuning.verdict import fly_held_out as confirm
+from smolbot.config.mission import Mission, load_steering_mission
+from smolbot.config.plugins import load_plugin
+from smolbot.errors import InputError, report_write_errors
 from smolbot.functions.simulate import PlantName
 from smolbot.functions.tune import Trial, Tuning
 
@@ -31,8 +31,8 @@ def tune(
 ) -> Tuning:  # fmt: skip
     """Tune a mission's gains; parameters and errors as `smolbot.tune` has them."""
     laid = dict(settings)
-    loaded = load_mission(mission, rig, laid)
-    problem = _problem(loaded, mission, rig, laid, only, worlds, seed, Plant(plant))
+    loaded = load_steering_mission(mission, rig, laid)
+    problem = _problem(loaded, mission, rig, laid, only, worlds, seed, PlantModel(plant))
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
     forget_missions()
@@ -44,17 +44,17 @@ def tune(
     study = open_study(None if out is None else out / JOURNAL, seed, kind, resume=resume)
 
     def ended(study: Study) -> None:
-        costs = [t.value for t in finished(study) if t.value is not None]
+        costs = [t.value for t in list_finished(study) if t.value is not None]
         if progress is not None:
-            progress(len(finished(study)), min(costs, default=None))
+            progress(len(list_finished(study)), min(costs, default=None))
 
     with open_executor(jobs, scheduler) as executor:
-        search(study, problem, trials, executor, ended)
+        run_search(study, problem, trials, executor, ended)
         before, tuned = confirm(problem, [problem.start, study.best_params], held_out, executor)
-    shares, improved = importances(study), better(tuned, before)
+    shares, improved = compute_importances(study), is_better(tuned, before)
     if out is not None:
         write_trials(study, out / "trials.csv")
-        (out / "gains.toml").write_text(gains_file(problem, loaded.law, tuned, before, seed), encoding="utf-8")
+        (out / "gains.toml").write_text(format_tuned_gains(problem, loaded.law, tuned, before, seed), encoding="utf-8")
         headline = f"{loaded.name}: {'tuned gains are better' if improved else 'no better gains were found'}"
         draw(study, shares, tuned, before, headline, out / "tune.png")
     tried = tuple(Trial(t.number, t.state.name.lower(), t.value, dict(t.params)) for t in study.get_trials())
@@ -66,14 +66,14 @@ def tune(
 
 def _problem(
     loaded: Mission, mission: str, rig: str | None, settings: dict[str, str], only: Sequence[str] | None, worlds: int,
-    seed: int, plant: Plant,
+    seed: int, plant: PlantModel,
 ) -> Problem:  # fmt: skip
     """What is to be tuned; raises `InputError` for a gain that the law does not have."""
-    if plant is Plant.REDUCED:
+    if plant is PlantModel.REDUCED:
         from sim.reduced.rig import require_flyable
 
         require_flyable(loaded)
-    declared = load("controllers", loaded.law).gains
+    declared = load_plugin("controllers", loaded.law).gains
     names = list(only or declared)
     unknown = [name for name in names if name not in declared]
     if unknown:
@@ -87,5 +87,5 @@ def _problem(
 def _make(folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is not empty; name a new folder, or go on with --resume.")
-    with writing(folder, done="made"):
+    with report_write_errors(folder, done="made"):
         folder.mkdir(parents=True, exist_ok=True)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.batch.flights import Plant, fly_one
-from sim.batch.intervals import wilson_interval
-from sim.tuning.cost import cost
+from sim.batch.flights import PlantModel, fly_one
+from sim.batch.intervals import compute_wilson_interval
+from sim.tuning.cost import compute_cost
 from sim.tuning.search import Problem
 from smolbot.functions.tune import HeldOut
 
@@ -32,7 +32,7 @@ class Flown:
 
     @property
     def costs(self) -> list[float]:
-        return [cost(s) for s in self.summaries]
+        return [compute_cost(s) for s in self.summaries]
 
     def figures(self) -> dict[str, Any]:
         """Return pass rate, cost and errors for tables and JSON.
@@ -47,13 +47,13 @@ class Flown:
         """As `smolbot.tune` hands it out."""
         done = [s for s in self.summaries if s["status"] == "completed"]
         return HeldOut(
-            dict(self.gains), len(self.summaries), self.passed, wilson_interval(self.passed, len(self.summaries)),
-            float(np.mean(self.costs)), tuple(self.costs), _mean([s["tracking_error_mm"]["rms"] for s in done]),
-            _mean([s["duration_s"] for s in done]),
+            dict(self.gains), len(self.summaries), self.passed, compute_wilson_interval(self.passed, len(self.summaries)),
+            float(np.mean(self.costs)), tuple(self.costs), _compute_mean([s["tracking_error_mm"]["rms"] for s in done]),
+            _compute_mean([s["duration_s"] for s in done]),
         )  # fmt: skip
 
 
-def held_out(problem: Problem, gains: Sequence[Mapping[str, float]], count: int, executor: Executor) -> list[Flown]:
+def fly_held_out(problem: Problem, gains: Sequence[Mapping[str, float]], count: int, executor: Executor) -> list[Flown]:
     """Fly each set of gains over the same held-out worlds, in the full tank.
 
     Parameters
@@ -70,14 +70,14 @@ def held_out(problem: Problem, gains: Sequence[Mapping[str, float]], count: int,
     """
     seeds = range(FIRST_HELD_OUT, FIRST_HELD_OUT + count)
     flights = [
-        [executor.submit(fly_one, problem.mission, problem.rig, problem.settings_with(one), seed, Plant.FULL)
+        [executor.submit(fly_one, problem.mission, problem.rig, problem.make_settings(one), seed, PlantModel.FULL)
          for seed in seeds]
         for one in gains
     ]  # fmt: skip
     return [Flown(one, [f.result().summary for f in group]) for one, group in zip(gains, flights, strict=True)]
 
 
-def better(tuned: Flown, before: Flown) -> bool:
+def is_better(tuned: Flown, before: Flown) -> bool:
     """Return whether the tuned gains pass at least as often and cost less on average over the same worlds.
 
     Parameters
@@ -91,5 +91,5 @@ def better(tuned: Flown, before: Flown) -> bool:
     return tuned.passed >= before.passed and float(np.mean(tuned.costs)) < float(np.mean(before.costs))
 
 
-def _mean(values: Sequence[float]) -> float | None:
+def _compute_mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None

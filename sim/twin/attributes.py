@@ -8,7 +8,7 @@ from typing import Any
 import nidaqmx._stubs.nidaqmx_pb2 as messages
 from nidaqmx._stubs.nidaqmx_pb2_grpc import NiDAQmxServicer
 
-from sim.twin.cardmodel import UNKNOWN_DEVICE, CardError, CardModel
+from sim.twin.card_model import UNKNOWN_DEVICE, CardError, CardModel
 from sim.twin.tasks import Tasks, TwinTask
 
 # Attributes by their numbers in the driver's header, NIDAQmx.h: of a task, of reading and writing
@@ -31,7 +31,7 @@ _FINITE, _VOLTAGE = 10178, 10322
 Answer = Callable[[TwinTask], Any]
 
 
-class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
+class AttributeServicer(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
     """The calls that query attributes; an attribute that no bench needs is an error of the card.
 
     Attributes
@@ -43,26 +43,26 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
     card: CardModel
     tasks: Tasks
 
-    def _call(self, context: Any, action: Callable[[], Any]) -> Any:
+    def _run_call(self, context: Any, action: Callable[[], Any]) -> Any:
         raise NotImplementedError
 
-    def _of_task(
+    def _answer_for_task(
         self, request: Any, context: Any, response: Any, answers: dict[int, Answer], key: str = "value"
     ) -> Any:
         def run() -> Any:
             task = self.tasks.get(request.task.name)
-            return response(**{key: _chosen(request, answers)(task)})
+            return response(**{key: _find_answer(request, answers)(task)})
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
-    def _of_device(self, request: Any, context: Any, response: Any, answers: dict[int, Any]) -> Any:
+    def _answer_for_device(self, request: Any, context: Any, response: Any, answers: dict[int, Any]) -> Any:
         def run() -> Any:
-            self.must_be_ours(request.device_name)
-            return response(value=_chosen(request, answers))
+            self.check_device_name(request.device_name)
+            return response(value=_find_answer(request, answers))
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
-    def must_be_ours(self, name: str) -> None:
+    def check_device_name(self, name: str) -> None:
         """Check that a device name is this card's.
 
         Parameters
@@ -90,8 +90,8 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetTaskAttributeStringResponse
         """
-        answers: dict[int, Answer] = {TASK_NAME: lambda task: task.name, TASK_CHANNELS: self._names}
-        return self._of_task(request, context, messages.GetTaskAttributeStringResponse, answers)
+        answers: dict[int, Answer] = {TASK_NAME: lambda task: task.name, TASK_CHANNELS: self._list_names}
+        return self._answer_for_task(request, context, messages.GetTaskAttributeStringResponse, answers)
 
     def GetReadAttributeString(self, request: Any, context: Any) -> Any:
         """Return a string attribute of a task for reading.
@@ -104,7 +104,9 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetReadAttributeStringResponse
         """
-        return self._of_task(request, context, messages.GetReadAttributeStringResponse, {READ_CHANNELS: self._names})
+        return self._answer_for_task(
+            request, context, messages.GetReadAttributeStringResponse, {READ_CHANNELS: self._list_names}
+        )
 
     def GetReadAttributeUInt32(self, request: Any, context: Any) -> Any:
         """Return a 32-bit attribute of a task for reading.
@@ -117,8 +119,12 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetReadAttributeUInt32Response
         """
-        answers: dict[int, Answer] = {READ_N_CHANNELS: _channels, READ_LINES: _lines_each, AVAILABLE: self._available}
-        return self._of_task(request, context, messages.GetReadAttributeUInt32Response, answers)
+        answers: dict[int, Answer] = {
+            READ_N_CHANNELS: _count_channels,
+            READ_LINES: _count_lines_each,
+            AVAILABLE: self._count_available,
+        }
+        return self._answer_for_task(request, context, messages.GetReadAttributeUInt32Response, answers)
 
     def GetReadAttributeUInt64(self, request: Any, context: Any) -> Any:
         """Return a 64-bit attribute of a task for reading.
@@ -131,8 +137,8 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetReadAttributeUInt64Response
         """
-        answers: dict[int, Answer] = {ACQUIRED: lambda task: self.card.acquired() if task.kind == "ai" else 0}
-        return self._of_task(request, context, messages.GetReadAttributeUInt64Response, answers)
+        answers: dict[int, Answer] = {ACQUIRED: lambda task: self.card.count_acquired() if task.kind == "ai" else 0}
+        return self._answer_for_task(request, context, messages.GetReadAttributeUInt64Response, answers)
 
     def GetWriteAttributeUInt32(self, request: Any, context: Any) -> Any:
         """Return a 32-bit attribute of a task for writing.
@@ -145,8 +151,8 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetWriteAttributeUInt32Response
         """
-        answers: dict[int, Answer] = {WRITE_N_CHANNELS: _channels, WRITE_LINES: _lines_each}
-        return self._of_task(request, context, messages.GetWriteAttributeUInt32Response, answers)
+        answers: dict[int, Answer] = {WRITE_N_CHANNELS: _count_channels, WRITE_LINES: _count_lines_each}
+        return self._answer_for_task(request, context, messages.GetWriteAttributeUInt32Response, answers)
 
     def GetChanAttributeInt32(self, request: Any, context: Any) -> Any:
         """Return an integer attribute of a channel.
@@ -163,7 +169,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
             CHANNEL_TYPE: lambda task: _CHANNEL_TYPE[task.kind],
             MEASUREMENT_TYPE: lambda task: _VOLTAGE,
         }
-        return self._of_task(request, context, messages.GetChanAttributeInt32Response, answers, "value_raw")
+        return self._answer_for_task(request, context, messages.GetChanAttributeInt32Response, answers, "value_raw")
 
     def GetTimingAttributeDouble(self, request: Any, context: Any) -> Any:
         """Return a floating-point attribute of a task's timing.
@@ -176,7 +182,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetTimingAttributeDoubleResponse
         """
-        return self._of_task(
+        return self._answer_for_task(
             request, context, messages.GetTimingAttributeDoubleResponse, {CLOCK_RATE: lambda task: task.rate}
         )
 
@@ -191,7 +197,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetTimingAttributeInt32Response
         """
-        return self._of_task(
+        return self._answer_for_task(
             request, context, messages.GetTimingAttributeInt32Response, {SAMPLE_MODE: lambda task: _FINITE}, "value_raw"
         )
 
@@ -206,7 +212,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetTimingAttributeUInt64Response
         """
-        return self._of_task(
+        return self._answer_for_task(
             request, context, messages.GetTimingAttributeUInt64Response, {SAMPLES_PER_CHANNEL: lambda task: task.count}
         )
 
@@ -222,7 +228,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         GetDeviceAttributeStringResponse
         """
         answers = {PRODUCT_TYPE: self.card.section.product}
-        return self._of_device(request, context, messages.GetDeviceAttributeStringResponse, answers)
+        return self._answer_for_device(request, context, messages.GetDeviceAttributeStringResponse, answers)
 
     def GetDeviceAttributeUInt32(self, request: Any, context: Any) -> Any:
         """Return an integer attribute of the card.
@@ -235,7 +241,9 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetDeviceAttributeUInt32Response
         """
-        return self._of_device(request, context, messages.GetDeviceAttributeUInt32Response, {SERIAL: SERIAL_NUMBER})
+        return self._answer_for_device(
+            request, context, messages.GetDeviceAttributeUInt32Response, {SERIAL: SERIAL_NUMBER}
+        )
 
     def GetDeviceAttributeBool(self, request: Any, context: Any) -> Any:
         """Return a Boolean attribute of the card.
@@ -248,7 +256,7 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetDeviceAttributeBoolResponse
         """
-        return self._of_device(request, context, messages.GetDeviceAttributeBoolResponse, {SIMULATED: True})
+        return self._answer_for_device(request, context, messages.GetDeviceAttributeBoolResponse, {SIMULATED: True})
 
     def GetSystemInfoAttributeUInt32(self, request: Any, context: Any) -> Any:
         """Return an integer attribute of the system.
@@ -261,8 +269,8 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetSystemInfoAttributeUInt32Response
         """
-        return self._call(
-            context, lambda: messages.GetSystemInfoAttributeUInt32Response(value=_chosen(request, DRIVER_VERSION))
+        return self._run_call(
+            context, lambda: messages.GetSystemInfoAttributeUInt32Response(value=_find_answer(request, DRIVER_VERSION))
         )
 
     def GetSystemInfoAttributeString(self, request: Any, context: Any) -> Any:
@@ -277,8 +285,8 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         GetSystemInfoAttributeStringResponse
         """
         answers = {DEVICE_NAMES: self.tasks.device}
-        return self._call(
-            context, lambda: messages.GetSystemInfoAttributeStringResponse(value=_chosen(request, answers))
+        return self._run_call(
+            context, lambda: messages.GetSystemInfoAttributeStringResponse(value=_find_answer(request, answers))
         )
 
     def GetWatchdogAttributeBool(self, request: Any, context: Any) -> Any:
@@ -292,27 +300,27 @@ class Attributes(NiDAQmxServicer):  # type: ignore[misc,unused-ignore]
         -------
         GetWatchdogAttributeBoolResponse
         """
-        return self._of_task(
+        return self._answer_for_task(
             request, context, messages.GetWatchdogAttributeBoolResponse, {EXPIRED: lambda task: self.card.expired}
         )
 
-    def _names(self, task: TwinTask) -> str:
-        return ", ".join(f"{self.tasks.device}/{channel}" for channel in task.channels[: _channels(task)])
+    def _list_names(self, task: TwinTask) -> str:
+        return ", ".join(f"{self.tasks.device}/{channel}" for channel in task.channels[: _count_channels(task)])
 
-    def _available(self, task: TwinTask) -> int:
-        return self.card.available() if task.kind == "ai" else 0
+    def _count_available(self, task: TwinTask) -> int:
+        return self.card.count_available() if task.kind == "ai" else 0
 
 
-def _channels(task: TwinTask) -> int:
+def _count_channels(task: TwinTask) -> int:
     """Return the number of channels of a task; grouped lines are one channel."""
     return 1 if task.grouped else len(task.channels)
 
 
-def _lines_each(task: TwinTask) -> int:
+def _count_lines_each(task: TwinTask) -> int:
     return len(task.channels) if task.grouped else 1
 
 
-def _chosen(request: Any, answers: dict[int, Any]) -> Any:
+def _find_answer(request: Any, answers: dict[int, Any]) -> Any:
     attribute = request.attribute_raw or request.attribute
     if attribute not in answers:
         raise CardError(-200452, f"Specified property is not supported by the device: 0x{attribute:04X}.")

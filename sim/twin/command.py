@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from smolbot.ui.cli.show import echo_json, table
+from smolbot.ui.cli.show import echo_json, print_table
 
 POLL = 0.2
 """Time, in s, between two checks whether the tank has failed."""
@@ -41,24 +41,24 @@ def twin(
     from sim.twin.faults import FAULTS, parse_fault
 
     if list_faults:
-        table("faults of the twin", list(FAULTS.items()), err=json)
+        print_table("faults of the twin", list(FAULTS.items()), err=json)
         if json:
             echo_json(FAULTS)
         return
     from sim.twin.twin import Twin
-    from smolbot.bench.hardware.priority import ask_for_priority
+    from smolbot.bench.hardware.priority import raise_priority
     from smolbot.config.load import load_mission
     from smolbot.config.observation import Observation
-    from smolbot.core.thread_switching import TURN
+    from smolbot.core.thread_switching import SWITCH_INTERVAL
 
     faults = [parse_fault(text) for text in fault or []]
-    loaded = load_mission(mission, rig) if rig is not None else load_mission(mission, _twin_for(mission))
-    place = loaded.start if isinstance(loaded, Observation) else loaded.put_down
+    loaded = load_mission(mission, rig) if rig is not None else load_mission(mission, _find_twin(mission))
+    place = loaded.start if isinstance(loaded, Observation) else loaded.start_placement
     end = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: end.set())
-    ask_for_priority()
-    sys.setswitchinterval(TURN)
+    raise_priority()
+    sys.setswitchinterval(SWITCH_INTERVAL)
     running = Twin(loaded.rig, loaded.robot, np.array(place), seed, control=control)
     try:
         for one in faults:
@@ -73,7 +73,7 @@ def twin(
             ("to use it", f"smolbot run {mission} --rig {loaded.rig.name}"),
             ("to end it", "Ctrl-C"),
         ]
-        table(f"twin of {loaded.rig.name}", rows, err=json)
+        print_table(f"twin of {loaded.rig.name}", rows, err=json)
         if json:
             echo_json(
                 {
@@ -85,14 +85,14 @@ def twin(
                 }
             )
         while not end.wait(POLL):
-            if running.card.broken is not None:
-                typer.echo(f"The tank has ended: {running.card.broken}", err=True)
+            if running.card.failure is not None:
+                typer.echo(f"The tank has ended: {running.card.failure}", err=True)
                 raise typer.Exit(HARDWARE_STOP)
     finally:
         running.close()
 
 
-def _twin_for(mission: str) -> str:
+def _find_twin(mission: str) -> str:
     from smolbot.config.load import load_mission
 
     return "twin_gel" if load_mission(mission, None).robot.kind == "helical" else "twin"

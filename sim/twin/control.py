@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from smolbot.core.closing import Closing
+from smolbot.core.closeable import Closeable
 from smolbot.errors import InputError, RigError
 
 Handler = Callable[[Mapping[str, Any]], Any]
@@ -45,17 +45,17 @@ class ControlServer:
             ) from error
         self.port: int = self._socket.getsockname()[1]
         self._handlers = handlers
-        threading.Thread(target=self._accept, name="control", daemon=True).start()
+        threading.Thread(target=self._accept_clients, name="control", daemon=True).start()
 
-    def _accept(self) -> None:
+    def _accept_clients(self) -> None:
         while True:
             try:
                 connection, _ = self._socket.accept()
             except OSError:  # closed
                 return
-            threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
+            threading.Thread(target=self._serve_client, args=(connection,), name="control", daemon=True).start()
 
-    def _serve(self, connection: socket.socket) -> None:
+    def _serve_client(self, connection: socket.socket) -> None:
         with connection, contextlib.suppress(OSError), connection.makefile("rw", encoding="utf-8") as stream:
             for line in stream:
                 stream.write(json.dumps(self._answer(line), default=str) + "\n")
@@ -79,7 +79,7 @@ class ControlServer:
         self._socket.close()
 
 
-class TwinControl(Closing):
+class TwinControl(Closeable):
     """A client of a twin's control interface.
 
     Parameters
@@ -110,7 +110,7 @@ class TwinControl(Closing):
             raise RigError(f"No twin answers at its control address {address}: {error}.") from error
         self._stream = self._socket.makefile("rw", encoding="utf-8")
 
-    def ask(self, do: str, **detail: Any) -> Any:
+    def send_request(self, do: str, **detail: Any) -> Any:
         """Send one request and return the answer.
 
         Parameters
@@ -151,13 +151,13 @@ class TwinControl(Closing):
         fault : str
             As ``NAME@MOMENT[:once|good]``.
         """
-        self.ask("inject", fault=fault)
+        self.send_request("inject", fault=fault)
 
     def clear(self) -> None:
         """Remove all faults, present and pending."""
-        self.ask("clear")
+        self.send_request("clear")
 
-    def log(self, since: int = 0) -> list[dict[str, Any]]:
+    def read_log(self, since: int = 0) -> list[dict[str, Any]]:
         """Return the card's log entries.
 
         Parameters
@@ -170,16 +170,16 @@ class TwinControl(Closing):
         list of dict
             With times in s on the monotonic clock.
         """
-        return list(self.ask("log", since=since))
+        return list(self.send_request("log", since=since))
 
-    def state(self) -> dict[str, Any]:
+    def read_state(self) -> dict[str, Any]:
         """Return the twin's present state.
 
         Returns
         -------
         dict
         """
-        return dict(self.ask("state"))
+        return dict(self.send_request("state"))
 
     def close(self) -> None:
         """Close the connection."""

@@ -30,14 +30,14 @@ FAULTS = {
     "firmware_hung": "the magnet stage's main loop hangs",
 }
 
-STATE_LASTS = 0.3
+STATE_DURATION = 0.3
 """Duration, in s, of a state, such as a dead sensor, that occurs once."""
 
 _MOMENT = re.compile(r"^(?:(?P<phase>before|actuation|listening)#(?P<shot>\d+)|(?P<seconds>\d+(?:\.\d+)?)s|now)$")
 
 
 @dataclass(frozen=True)
-class Fault:
+class InjectedFault:
     """One pending fault.
 
     Attributes
@@ -50,7 +50,7 @@ class Fault:
         Number of the electrical shot, from 1.
     seconds : float or None, in s
         Time after the first shot; None with an empty phase means at once.
-    good : bool
+    permanent : bool
         Whether it is permanent.
     """
 
@@ -58,10 +58,10 @@ class Fault:
     phase: str = ""
     shot: int = 0
     seconds: float | None = None
-    good: bool = False
+    permanent: bool = False
 
 
-def parse_fault(text: str) -> Fault:
+def parse_fault(text: str) -> InjectedFault:
     """Parse a fault in the command line's spelling, ``NAME@MOMENT[:once|good]``.
 
     Parameters
@@ -99,7 +99,7 @@ def parse_fault(text: str) -> Fault:
         raise InputError(f"--fault {text}: lasts 'once' or for 'good'; got '{lasting}'.")
     seconds = found["seconds"]
     after = None if seconds is None else float(seconds)
-    return Fault(
+    return InjectedFault(
         name,
         found["phase"] or "",
         int(found["shot"] or 0),
@@ -108,7 +108,7 @@ def parse_fault(text: str) -> Fault:
     )
 
 
-class FaultBox:
+class FaultInjector:
     """Holds pending and present faults. Safe from any thread.
 
     Parameters
@@ -119,12 +119,12 @@ class FaultBox:
         Returns the time in s.
     """
 
-    def __init__(self, happened: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
-        self._happened, self._clock = happened, clock
+    def __init__(self, on_fault: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._on_fault, self._clock = on_fault, clock
         self._listeners: list[Callable[[str], None]] = []
         self._lock = threading.Lock()
-        self._waiting: list[Fault] = []
-        self._there: dict[str, tuple[bool, float]] = {}
+        self._pending: list[InjectedFault] = []
+        self._active: dict[str, tuple[bool, float]] = {}
         self._first_shot: float | None = None
 
     def add_listener(self, listener: Callable[[str], None]) -> None:
@@ -136,7 +136,7 @@ class FaultBox:
         """
         self._listeners.append(listener)
 
-    def add(self, fault: Fault) -> None:
+    def add(self, fault: InjectedFault) -> None:
         """Add a pending fault, or let it occur now.
 
         Parameters
@@ -145,21 +145,21 @@ class FaultBox:
         """
         with self._lock:
             if fault.phase or fault.seconds is not None:
-                self._waiting.append(fault)
+                self._pending.append(fault)
                 return
-        self._come(fault)
+        self._activate(fault)
 
     def clear(self) -> None:
         """Remove all faults, present and pending."""
         with self._lock:
-            self._waiting.clear()
-            self._there.clear()
+            self._pending.clear()
+            self._active.clear()
 
-    def count_anew(self) -> None:
+    def forget_first_shot(self) -> None:
         """Forget the first shot: a new client has opened the card."""
         self._first_shot = None
 
-    def moment(self, phase: str, shot: int) -> None:
+    def notify_phase(self, phase: str, shot: int) -> None:
         """Notify that the card has reached a phase of a shot.
 
         Parameters
@@ -171,30 +171,30 @@ class FaultBox:
         if phase == "actuation" and self._first_shot is None:
             self._first_shot = self._clock()
         with self._lock:
-            due = [f for f in self._waiting if f.phase == phase and f.shot == shot]
-            self._waiting = [f for f in self._waiting if f not in due]
+            due = [f for f in self._pending if f.phase == phase and f.shot == shot]
+            self._pending = [f for f in self._pending if f not in due]
         for fault in due:
-            self._come(fault)
+            self._activate(fault)
 
-    def tick(self) -> None:
+    def activate_due(self) -> None:
         """Activate the faults whose time has come."""
-        if self._first_shot is None or not self._waiting:
+        if self._first_shot is None or not self._pending:
             return
         since = self._clock() - self._first_shot
         with self._lock:
-            due = [f for f in self._waiting if f.seconds is not None and since >= f.seconds]
-            self._waiting = [f for f in self._waiting if f not in due]
+            due = [f for f in self._pending if f.seconds is not None and since >= f.seconds]
+            self._pending = [f for f in self._pending if f not in due]
         for fault in due:
-            self._come(fault)
+            self._activate(fault)
 
-    def _come(self, fault: Fault) -> None:
+    def _activate(self, fault: InjectedFault) -> None:
         with self._lock:
-            self._there[fault.name] = (fault.good, self._clock())
-        self._happened(fault.name)
+            self._active[fault.name] = (fault.permanent, self._clock())
+        self._on_fault(fault.name)
         for listener in self._listeners:
             threading.Thread(target=listener, args=(fault.name,), name=f"fault {fault.name}", daemon=True).start()
 
-    def takes(self, name: str) -> bool:
+    def take(self, name: str) -> bool:
         """Return whether an event such as a time-out is due; one that occurs once is then removed.
 
         Parameters
@@ -205,17 +205,17 @@ class FaultBox:
         -------
         bool
         """
-        if name not in self._there:
+        if name not in self._active:
             return False
         with self._lock:
-            found = self._there.get(name)
+            found = self._active.get(name)
             if found is None:
                 return False
             if not found[0]:
-                del self._there[name]
+                del self._active[name]
             return True
 
-    def lasts(self, name: str) -> bool:
+    def is_permanent(self, name: str) -> bool:
         """Return whether a present fault is permanent.
 
         Parameters
@@ -226,9 +226,9 @@ class FaultBox:
         -------
         bool
         """
-        return self._there.get(name, (False, 0.0))[0]
+        return self._active.get(name, (False, 0.0))[0]
 
-    def holds(self, name: str) -> bool:
+    def is_active(self, name: str) -> bool:
         """Return whether a state such as a dead sensor is present.
 
         Parameters
@@ -239,11 +239,11 @@ class FaultBox:
         -------
         bool
         """
-        found = self._there.get(name)
+        found = self._active.get(name)
         if found is None:
             return False
-        if not found[0] and self._clock() - found[1] > STATE_LASTS:
+        if not found[0] and self._clock() - found[1] > STATE_DURATION:
             with self._lock:
-                self._there.pop(name, None)
+                self._active.pop(name, None)
             return False
         return True

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from lookup_tables.cache import default_cache_dir
+from lookup_tables.cache import get_default_cache_dir
 from smolbot.errors import RigError
 
 CONTROLLER = "atmega328p"
@@ -23,7 +23,7 @@ HEADERS = ("/usr/include/simavr/sim_avr.h", "/usr/local/include/simavr/sim_avr.h
 
 
 @dataclass(frozen=True)
-class Built:
+class FirmwareBuild:
     """Paths of the compiled programs.
 
     Attributes
@@ -38,7 +38,7 @@ class Built:
     board: Path
 
 
-def sketch() -> Path:
+def find_sketch() -> Path:
     """Return the firmware's source, as it is opened in the Arduino IDE.
 
     Returns
@@ -48,7 +48,7 @@ def sketch() -> Path:
     return Path(str(files("smolbot.bench.hardware"))) / "firmware" / "magnet_stage" / "magnet_stage.ino"
 
 
-def missing_tools() -> str | None:
+def find_missing_tools() -> str | None:
     """Find which tools for simulating the firmware are not installed.
 
     Returns
@@ -64,7 +64,7 @@ def missing_tools() -> str | None:
     return f"{', '.join(lacking)} not found; the firmware is simulated with the Debian packages {PACKAGES}"
 
 
-def build(source: Path | None = None) -> Built:
+def build_firmware(source: Path | None = None) -> FirmwareBuild:
     """Compile firmware and board, unless they are in the cache already.
 
     Parameters
@@ -81,15 +81,15 @@ def build(source: Path | None = None) -> Built:
     RigError
         If a tool is missing, or a compiler fails.
     """
-    if (lack := missing_tools()) is not None:
+    if (lack := find_missing_tools()) is not None:
         raise RigError(f"simulated magnet stage: {lack}.", device="magnet stage")
-    source = sketch() if source is None else source
+    source = find_sketch() if source is None else source
     harness = Path(str(files("sim.twin"))) / "avr" / "uno.c"
     digest = hashlib.sha256(repr((FLAGS, BOARD_FLAGS, LIBRARIES)).encode())
     for path in (source, harness):
         digest.update(path.read_bytes())
-    folder = default_cache_dir() / "magnet_stage" / digest.hexdigest()[:16]
-    built = Built(folder / "magnet_stage.elf", folder / "uno")
+    folder = get_default_cache_dir() / "magnet_stage" / digest.hexdigest()[:16]
+    built = FirmwareBuild(folder / "magnet_stage.elf", folder / "uno")
     if not (built.firmware.exists() and built.board.exists()):
         folder.mkdir(parents=True, exist_ok=True)
         _compile(["avr-gcc", *FLAGS, str(source)], built.firmware)
@@ -97,7 +97,7 @@ def build(source: Path | None = None) -> Built:
     return built
 
 
-def size(firmware: Path) -> tuple[int, int]:
+def measure_size(firmware: Path) -> tuple[int, int]:
     """Return the memory that a firmware uses.
 
     Parameters

@@ -12,13 +12,13 @@ import numpy as np
 
 from smolbot.core.arrays import BoolArray, FloatArray
 
-KEPT = 50_000
+MAX_ENTRIES = 50_000
 """Entries that are kept; each shot of a mission adds about ten."""
 
-DRIVES = 1e-6
+MIN_DRIVEN_CURRENT = 1e-6
 """Commanded current, in A, above which a load is driven: far below one step of a 16-bit converter."""
 
-PAUSE = 1e-3
+MAX_ZERO_CROSSING = 1e-3
 """Time at zero, in s, after which a load is no longer driven: a sine passes through zero."""
 
 
@@ -29,11 +29,11 @@ class Journal:
     """
 
     def __init__(self) -> None:
-        self._entries: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        self._entries: deque[dict[str, Any]] = deque(maxlen=MAX_ENTRIES)
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
 
-    def note(self, what: str, at: float | None = None, **detail: Any) -> None:
+    def add(self, what: str, at: float | None = None, **detail: Any) -> None:
         """Add an entry.
 
         Parameters
@@ -48,7 +48,7 @@ class Journal:
         with self._lock:
             self._entries.append({"number": next(self._numbers), "time": stamp, "what": what, **detail})
 
-    def since(self, number: int = 0) -> list[dict[str, Any]]:
+    def list_since(self, number: int = 0) -> list[dict[str, Any]]:
         """Return the entries after a number, in the order of writing.
 
         Parameters
@@ -63,7 +63,7 @@ class Journal:
             return [entry for entry in self._entries if entry["number"] > number]
 
 
-class Line:
+class OnOffMonitor:
     """Monitors whether something is on, sample by sample, and logs each change.
 
     Parameters
@@ -86,7 +86,7 @@ class Line:
         self.on, self.latest = False, 0.0
         self._latest_sample = -1
 
-    def follow(self, first: int, levels: BoolArray, epoch: float, rate: float) -> None:
+    def update(self, first: int, levels: BoolArray, epoch: float, rate: float) -> None:
         """Update from the levels of consecutive samples.
 
         Parameters
@@ -100,32 +100,32 @@ class Line:
         """
         n = len(levels)
         if not levels.any():
-            self._go_off(first + n, epoch, rate)
+            self._switch_off(first + n, epoch, rate)
             return
         ons = first + np.flatnonzero(levels)
         if levels.all() and self.on:  # nothing changed
             self._latest_sample = int(ons[-1])
         else:
-            self._changes(ons, epoch, rate)
-            self._go_off(first + n, epoch, rate)
+            self._log_changes(ons, epoch, rate)
+            self._switch_off(first + n, epoch, rate)
         self.latest = epoch + (int(ons[-1]) + 1) / rate
 
-    def _changes(self, ons: Any, epoch: float, rate: float) -> None:
+    def _log_changes(self, ons: Any, epoch: float, rate: float) -> None:
         breaks = np.flatnonzero(np.diff(ons) > self._pause + 1)
         for begin, end in zip(np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(ons) - 1]]), strict=True):
-            self._go_off(int(ons[begin]), epoch, rate)
+            self._switch_off(int(ons[begin]), epoch, rate)
             if not self.on:
                 self.on = True
-                self._journal.note(self._what, epoch + int(ons[begin]) / rate, on=True)
+                self._journal.add(self._what, epoch + int(ons[begin]) / rate, on=True)
             self._latest_sample = int(ons[end])
 
-    def _go_off(self, reached: int, epoch: float, rate: float) -> None:
+    def _switch_off(self, reached: int, epoch: float, rate: float) -> None:
         if self.on and reached - (self._latest_sample + 1) > self._pause:
             self.on = False
-            self._journal.note(self._what, epoch + (self._latest_sample + 1) / rate, on=False)
+            self._journal.add(self._what, epoch + (self._latest_sample + 1) / rate, on=False)
 
 
-class Watch:
+class OutputMonitor:
     """Monitors the commanded currents (``driven``), the relays (``closed``) and the amplifiers (``enabled``).
 
     Parameters
@@ -141,10 +141,10 @@ class Watch:
 
     def __init__(self, journal: Journal, rate: float) -> None:
         self._rate = rate
-        self.driven = Line(journal, "driven", round(PAUSE * rate))
-        self.closed, self.enabled = Line(journal, "closed"), Line(journal, "enabled")
+        self.driven = OnOffMonitor(journal, "driven", round(MAX_ZERO_CROSSING * rate))
+        self.closed, self.enabled = OnOffMonitor(journal, "closed"), OnOffMonitor(journal, "enabled")
 
-    def follow(self, first: int, epoch: float, currents: FloatArray, contacts: BoolArray, enabled: BoolArray) -> None:
+    def update(self, first: int, epoch: float, currents: FloatArray, contacts: BoolArray, enabled: BoolArray) -> None:
         """Update from consecutive samples.
 
         Parameters
@@ -159,6 +159,6 @@ class Watch:
             Whether closed.
         enabled : ndarray of bool, shape (n,)
         """
-        self.driven.follow(first, np.abs(currents).max(axis=0) > DRIVES, epoch, self._rate)
-        self.closed.follow(first, np.logical_or.reduce(contacts, axis=0), epoch, self._rate)
-        self.enabled.follow(first, enabled, epoch, self._rate)
+        self.driven.update(first, np.abs(currents).max(axis=0) > MIN_DRIVEN_CURRENT, epoch, self._rate)
+        self.closed.update(first, np.logical_or.reduce(contacts, axis=0), epoch, self._rate)
+        self.enabled.update(first, enabled, epoch, self._rate)

@@ -11,11 +11,11 @@ import nidaqmx._stubs.nidaqmx_pb2 as messages
 import numpy as np
 from session_pb2 import Session
 
-from sim.twin.attributes import Attributes
-from sim.twin.cardmodel import DEVICE_GONE, UNKNOWN_DEVICE, UNSUPPORTED, CardError, CardModel
+from sim.twin.attributes import AttributeServicer
+from sim.twin.card_model import DEVICE_GONE, UNKNOWN_DEVICE, UNSUPPORTED, CardError, CardModel
 from sim.twin.tasks import Tasks, TwinTask
 
-PATIENCE = 0.01
+STALL_POLL_INTERVAL = 0.01
 """Time, in s, between two checks whether a stalled server continues."""
 
 # Actions by their numbers in the driver
@@ -24,7 +24,7 @@ TERMINALS = {-1: "differential", 10106: "differential", 10083: "rse", 10078: "nr
 RESET_TIMER = 0
 
 
-class TwinServicer(Attributes):
+class TwinServicer(AttributeServicer):
     """Serves one card; calls that no bench needs stay unimplemented, as on an old server.
 
     Parameters
@@ -35,15 +35,15 @@ class TwinServicer(Attributes):
     def __init__(self, card: CardModel) -> None:
         self.card, self.tasks = card, Tasks(card)
 
-    def _call(self, context: Any, action: Callable[[], Any]) -> Any:
+    def _run_call(self, context: Any, action: Callable[[], Any]) -> Any:
         """Run one call, unless the card is gone or the server stalls; errors are sent as by the real server."""
         faults = self.card.faults
-        while faults.holds("stalled") and context.is_active():
-            time.sleep(PATIENCE)
+        while faults.is_active("stalled") and context.is_active():
+            time.sleep(STALL_POLL_INTERVAL)
         if not context.is_active():  # its client has given up: the call is not carried out late
             context.abort(grpc.StatusCode.CANCELLED, "the call is over")
         try:
-            if faults.takes("device_gone"):
+            if faults.take("device_gone"):
                 raise CardError(
                     DEVICE_GONE, "Device cannot be accessed: it was disconnected, or the system was suspended."
                 )
@@ -57,14 +57,14 @@ class TwinServicer(Attributes):
             context.set_trailing_metadata(tuple(trailing))
             context.abort(grpc.StatusCode.UNKNOWN, str(error))
 
-    def _on(self, request: Any, context: Any, response: Any, action: Callable[[TwinTask], Any]) -> Any:
+    def _call_on_task(self, request: Any, context: Any, response: Any, action: Callable[[TwinTask], Any]) -> Any:
         """Run one call on a task, with an empty answer."""
 
         def run() -> Any:
             action(self.tasks.get(request.task.name))
             return response()
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
     # tasks
 
@@ -79,7 +79,7 @@ class TwinServicer(Attributes):
         -------
         CreateTaskResponse
         """
-        return self._call(context, lambda: self._created(messages.CreateTaskResponse, request.session_name))
+        return self._run_call(context, lambda: self._create_task(messages.CreateTaskResponse, request.session_name))
 
     def CreateWatchdogTimerTaskEx(self, request: Any, context: Any) -> Any:
         """Create a watchdog task.
@@ -96,13 +96,13 @@ class TwinServicer(Attributes):
         def run() -> Any:
             if request.device_name != self.tasks.device:
                 raise CardError(UNKNOWN_DEVICE, f"Device identifier is invalid: '{request.device_name}'.")
-            response = self._created(messages.CreateWatchdogTimerTaskExResponse, request.session_name, "watchdog")
+            response = self._create_task(messages.CreateWatchdogTimerTaskExResponse, request.session_name, "watchdog")
             self.tasks.get(response.task.name).timeout = request.timeout
             return response
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
-    def _created(self, response: Any, wanted: str, kind: str = "") -> Any:
+    def _create_task(self, response: Any, wanted: str, kind: str = "") -> Any:
         task = self.tasks.create(wanted, kind)
         return response(task=Session(name=task.name), new_session_initialized=True)
 
@@ -117,7 +117,9 @@ class TwinServicer(Attributes):
         -------
         ClearTaskResponse
         """
-        return self._on(request, context, messages.ClearTaskResponse, lambda task: self.tasks.clear(task.name))
+        return self._call_on_task(
+            request, context, messages.ClearTaskResponse, lambda task: self.tasks.clear(task.name)
+        )
 
     def StartTask(self, request: Any, context: Any) -> Any:
         """Start a task.
@@ -130,7 +132,7 @@ class TwinServicer(Attributes):
         -------
         StartTaskResponse
         """
-        return self._on(request, context, messages.StartTaskResponse, self.tasks.start)
+        return self._call_on_task(request, context, messages.StartTaskResponse, self.tasks.start)
 
     def StopTask(self, request: Any, context: Any) -> Any:
         """Stop a task.
@@ -143,7 +145,7 @@ class TwinServicer(Attributes):
         -------
         StopTaskResponse
         """
-        return self._on(request, context, messages.StopTaskResponse, self.tasks.stop)
+        return self._call_on_task(request, context, messages.StopTaskResponse, self.tasks.stop)
 
     def TaskControl(self, request: Any, context: Any) -> Any:
         """Abort a task.
@@ -164,7 +166,7 @@ class TwinServicer(Attributes):
             self.tasks.stop(task)
             task.buffer = None
 
-        return self._on(request, context, messages.TaskControlResponse, run)
+        return self._call_on_task(request, context, messages.TaskControlResponse, run)
 
     def IsTaskDone(self, request: Any, context: Any) -> Any:
         """Report whether a task is done.
@@ -177,7 +179,7 @@ class TwinServicer(Attributes):
         -------
         IsTaskDoneResponse
         """
-        return self._call(
+        return self._run_call(
             context,
             lambda: messages.IsTaskDoneResponse(is_task_done=self.tasks.wait(self.tasks.get(request.task.name), 0.0)),
         )
@@ -198,7 +200,7 @@ class TwinServicer(Attributes):
             if not self.tasks.wait(task, max(request.time_to_wait, 0.0)):
                 raise CardError(-200560, "Wait Until Done did not indicate that the task was done within the timeout.")
 
-        return self._on(request, context, messages.WaitUntilTaskDoneResponse, run)
+        return self._call_on_task(request, context, messages.WaitUntilTaskDoneResponse, run)
 
     # channels and timing
 
@@ -214,9 +216,9 @@ class TwinServicer(Attributes):
         CreateAIVoltageChanResponse
         """
         span = (request.min_val, request.max_val)
-        return self._on(
+        return self._call_on_task(
             request, context, messages.CreateAIVoltageChanResponse,
-            lambda task: self.tasks.add(task, "ai", request.physical_channel, span, _terminal(request)),
+            lambda task: self.tasks.add_channels(task, "ai", request.physical_channel, span, _read_terminal(request)),
         )  # fmt: skip
 
     def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:
@@ -231,9 +233,9 @@ class TwinServicer(Attributes):
         CreateAOVoltageChanResponse
         """
         span = (request.min_val, request.max_val)
-        return self._on(
+        return self._call_on_task(
             request, context, messages.CreateAOVoltageChanResponse,
-            lambda task: self.tasks.add(task, "ao", request.physical_channel, span),
+            lambda task: self.tasks.add_channels(task, "ao", request.physical_channel, span),
         )  # fmt: skip
 
     def CreateDOChan(self, request: Any, context: Any) -> Any:
@@ -247,7 +249,9 @@ class TwinServicer(Attributes):
         -------
         CreateDOChanResponse
         """
-        return self._on(request, context, messages.CreateDOChanResponse, lambda task: self._lines(task, "do", request))
+        return self._call_on_task(
+            request, context, messages.CreateDOChanResponse, lambda task: self._add_lines(task, "do", request)
+        )
 
     def CreateDIChan(self, request: Any, context: Any) -> Any:
         """Add digital inputs to a task.
@@ -260,10 +264,12 @@ class TwinServicer(Attributes):
         -------
         CreateDIChanResponse
         """
-        return self._on(request, context, messages.CreateDIChanResponse, lambda task: self._lines(task, "di", request))
+        return self._call_on_task(
+            request, context, messages.CreateDIChanResponse, lambda task: self._add_lines(task, "di", request)
+        )
 
-    def _lines(self, task: TwinTask, kind: str, request: Any) -> None:
-        self.tasks.add(task, kind, request.lines)
+    def _add_lines(self, task: TwinTask, kind: str, request: Any) -> None:
+        self.tasks.add_channels(task, kind, request.lines)
         task.grouped = (request.line_grouping_raw or request.line_grouping) == FOR_ALL_LINES
 
     def CfgSampClkTiming(self, request: Any, context: Any) -> Any:
@@ -277,9 +283,9 @@ class TwinServicer(Attributes):
         -------
         CfgSampClkTimingResponse
         """
-        return self._on(
+        return self._call_on_task(
             request, context, messages.CfgSampClkTimingResponse,
-            lambda task: self.tasks.clock(task, request.rate, request.source, request.samps_per_chan),
+            lambda task: self.tasks.set_clock(task, request.rate, request.source, request.samps_per_chan),
         )  # fmt: skip
 
     def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> Any:
@@ -297,7 +303,7 @@ class TwinServicer(Attributes):
         def run(task: TwinTask) -> None:
             task.trigger = request.trigger_source
 
-        return self._on(request, context, messages.CfgDigEdgeStartTrigResponse, run)
+        return self._call_on_task(request, context, messages.CfgDigEdgeStartTrigResponse, run)
 
     # reading and writing
 
@@ -322,7 +328,7 @@ class TwinServicer(Attributes):
                 read_array=np.ascontiguousarray(volts).ravel().tolist(), samps_per_chan_read=volts.shape[1]
             )
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
     def WriteAnalogF64(self, request: Any, context: Any) -> Any:
         """Write samples for a task's analog outputs.
@@ -342,7 +348,7 @@ class TwinServicer(Attributes):
             self.tasks.write(task, values, request.auto_start)
             return messages.WriteAnalogF64Response(samps_per_chan_written=n)
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
     def WriteDigitalU32(self, request: Any, context: Any) -> Any:
         """Write samples for a task's digital lines.
@@ -361,7 +367,7 @@ class TwinServicer(Attributes):
             self.tasks.write_lines(self.tasks.get(request.task.name), levels, request.auto_start)
             return messages.WriteDigitalU32Response(samps_per_chan_written=len(levels))
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
     def WriteDigitalScalarU32(self, request: Any, context: Any) -> Any:
         """Write one level to each of a task's digital lines.
@@ -375,7 +381,7 @@ class TwinServicer(Attributes):
         WriteDigitalScalarU32Response
         """
         levels = np.array([request.value], dtype=np.uint32)
-        return self._on(
+        return self._call_on_task(
             request, context, messages.WriteDigitalScalarU32Response,
             lambda task: self.tasks.write_lines(task, levels, request.auto_start),
         )  # fmt: skip
@@ -392,7 +398,7 @@ class TwinServicer(Attributes):
         WriteAnalogScalarF64Response
         """
         values = np.array([[request.value]])
-        return self._on(
+        return self._call_on_task(
             request, context, messages.WriteAnalogScalarF64Response,
             lambda task: self.tasks.write(task, values, request.auto_start),
         )  # fmt: skip
@@ -411,10 +417,10 @@ class TwinServicer(Attributes):
 
         def run() -> Any:
             task = self.tasks.get(request.task.name)
-            levels = bytes(self.card.line(line) for line in task.channels)
+            levels = bytes(self.card.read_line(line) for line in task.channels)
             return messages.ReadDigitalLinesResponse(read_array=levels, samps_per_chan_read=1, num_bytes_per_samp=1)
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
     # device and watchdog
 
@@ -431,11 +437,11 @@ class TwinServicer(Attributes):
         """
 
         def run() -> Any:
-            self.must_be_ours(request.device_name)
+            self.check_device_name(request.device_name)
             self.tasks.clear_all()
             return messages.ResetDeviceResponse()
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
     def SelfTestDevice(self, request: Any, context: Any) -> Any:
         """Report a passed self-test.
@@ -450,10 +456,10 @@ class TwinServicer(Attributes):
         """
 
         def run() -> Any:
-            self.must_be_ours(request.device_name)
+            self.check_device_name(request.device_name)
             return messages.SelfTestDeviceResponse()
 
-        return self._call(context, run)
+        return self._run_call(context, run)
 
     def CfgWatchdogDOExpirStates(self, request: Any, context: Any) -> Any:
         """Set the lines that the watchdog switches off.
@@ -469,10 +475,10 @@ class TwinServicer(Attributes):
 
         def run(task: TwinTask) -> None:
             task.channels = []
-            self.tasks.add(task, "do", request.channel_names)
+            self.tasks.add_channels(task, "do", request.channel_names)
             task.kind = "watchdog"
 
-        return self._on(request, context, messages.CfgWatchdogDOExpirStatesResponse, run)
+        return self._call_on_task(request, context, messages.CfgWatchdogDOExpirStatesResponse, run)
 
     def ControlWatchdogTask(self, request: Any, context: Any) -> Any:
         """Reset the watchdog's timer, or restart it.
@@ -489,15 +495,15 @@ class TwinServicer(Attributes):
         def run(task: TwinTask) -> None:
             action = request.action_raw or request.action
             if action == RESET_TIMER:
-                self.card.feed()
+                self.card.reset_watchdog_timer()
             else:
                 self.tasks.stop(task)
                 self.tasks.start(task)
 
-        return self._on(request, context, messages.ControlWatchdogTaskResponse, run)
+        return self._call_on_task(request, context, messages.ControlWatchdogTaskResponse, run)
 
 
-def _terminal(request: Any) -> str:
+def _read_terminal(request: Any) -> str:
     """Return the terminal configuration of inputs; by default the one that the card prefers."""
     number = request.terminal_config_raw or request.terminal_config
     if number not in TERMINALS:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.twin.cardmodel import (
+from sim.twin.card_model import (
     NOT_STARTED,
     UNKNOWN_DEVICE,
     UNKNOWN_TASK,
@@ -20,7 +20,7 @@ from sim.twin.cardmodel import (
     CardModel,
 )
 from smolbot.bench.hardware.products import PRODUCTS, Product
-from smolbot.bench.hardware.waveform import line_bit
+from smolbot.bench.hardware.waveform import get_line_bit
 from smolbot.core.arrays import FloatArray
 
 RATE_TOLERANCE = 1e-6
@@ -90,12 +90,12 @@ class Tasks:
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
 
-    def create(self, wanted: str, kind: str = "") -> TwinTask:
+    def create(self, requested: str, kind: str = "") -> TwinTask:
         """Create a task.
 
         Parameters
         ----------
-        wanted : str
+        requested : str
             Requested name; empty for any.
         kind : str
             See `TwinTask`.
@@ -110,7 +110,7 @@ class Tasks:
             If the name exists.
         """
         with self._lock:
-            name = wanted or f"_unnamedTask<{next(self._numbers)}>"
+            name = requested or f"_unnamedTask<{next(self._numbers)}>"
             if name in self._tasks:
                 raise CardError(-200089, f"Task name '{name}' conflicts with an existing task name.")
             self._tasks[name] = TwinTask(name, kind)
@@ -155,7 +155,7 @@ class Tasks:
             task.running, task.buffer = False, None
         self.card.reset()
 
-    def add(
+    def add_channels(
         self, task: TwinTask, kind: str, names: str, span: tuple[float, float] | None = None, terminal: str = ""
     ) -> None:
         """Add channels to a task.
@@ -177,12 +177,12 @@ class Tasks:
             If a channel does not exist, is there twice, or cannot have the range.
         """
         exist = {
-            "ai": self.product.inputs_of(terminal),
+            "ai": self.product.get_inputs(terminal),
             "ao": self.product.outputs,
             "do": self.product.lines,
             "di": self.product.lines,
         }[kind]
-        for name in expanded(names):
+        for name in expand_channels(names):
             device, _, channel = name.partition("/")
             if device != self.device:
                 raise CardError(
@@ -198,7 +198,7 @@ class Tasks:
             raise CardError(UNSUPPORTED, f"Requested value is not supported: ±{max(ranges):g} V is the widest range.")
         task.kind = kind
 
-    def clock(self, task: TwinTask, rate: float, source: str, count: int) -> None:
+    def set_clock(self, task: TwinTask, rate: float, source: str, count: int) -> None:
         """Set sample clock and length of a task.
 
         Parameters
@@ -281,7 +281,7 @@ class Tasks:
         CardError
             If a value is out of range, or the number of samples is wrong.
         """
-        if self.card.faults.takes("value_out_of_range") or np.any(np.abs(values) > self.card.section.outputs.range_v):
+        if self.card.faults.take("value_out_of_range") or np.any(np.abs(values) > self.card.section.outputs.range_v):
             raise CardError(
                 UNSUPPORTED,
                 "Requested value is not a supported value for this property: a voltage beyond the range.",
@@ -296,8 +296,8 @@ class Tasks:
         elif not auto_start:
             raise CardError(NOT_STARTED, "An on-demand write starts the task by itself.", written=0)
         else:
-            self._must_be_free("ao")
-            self.card.set_outputs(self._spread(task, values[:, -1]))
+            self._check_free("ao")
+            self.card.set_outputs(self._merge_outputs(task, values[:, -1]))
 
     def write_lines(self, task: TwinTask, levels: Any, auto_start: bool) -> None:
         """Write samples for a task's digital lines.
@@ -315,7 +315,7 @@ class Tasks:
         CardError
             If the number of samples is wrong.
         """
-        mask = np.uint32(sum(1 << line_bit(line) for line in task.channels))
+        mask = np.uint32(sum(1 << get_line_bit(line) for line in task.channels))
         if task.count:
             if len(levels) != task.count:
                 raise CardError(WRONG_COUNT, f"Write {task.count} samples; got {len(levels)}.", written=0)
@@ -323,7 +323,7 @@ class Tasks:
         elif not auto_start:
             raise CardError(NOT_STARTED, "An on-demand write starts the task by itself.", written=0)
         else:
-            self._must_be_free("do")
+            self._check_free("do")
             self.card.set_lines(int(levels[-1] & mask))
 
     def start(self, task: TwinTask) -> None:
@@ -339,13 +339,13 @@ class Tasks:
             If samples or trigger are missing, or another task uses the hardware.
         """
         if task.kind == "watchdog":
-            mask = sum(1 << line_bit(line) for line in task.channels)
+            mask = sum(1 << get_line_bit(line) for line in task.channels)
             self.card.set_watchdog(task.timeout, mask)
         elif task.kind == "ai":
-            self._must_be_free("ai")
+            self._check_free("ai")
             self.card.acquire(task.count)
         elif task.kind in ("ao", "do") and task.count:
-            self._must_be_free(task.kind)
+            self._check_free(task.kind)
             if task.buffer is None:
                 raise CardError(-200462, "Write samples before the task is started.")
             if task.kind == "ao":
@@ -354,7 +354,7 @@ class Tasks:
                         WRONG_SOURCE,
                         f"The twin's outputs wait for /{self.device}/ai/StartTrigger; got '{task.trigger}'.",
                     )
-                self.card.arm(outputs=self._ordered(task))
+                self.card.arm(outputs=self._order_rows(task))
             else:
                 if task.source != f"/{self.device}/ao/SampleClock":
                     raise CardError(
@@ -399,19 +399,19 @@ class Tasks:
             return True
         return self.card.wait(task.kind, timeout)
 
-    def _must_be_free(self, kind: str) -> None:
+    def _check_free(self, kind: str) -> None:
         if any(t.kind == kind and t.running and t.count for t in self._tasks.values()):
             raise CardError(-50103, "The specified resource is reserved: one hardware-timed task of a kind at a time.")
 
-    def _spread(self, task: TwinTask, values: FloatArray) -> FloatArray:
+    def _merge_outputs(self, task: TwinTask, values: FloatArray) -> FloatArray:
         used = self.card.section.used_outputs
-        out = np.array(self.card.state()["outputs_v"])
+        out = np.array(self.card.read_state()["outputs_v"])
         for channel, value in zip(task.channels, values, strict=True):
             if channel in used:
                 out[used.index(channel)] = value
         return out
 
-    def _ordered(self, task: TwinTask) -> FloatArray:
+    def _order_rows(self, task: TwinTask) -> FloatArray:
         used = self.card.section.used_outputs
         out = np.zeros((len(used), task.count))
         for channel, row in zip(task.channels, task.buffer, strict=True):
@@ -420,7 +420,7 @@ class Tasks:
         return out
 
 
-def expanded(names: str) -> list[str]:
+def expand_channels(names: str) -> list[str]:
     """Expand a list of channels in the driver's spelling.
 
     Parameters
@@ -433,7 +433,7 @@ def expanded(names: str) -> list[str]:
 
     Examples
     --------
-    >>> expanded("Dev1/ai0:2, Dev1/port0/line6")
+    >>> expand_channels("Dev1/ai0:2, Dev1/port0/line6")
     ['Dev1/ai0', 'Dev1/ai1', 'Dev1/ai2', 'Dev1/port0/line6']
     """
     out = []

@@ -1,4 +1,4 @@
-from .device import Uncertainty as Uncertainty
+from .device import DeviceUncertainty as DeviceUncertainty
 from .document import Document as Document
 from .document import Fault as Fault
 from .document import FileModel as FileModel

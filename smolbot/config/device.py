@@ -16,7 +16,7 @@ from smolbot.core.sensing import Device
 from smolbot.errors import InputError
 
 
-class CalibratedSection(DeviceSection):
+class CalibratedDeviceSection(DeviceSection):
     """The device section of a robot file, with one standard deviation of each measured value."""
 
     theta_max_deg_std: NotNegative | None = None
@@ -32,11 +32,11 @@ class DeviceFile(FileModel):
     date: datetime.date
     description: str = ""
     z_mm: float | None = None
-    device: CalibratedSection
+    device: CalibratedDeviceSection
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class DeviceUncertainty:
     """Standard deviations of the calibrated values of a device.
 
     Attributes
@@ -73,7 +73,7 @@ class DeviceConfig:
     rig: str
     date: datetime.date
     device: Device
-    std: Uncertainty | None = None
+    std: DeviceUncertainty | None = None
     height: float | None = None
     description: str = ""
 
@@ -110,7 +110,7 @@ def load_device(path: str | Path, robot: str | None = None) -> DeviceConfig:
         raise document.error([Fault(("device",), str(error))]) from error
     std = None
     if s.theta_max_deg_std is not None and s.frequency_hz_std is not None and s.damping_per_s_std is not None:
-        std = Uncertainty(float(np.radians(s.theta_max_deg_std)), s.frequency_hz_std, s.damping_per_s_std)
+        std = DeviceUncertainty(float(np.radians(s.theta_max_deg_std)), s.frequency_hz_std, s.damping_per_s_std)
     height = None if sections.z_mm is None else sections.z_mm * 1e-3
     return DeviceConfig(sections.robot, sections.rig, sections.date, device, std, height, sections.description)
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from smolbot.config.alternatives import void_keys
 from smolbot.config.toml_layers import lay_over, set_values
 from smolbot.config.units import SI
-from smolbot.errors import ConfigError, MissingFileError, did_you_mean, writing
+from smolbot.errors import ConfigError, MissingFileError, report_write_errors, suggest_name
 
 KeyPath = tuple[str | int, ...]
 
@@ -73,7 +73,7 @@ class Document:
         self.prefix = ""
         self._void: list[tuple[str, str]] = []
         own = _parsed(path, text)
-        places: dict[KeyPath, tuple[Path | None, int]] = {key: (None, n) for key, n in _key_lines(text).items()}
+        places: dict[KeyPath, tuple[Path | None, int]] = {key: (None, n) for key, n in _find_key_lines(text).items()}
         if parent is not None:
             own.pop(EXTENDS, None)
             void = void_keys(parent.data, own)
@@ -94,7 +94,7 @@ class Document:
         """One TOML text that stands alone: parents, file and settings together, with their comments."""
         if not self.settings:
             return self._text
-        given = {tuple(name.split(".")): _setting(value) for name, value in self.settings.items()}
+        given = {tuple(name.split(".")): _parse_setting(value) for name, value in self.settings.items()}
         return set_values(self._text, given, self._void)
 
     def place(self, key: KeyPath) -> tuple[Path, int]:
@@ -144,7 +144,7 @@ class Document:
         """
         return (self.path if ".".join(map(str, key)) in self.settings else self.place(key)[0]).parent
 
-    def spell(self, fault: Fault) -> str:
+    def format_fault(self, fault: Fault) -> str:
         """Format a fault as ``file:line: key: message``.
 
         Parameters
@@ -167,7 +167,7 @@ class Document:
         """One error with a line for each fault, in the order of the file, then of its parents."""
         places = {fault: self.place(fault.key) for fault in faults}
         ordered = sorted(faults, key=lambda fault: (places[fault][0] != self.path, places[fault][1]))
-        return ConfigError("\n".join(dict.fromkeys(self.spell(f) for f in ordered)))
+        return ConfigError("\n".join(dict.fromkeys(self.format_fault(f) for f in ordered)))
 
     def override(self, settings: dict[str, str], prefix: str = "") -> Document:
         """Lay settings over a document.
@@ -208,7 +208,7 @@ class Document:
             data = data.setdefault(part, {})
             if not isinstance(data, dict):
                 raise ConfigError(f"--set {name}={value}: {part} is not a section of {self.path}.")
-        data[last] = _setting(value)
+        data[last] = _parse_setting(value)
 
     def validate(self, model: type[Model]) -> tuple[Model | None, list[Fault]]:
         """Check the document against a model.
@@ -268,7 +268,7 @@ class Document:
         return sections
 
 
-def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tuple[Model | None, list[Fault]]:
+def validate(model: type[Model], data: dict[str, Any], key_prefix: KeyPath = ()) -> tuple[Model | None, list[Fault]]:
     """Check a section against a model.
 
     Parameters
@@ -276,7 +276,7 @@ def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tupl
     model : type of FileModel
     data : dict
         The section.
-    at : tuple of str or int, optional
+    key_prefix : tuple of str or int, optional
         Key path of the section in its file.
 
     Returns
@@ -288,7 +288,7 @@ def validate(model: type[Model], data: dict[str, Any], at: KeyPath = ()) -> tupl
     try:
         return model.model_validate_json(json.dumps(data, default=str)), []
     except ValidationError as error:
-        return None, [_fault(model, item, at) for item in error.errors()]
+        return None, [_make_fault(model, item, key_prefix) for item in error.errors()]
 
 
 def write_lines(path: str | Path, lines: Iterable[str]) -> None:
@@ -305,7 +305,7 @@ def write_lines(path: str | Path, lines: Iterable[str]) -> None:
     InputError
         If the file cannot be written.
     """
-    with writing(path):
+    with report_write_errors(path):
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -338,19 +338,19 @@ def _under(key: KeyPath, replaced: set[KeyPath]) -> bool:
     return any(key[:count] in replaced for count in range(1, len(key) + 1))
 
 
-def _setting(text: str) -> Any:
+def _parse_setting(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
 
 
-def _fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
+def _make_fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
     location: KeyPath = tuple(item["loc"])
     kind, message = item["type"], item["msg"]
     if kind == "extra_forbidden":
-        known = _fields_at(model, location[:-1])
-        message = f"unknown key; known keys: {', '.join(known)}.{did_you_mean(str(location[-1]), known)}"
+        known = _list_fields(model, location[:-1])
+        message = f"unknown key; known keys: {', '.join(known)}.{suggest_name(str(location[-1]), known)}"
     elif kind == "missing" and isinstance(location[-1], int):
         message, location = (
             f"entry {location[-1] + 1} is missing; got {json.dumps(item['input'], default=str)[:60]}.",
@@ -358,7 +358,7 @@ def _fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
         )
     elif kind == "missing":
         message = (
-            f"this key is missing; the section needs {', '.join(_fields_at(model, location[:-1], required=True))}."
+            f"this key is missing; the section needs {', '.join(_list_fields(model, location[:-1], required=True))}."
         )
     elif kind == "value_error":
         message = str(item["ctx"]["error"])
@@ -367,7 +367,7 @@ def _fault(model: type[BaseModel], item: Any, at: KeyPath) -> Fault:
     return Fault(at + location, message)
 
 
-def _fields_at(model: type[BaseModel], location: KeyPath, *, required: bool = False) -> list[str]:
+def _list_fields(model: type[BaseModel], location: KeyPath, *, required: bool = False) -> list[str]:
     current: type[BaseModel] | None = model
     for part in location:
         if current is None:
@@ -375,18 +375,18 @@ def _fields_at(model: type[BaseModel], location: KeyPath, *, required: bool = Fa
         if isinstance(part, int):
             continue
         info = current.model_fields.get(part)
-        current = _inner_model(info.annotation) if info else None
+        current = _find_inner_model(info.annotation) if info else None
     if current is None:
         return []
     return [name for name, info in current.model_fields.items() if not required or info.is_required()]
 
 
-def _inner_model(annotation: Any) -> type[BaseModel] | None:
+def _find_inner_model(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     if typing.get_origin(annotation) in (list, tuple, dict, typing.Union, types.UnionType, typing.Annotated):
         for argument in typing.get_args(annotation):
-            found = _inner_model(argument)
+            found = _find_inner_model(argument)
             if found:
                 return found
     return None
@@ -402,7 +402,7 @@ def _split(name: str) -> tuple[str, ...]:
     return tuple(part.strip().strip("\"'") for part in re.findall(r"\"[^\"]*\"|'[^']*'|[^.]+", name))
 
 
-def _key_lines(text: str) -> dict[KeyPath, int]:
+def _find_key_lines(text: str) -> dict[KeyPath, int]:
     """Find the line number of every table header and key, and of the elements of nested arrays one level deep."""
     lines: dict[KeyPath, int] = {}
     prefix: KeyPath = ()
@@ -413,7 +413,7 @@ def _key_lines(text: str) -> dict[KeyPath, int]:
         code = re.sub(r'"(?:[^"\\]|\\.)*"', '""', line).split("#", 1)[0]
         if depth == 0 and (header := _HEADER.match(line)):
             name: KeyPath = _split(header[2])
-            name = _indexed(name, counts)
+            name = _insert_indices(name, counts)
             if header[1] == "[[":
                 counts[name] = counts.get(name, -1) + 1
                 name = (*name, counts[name])
@@ -442,7 +442,7 @@ def _key_lines(text: str) -> dict[KeyPath, int]:
     return lines
 
 
-def _indexed(name: KeyPath, counts: dict[KeyPath, int]) -> KeyPath:
+def _insert_indices(name: KeyPath, counts: dict[KeyPath, int]) -> KeyPath:
     """Insert the current index where a header names a table inside an array of tables."""
     out: KeyPath = ()
     for position, part in enumerate(name):

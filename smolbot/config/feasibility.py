@@ -14,23 +14,23 @@ from smolbot.core.pose import Pose
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.core.shots import Shot
 from smolbot.errors import ConfigError
-from smolbot.localization.bounds import Window, pose_bound
-from smolbot.localization.chain import WINDOW
-from smolbot.localization.expected import expected_covariance
+from smolbot.localization.bounds import ListeningWindow, compute_pose_bound
+from smolbot.localization.chain import MEAN_WINDOW
+from smolbot.localization.expected_covariance import compute_expected_covariance
 from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.problem import MIN_OUTPUTS
 from smolbot.paths.curve import Curve
 
 Point = tuple[float, float]
 
-PLACES = 5
+N_PATH_POINTS = 5
 """Of a path, at which a tolerance is held against the error to be expected."""
 
-ROOMS = 3
+N_MAINS_DIRECTIONS = 3
 """Drawn directions of the mains that an expected error is averaged over."""
 
 
-def fitness_faults(mission: MissionBase, path: Curve, start: Point, tolerance: float) -> list[Fault]:
+def find_fitness_faults(mission: MissionBase, path: Curve, start: Point, tolerance: float) -> list[Fault]:
     """Find every reason why a mission cannot be flown.
 
     Parameters
@@ -49,14 +49,14 @@ def fitness_faults(mission: MissionBase, path: Curve, start: Point, tolerance: f
         Empty if there is none.
     """
     return [
-        *_container_faults(mission, path, start),
-        *(_table_faults(mission, path, start) if mission.robot.kind == "gradient" else ()),
-        *_limit_faults(mission),
-        *(_sensor_faults(mission) or _tolerance_faults(mission, path, tolerance)),
+        *_find_container_faults(mission, path, start),
+        *(_find_table_faults(mission, path, start) if mission.robot.kind == "gradient" else ()),
+        *_find_limit_faults(mission),
+        *(_find_sensor_faults(mission) or _find_tolerance_faults(mission, path, tolerance)),
     ]
 
 
-def listening_faults(mission: MissionBase) -> list[Fault]:
+def find_listening_faults(mission: MissionBase) -> list[Fault]:
     """Find every reason why the rig cannot record this device with the mission's cycle.
 
     Parameters
@@ -68,10 +68,10 @@ def listening_faults(mission: MissionBase) -> list[Fault]:
     list of Fault
         Empty if there is none.
     """
-    return [*_limit_faults(mission), *_sensor_faults(mission)]
+    return [*_find_limit_faults(mission), *_find_sensor_faults(mission)]
 
 
-def _container_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
+def _find_container_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
     box = mission.rig.sections.container
     margin = 0.5e3 * math.hypot(*sorted(mission.robot.size)[1:])  # it may lie at any angle
     low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
@@ -86,7 +86,7 @@ def _container_faults(mission: MissionBase, path: Curve, start: Point) -> list[F
     return faults
 
 
-def _table_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
+def _find_table_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
     try:
         table = mission.rig.table()
     except ConfigError as error:
@@ -110,12 +110,12 @@ def _table_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault
     return faults
 
 
-def _limit_faults(mission: MissionBase) -> list[Fault]:
+def _find_limit_faults(mission: MissionBase) -> list[Fault]:
     shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
     return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
 
 
-def _sensor_faults(mission: MissionBase) -> list[Fault]:
+def _find_sensor_faults(mission: MissionBase) -> list[Fault]:
     axes, frequency = mission.rig.sensors.axes, mission.robot.device.frequency
     parallel = np.abs(axes @ axes.T) > np.cos(np.radians(2.0))
     differences = int(np.sum(np.tril(parallel, -1).any(axis=1)))  # each with an earlier sensor of its direction
@@ -123,7 +123,7 @@ def _sensor_faults(mission: MissionBase) -> list[Fault]:
     if differences < MIN_OUTPUTS:
         message = f"its {len(axes)} sensors form {differences} same-axis differences; a pose needs {MIN_OUTPUTS}."
         faults.append(Fault(("rig",), message))
-    least = 2.0 * frequency * WINDOW
+    least = 2.0 * frequency * MEAN_WINDOW
     if mission.rig.sample_rate < least:
         message = (
             f"it samples at {mission.rig.sample_rate:g} Hz; a device of {frequency:g} Hz needs {least:g} Hz or more."
@@ -132,8 +132,8 @@ def _sensor_faults(mission: MissionBase) -> list[Fault]:
     return faults
 
 
-def _tolerance_faults(mission: MissionBase, path: Curve, tolerance: float) -> list[Fault]:
-    expected = float(np.max(expected_errors(mission, path, np.linspace(0.0, path.length, PLACES))))
+def _find_tolerance_faults(mission: MissionBase, path: Curve, tolerance: float) -> list[Fault]:
+    expected = float(np.max(compute_expected_errors(mission, path, np.linspace(0.0, path.length, N_PATH_POINTS))))
     if tolerance >= expected:
         return []
     message = (
@@ -143,7 +143,7 @@ def _tolerance_faults(mission: MissionBase, path: Curve, tolerance: float) -> li
     return [Fault(("controller", "tolerance_mm"), message)]
 
 
-def noise_levels(rig: RigConfig) -> NoiseLevels:
+def make_noise_levels(rig: RigConfig) -> NoiseLevels:
     """Build the noise levels that the rig file expects.
 
     Parameters
@@ -166,7 +166,7 @@ def noise_levels(rig: RigConfig) -> NoiseLevels:
     )
 
 
-def expected_errors(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
+def compute_expected_errors(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
     """Compute the expected horizontal rms error of one pose at points of a path.
 
     The robot heads along the path.
@@ -182,12 +182,12 @@ def expected_errors(mission: MissionBase, path: Curve, arc: FloatArray) -> Float
     -------
     ndarray, shape (n,), in m
     """
-    covariances = covariances_along(mission, path, arc)
+    covariances = compute_covariances_along(mission, path, arc)
     errors: FloatArray = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
     return errors
 
 
-def covariances_along(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
+def compute_covariances_along(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
     """Compute the expected covariance of one pose at points of a path.
 
     The robot heads along the path.
@@ -206,41 +206,49 @@ def covariances_along(mission: MissionBase, path: Curve, arc: FloatArray) -> Flo
     """
     up = np.array([0.0, 0.0, 1.0])
     headings = [quaternion_from_axes(heading, up, "zy") for heading in path.tangent(arc)]
-    return expected_covariances(mission, path.at(arc), headings)
+    return compute_expected_covariances(mission, path.at(arc), headings)
 
 
-def expected_covariances(mission: MissionBase, points: FloatArray, orientations: list[FloatArray]) -> FloatArray:
+def compute_expected_covariances(
+    mission: MissionBase, points: FloatArray, orientations: list[FloatArray]
+) -> FloatArray:
     """Covariances (n, 6, 6) of one pose each, (m, rad), at `points` (n, 3) in m and `orientations` (4,).
 
     Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned;
     a lab's own is not known to, and can do no better.
     """
-    find = _paper if mission.base.localization.estimator == "paper" else _whitened
+    find = (
+        _compute_paper_covariances if mission.base.localization.estimator == "paper" else _compute_whitened_covariances
+    )
     return find(mission, points, orientations)
 
 
-def _whitened(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+def _compute_whitened_covariances(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
     """Compute covariances (n, 6, 6) of the whitened estimator."""
     rig = mission.rig
-    window = Window(mission.cycle.half_periods, rig.sample_rate, mission.cycle.ring_down)
+    window = ListeningWindow(mission.cycle.half_periods, rig.sample_rate, mission.cycle.ring_down)
     rotations = np.array([matrix_from_quaternion(q) for q in headings])
     learned = mission.base.localization.quiet_s > 0.0
-    rooms = [noise_levels(rig).room(rig.sensors, seed) for seed in range(ROOMS)] if learned else []
+    rooms = (
+        [make_noise_levels(rig).sample_room_model(rig.sensors, seed) for seed in range(N_MAINS_DIRECTIONS)]
+        if learned
+        else []
+    )
     found = [
-        pose_bound(rig.sensors, mission.robot.device, noise, points, rotations, window).covariance[:, :6, :6]
-        for noise in rooms or [noise_levels(rig).model(rig.sensors)]
+        compute_pose_bound(rig.sensors, mission.robot.device, noise, points, rotations, window).covariance[:, :6, :6]
+        for noise in rooms or [make_noise_levels(rig).make_model(rig.sensors)]
     ]
     return np.mean(found, axis=0)
 
 
-def _paper(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+def _compute_paper_covariances(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
     """Compute covariances (n, 6, 6) of the paper's estimator."""
     rig, cycle = mission.rig, mission.cycle
     found = [
-        expected_covariance(
+        compute_expected_covariance(
             rig.sensors,
             mission.robot.device,
-            noise_levels(rig),
+            make_noise_levels(rig),
             Pose(0.0, point, heading, np.eye(6)),
             cycle.half_periods,
             rig.sample_rate,

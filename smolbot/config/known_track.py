@@ -26,16 +26,16 @@ from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.text_table import Row, read_table
 from smolbot.errors import InputError, MissingFileError
 
-PLACE = ("x_mm", "y_mm", "z_mm")
-QUATERNION = ("qw", "qx", "qy", "qz")
-ALONG, SWING = ("along_x", "along_y", "along_z"), ("swing_x", "swing_y", "swing_z")
+POSITION_COLUMNS = ("x_mm", "y_mm", "z_mm")
+QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+ALONG_COLUMNS, SWING_COLUMNS = ("along_x", "along_y", "along_z"), ("swing_x", "swing_y", "swing_z")
 
-UNKNOWN = np.full((6, 6), math.nan)
+UNKNOWN_COVARIANCE = np.full((6, 6), math.nan)
 """Covariance of a pose that a stage tells: none is claimed."""
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class KnownTrack:
     """Content of a track file.
 
     Attributes
@@ -52,7 +52,7 @@ class Track:
     files: tuple[Path | None, ...]
 
 
-def read_track(path: str | Path) -> Track:
+def read_known_track(path: str | Path) -> KnownTrack:
     """Read a track.
 
     Parameters
@@ -76,16 +76,19 @@ def read_track(path: str | Path) -> Track:
     table = read_table(path, named=True)
     if not table.rows:
         raise InputError(
-            f"{path}: holds no track; a line of column names ({_needed()}) and a row per recording are needed."
+            f"{path}: holds no track; a line of column names ({_format_needed_columns()}) and a row per recording are needed."
         )
-    turned = _orientation_columns(path, table.names)
-    poses = [Pose(0.0, 1e-3 * row.finite(PLACE), _orientation(row, turned), UNKNOWN) for row in table.rows]
+    turned = _has_direction_columns(path, table.names)
+    poses = [
+        Pose(0.0, 1e-3 * row.parse_finite(POSITION_COLUMNS), _parse_orientation(row, turned), UNKNOWN_COVARIANCE)
+        for row in table.rows
+    ]
     files = [row["file"] if "file" in table.names else "" for row in table.rows]
-    return Track(path, tuple(poses), tuple(path.parent / file if file else None for file in files))
+    return KnownTrack(path, tuple(poses), tuple(path.parent / file if file else None for file in files))
 
 
-def write_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -> None:
-    """Write a track that `read_track` reads back.
+def write_known_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -> None:
+    """Write a track that `read_known_track` reads back.
 
     Parameters
     ----------
@@ -100,14 +103,14 @@ def write_track(path: str | Path, poses: Sequence[Pose], files: Sequence[str]) -
     InputError
         If the file cannot be written.
     """
-    lines = [",".join([*PLACE, *ALONG, *SWING, "file"])]
+    lines = [",".join([*POSITION_COLUMNS, *ALONG_COLUMNS, *SWING_COLUMNS, "file"])]
     for pose, file in zip(poses, files, strict=True):
         values = [*(1e3 * pose.position), *pose.body_axis("z"), *pose.body_axis("x")]
         lines.append(",".join([*(f"{v:.9g}" for v in values), file]))
     write_lines(path, lines)
 
 
-def planned_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:
+def plan_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:
     """Plan poses that fill a box evenly, for a stage with a rotary axis and three holders.
 
     Headings are spread over the full circle. The three holders follow each other: cantilever level with level
@@ -125,7 +128,7 @@ def planned_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:
 
     Examples
     --------
-    >>> track = planned_track(np.array([-0.02, -0.02, 0.05]), np.array([0.02, 0.02, 0.08]), 3)
+    >>> track = plan_track(np.array([-0.02, -0.02, 0.05]), np.array([0.02, 0.02, 0.08]), 3)
     >>> print(np.round(1e3 * track[0].position, 1), np.round(track[2].body_axis("z"), 1))
     [ -7.2 -13.2  51.5] [0. 0. 1.]
     """
@@ -137,33 +140,33 @@ def planned_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:
         heading = 2.399963 * i  # golden angle
         ahead, aside = (np.array([math.cos(a), math.sin(a), 0.0]) for a in (heading, heading + 0.5 * math.pi))
         along, swing = ((ahead, aside), (ahead, up), (up, ahead))[i % 3]
-        track.append(Pose(0.0, place, quaternion_from_axes(along, swing, "zx"), UNKNOWN))
+        track.append(Pose(0.0, place, quaternion_from_axes(along, swing, "zx"), UNKNOWN_COVARIANCE))
     return track
 
 
-def _needed() -> str:
-    return f"{', '.join(PLACE)}, and {', '.join((*ALONG, *SWING))} or {', '.join(QUATERNION)}"
+def _format_needed_columns() -> str:
+    return f"{', '.join(POSITION_COLUMNS)}, and {', '.join((*ALONG_COLUMNS, *SWING_COLUMNS))} or {', '.join(QUATERNION_COLUMNS)}"
 
 
-def _orientation_columns(path: Path, names: Sequence[str]) -> bool:
+def _has_direction_columns(path: Path, names: Sequence[str]) -> bool:
     """Return whether the orientation is given by two directions instead of a quaternion; raise if by neither."""
-    directions = all(name in names for name in (*ALONG, *SWING))
-    missing = [name for name in PLACE if name not in names]
-    if missing or not (directions or all(name in names for name in QUATERNION)):
+    directions = all(name in names for name in (*ALONG_COLUMNS, *SWING_COLUMNS))
+    missing = [name for name in POSITION_COLUMNS if name not in names]
+    if missing or not (directions or all(name in names for name in QUATERNION_COLUMNS)):
         what = f"column {', '.join(missing)} is missing" if missing else "no orientation"
-        raise InputError(f"{path}: {what}; a track needs {_needed()}. Got {', '.join(names)[:200]}.")
+        raise InputError(f"{path}: {what}; a track needs {_format_needed_columns()}. Got {', '.join(names)[:200]}.")
     return directions
 
 
-def _orientation(row: Row, directions: bool) -> FloatArray:
+def _parse_orientation(row: Row, directions: bool) -> FloatArray:
     if not directions:
-        quaternion = row.finite(QUATERNION)
+        quaternion = row.parse_finite(QUATERNION_COLUMNS)
         length = float(np.linalg.norm(quaternion))
         if not 0.99 < length < 1.01:
-            raise row.fault(f"{', '.join(QUATERNION)} must be of unit length; got {length:.4g}.")
+            raise row.make_error(f"{', '.join(QUATERNION_COLUMNS)} must be of unit length; got {length:.4g}.")
         return quaternion / length
-    along, swing = row.finite(ALONG), row.finite(SWING)
+    along, swing = row.parse_finite(ALONG_COLUMNS), row.parse_finite(SWING_COLUMNS)
     sine = float(np.linalg.norm(np.cross(along, swing)))
     if not sine > 0.5 * float(np.linalg.norm(along)) * float(np.linalg.norm(swing)):
-        raise row.fault(f"along and swing must be two directions at right angles; got {along} and {swing}.")
+        raise row.make_error(f"along and swing must be two directions at right angles; got {along} and {swing}.")
     return quaternion_from_axes(along, swing, "zx")

@@ -6,12 +6,12 @@ from importlib import resources
 from pathlib import Path
 
 from smolbot.config.document import EXTENDS, Document, Fault, read_text
-from smolbot.errors import ConfigError, MissingFileError, did_you_mean
+from smolbot.errors import ConfigError, MissingFileError, suggest_name
 
 KINDS = ("missions", "rigs", "robots")
 
 
-def shipped(kind: str) -> dict[str, Path]:
+def list_shipped(kind: str) -> dict[str, Path]:
     """List the shipped files of one kind.
 
     Parameters
@@ -47,7 +47,7 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
     MissingFileError
         With the names that exist.
     """
-    ours = shipped(kind)
+    ours = list_shipped(kind)
     looks_like_path = name.endswith(".toml") or "/" in name or "\\" in name
     if not looks_like_path and name in ours:
         return ours[name]
@@ -57,7 +57,7 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
                 return path
         raise MissingFileError(f"{name}: no such file. Shipped {kind}: {', '.join(ours)}.", name=name, known=ours)
     raise MissingFileError(
-        f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{did_you_mean(name, ours)} "
+        f"No {kind[:-1]} is named '{name}'. Shipped {kind}: {', '.join(ours)}.{suggest_name(name, ours)} "
         f"Your own is given by its path, such as ./{name}.toml.",
         name=name,
         known=ours,

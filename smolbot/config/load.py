@@ -5,7 +5,7 @@ from __future__ import annotations
 from smolbot.config import mission as missionfile
 from smolbot.config.mission import Mission
 from smolbot.config.mission_base import open_document
-from smolbot.config.observation import Observation, load_observation, observes
+from smolbot.config.observation import Observation, is_observation, load_observation
 
 AnyMission = Mission | Observation
 
@@ -35,6 +35,6 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     0.0005
     """
     settings = settings or {}
-    if observes(open_document(name, settings)):
+    if is_observation(open_document(name, settings)):
         return load_observation(name, rig, settings)
-    return missionfile.load_mission(name, rig, settings)
+    return missionfile.load_steering_mission(name, rig, settings)

@@ -8,15 +8,15 @@ import numpy as np
 from pydantic import Field
 
 from smolbot.config.document import Document, Fault, FileModel
-from smolbot.config.feasibility import fitness_faults
+from smolbot.config.feasibility import find_fitness_faults
 from smolbot.config.mission_base import MissionBase, MissionBaseFile, load_parts, open_document
 from smolbot.config.path_section import PathSection, read_path
-from smolbot.config.plugins import load, names
+from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.config.units import Point, Positive
 from smolbot.errors import PluginError
-from smolbot.motion.controller import Gain, HelixSetup, Setup, gain_fault, robot_kinds
+from smolbot.motion.controller import Gain, HelixSetup, Setup, find_gain_fault, robot_kinds
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths.curve import Curve
@@ -105,7 +105,7 @@ class Mission(MissionBase):
         return self.path.points[0, 0] + offset[0] * 1e-3, self.path.points[0, 1] + offset[1] * 1e-3
 
     @property
-    def put_down(self) -> tuple[float, ...]:
+    def start_placement(self) -> tuple[float, ...]:
         """Start position (x, y) in m; for a helical robot also its heading in rad, along the path."""
         if self.robot.kind != "helical":
             return self.start
@@ -179,7 +179,7 @@ class Mission(MissionBase):
         )
 
 
-def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Mission:
+def load_steering_mission(name: str, rig: str | None = None, settings: dict[str, str] | None = None) -> Mission:
     """Read a mission that steers, with the rig and robot that it names.
 
     Parameters
@@ -206,7 +206,7 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     if "observe" in document.data:
         message = "this mission only looks, and steers nothing; smolbot run and smolbot simulate carry it out."
         raise document.error([Fault(("observe",), message)])
-    laws = _law_faults(document)
+    laws = _find_law_faults(document)
     sections, rig_config, robot_config = load_parts(document, MissionFile, rig, settings, laws)
     if robot_config.kind == "device":
         message = f"'{robot_config.name}' is of kind 'device', which nothing moves; a path needs a robot that swims."
@@ -215,7 +215,7 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     under = 0.5 * robot_config.size[0] if robot_config.kind == "helical" else 0.0  # a helix is pulled up to the plate
     path, remarks = read_path(document, sections.path, rig_config.surface_z - under)
     mission = Mission(document, sections, rig_config, robot_config, path, remarks)
-    unfit = fitness_faults(mission, path, mission.start, mission.tolerance)
+    unfit = find_fitness_faults(mission, path, mission.start, mission.tolerance)
     if unfit:
         raise document.error(unfit)
     return mission
@@ -223,7 +223,7 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
 
 def _check_kind(document: Document, sections: MissionFile, rig: RigConfig, robot: RobotConfig) -> None:
     """Raise if the law does not drive this kind of robot, or if a helix lacks its rotating magnet or its gel."""
-    kinds = robot_kinds(load("controllers", sections.controller.law))
+    kinds = robot_kinds(load_plugin("controllers", sections.controller.law))
     faults = []
     if robot.kind not in kinds:
         message = (
@@ -238,21 +238,21 @@ def _check_kind(document: Document, sections: MissionFile, rig: RigConfig, robot
         raise document.error(faults)
 
 
-def _law_faults(document: Document) -> list[Fault]:
+def _find_law_faults(document: Document) -> list[Fault]:
     section = document.data.get("controller")
     law = section.get("law") if isinstance(section, dict) else None
     if not isinstance(law, str):
         return []
-    known = names("controllers")
+    known = list_plugins("controllers")
     if law not in known:
         return [Fault(("controller", "law"), f"no controller is named '{law}'; installed: {', '.join(known)}.")]
-    gains = load("controllers", law).gains
+    gains = load_plugin("controllers", law).gains
     for name, gain in gains.items():
         if not isinstance(gain, Gain):
             raise PluginError(f"Controller '{law}' breaks its protocol: gains['{name}'] must be a Gain; got {gain!r}.")
     given = section.get("gains", {}) if isinstance(section, dict) else {}
     faults = [
-        (name, gain_fault(gains, name, value, law))
+        (name, find_gain_fault(gains, name, value, law))
         for name, value in (given.items() if isinstance(given, dict) else ())
         if isinstance(value, int | float)
     ]

@@ -9,11 +9,11 @@ from pydantic import Field, field_validator
 
 from smolbot.config.document import Document, Fault, FileModel, Model
 from smolbot.config.library import open_file
-from smolbot.config.plugins import load, names
+from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.config.units import NotNegative, Positive
-from smolbot.errors import ConfigError, PluginError, SmolbotError, did_you_mean
+from smolbot.errors import ConfigError, PluginError, SmolbotError, suggest_name
 from smolbot.motion.controller import Cycle
 
 
@@ -36,22 +36,22 @@ class LocalizationSection(FileModel):
     @field_validator("estimator")
     @classmethod
     def _installed(cls, name: str) -> str:
-        known = names("estimators")
+        known = list_plugins("estimators")
         if name not in known:
-            hint = did_you_mean(name, known)
+            hint = suggest_name(name, known)
             raise ValueError(f"no estimator is named '{name}'; installed: {', '.join(known)}.{hint}")
-        load("estimators", name)  # one that breaks its protocol is refused here
+        load_plugin("estimators", name)  # one that breaks its protocol is refused here
         return name
 
     @property
-    def quiet(self) -> float:
+    def background_noise_duration(self) -> float:
         """Seconds that are listened to before the first cycle; 0 where the estimator learns nothing from them."""
-        return self.quiet_s if "noise" in load("estimators", self.estimator).learns else 0.0
+        return self.quiet_s if "noise" in load_plugin("estimators", self.estimator).learns else 0.0
 
     @property
     def learns_ring_down(self) -> bool:
         """Whether the excitation coils' decay is learned, so that listening may start before it is over."""
-        return self.learn_ring_down and "transients" in load("estimators", self.estimator).learns
+        return self.learn_ring_down and "transients" in load_plugin("estimators", self.estimator).learns
 
 
 class StopSection(FileModel):
@@ -134,7 +134,11 @@ def open_document(name: str, settings: dict[str, str]) -> Document:
 
 
 def load_parts(
-    document: Document, model: type[Model], rig: str | None, settings: dict[str, str], more: Sequence[Fault] = ()
+    document: Document,
+    model: type[Model],
+    rig: str | None,
+    settings: dict[str, str],
+    extra_faults: Sequence[Fault] = (),
 ) -> tuple[Model, RigConfig, RobotConfig]:
     """Validate a mission file and read the rig and robot that it names.
 
@@ -147,7 +151,7 @@ def load_parts(
         A rig to use instead of the mission's own.
     settings : dict of str to str
         Those that begin with ``rig.`` are applied to the rig file.
-    more : sequence of Fault, optional
+    extra_faults : sequence of Fault, optional
         Further faults of the mission file, reported with the others.
 
     Returns
@@ -160,11 +164,11 @@ def load_parts(
     Raises
     ------
     ConfigError
-        With a line for every fault of the three files, and for `more`.
+        With a line for every fault of the three files, and for `extra_faults`.
     """
     sections, faults = document.validate(model)
     messages = [document.error(faults)] if faults else []
-    rig_name = rig or _text(document, "rig")
+    rig_name = rig or _get_text(document, "rig")
     rig_config = robot_config = None
     try:
         if rig_name:
@@ -174,14 +178,14 @@ def load_parts(
     except PluginError:  # no fault of the file
         raise
     except SmolbotError as error:
-        messages.append(_as_config(document, ("rig",), error))
+        messages.append(_as_config_error(document, ("rig",), error))
     try:
-        robot_name = _text(document, "robot")
+        robot_name = _get_text(document, "robot")
         if robot_name:
             robot_config = load_robot(robot_name, beside=document.folder(("robot",)))
     except SmolbotError as error:
-        messages.append(_as_config(document, ("robot",), error))
-    _raise_all(messages + ([document.error(list(more))] if more else []))
+        messages.append(_as_config_error(document, ("robot",), error))
+    _raise_all(messages + ([document.error(list(extra_faults))] if extra_faults else []))
     assert sections is not None
     assert rig_config is not None
     assert robot_config is not None
@@ -194,11 +198,11 @@ def _raise_all(messages: list[ConfigError]) -> None:
         raise ConfigError("\n".join(dict.fromkeys("\n".join(str(m) for m in messages).splitlines())))
 
 
-def _text(document: Document, key: str) -> str | None:
+def _get_text(document: Document, key: str) -> str | None:
     value = document.data.get(key)
     return value if isinstance(value, str) else None
 
 
-def _as_config(document: Document, key: tuple[str, ...], error: SmolbotError) -> ConfigError:
+def _as_config_error(document: Document, key: tuple[str, ...], error: SmolbotError) -> ConfigError:
     """Keep a ConfigError as it is; turn any other error into a fault of the key that names the file."""
     return error if isinstance(error, ConfigError) else document.error([Fault(key, str(error))])

@@ -13,12 +13,12 @@ from smolbot.config.plugins import load_world
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.config.units import Positive
-from smolbot.motion.led import Motion
+from smolbot.motion.external_motion import ExternalMotion
 
-STEERING = ("path", "start", "controller")
+STEERING_SECTIONS = ("path", "start", "controller")
 """Sections of a mission that steers; none of them goes with [observe]."""
 
-_OF_MOTION = ("speed_mm_s", "turn_deg_s", "change_s")
+_MOTION_KEYS = ("speed_mm_s", "turn_deg_s", "change_s")
 
 
 class ObserveSection(FileModel):
@@ -31,15 +31,15 @@ class ObserveSection(FileModel):
     change_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> ObserveSection:
+    def _check_one_kind(self) -> ObserveSection:
         if (self.duration_s is None) == (self.measurements is None):
             raise ValueError("give one of duration_s, to track a device, or measurements, of one that rests.")
-        given = [key for key in _OF_MOTION if getattr(self, key) is not None]
+        given = [key for key in _MOTION_KEYS if getattr(self, key) is not None]
         if self.measurements is not None and given:
             raise ValueError(f"independent measurements know of no motion; leave {', '.join(given)} away.")
-        if given and len(given) < len(_OF_MOTION):
-            missing = [key for key in _OF_MOTION if key not in given]
-            raise ValueError(f"a moving device needs {', '.join(_OF_MOTION)}; missing: {', '.join(missing)}.")
+        if given and len(given) < len(_MOTION_KEYS):
+            missing = [key for key in _MOTION_KEYS if key not in given]
+            raise ValueError(f"a moving device needs {', '.join(_MOTION_KEYS)}; missing: {', '.join(missing)}.")
         return self
 
 
@@ -79,12 +79,12 @@ class Observation(MissionBase):
         self.sections = sections
 
     @property
-    def motion(self) -> Motion | None:
+    def motion(self) -> ExternalMotion | None:
         """Assumed motion of the device; None if it rests."""
         section = self.sections.observe
         if section.speed_mm_s is None or section.turn_deg_s is None or section.change_s is None:
             return None
-        return Motion(1e-3 * section.speed_mm_s, float(np.radians(section.turn_deg_s)), section.change_s)
+        return ExternalMotion(1e-3 * section.speed_mm_s, float(np.radians(section.turn_deg_s)), section.change_s)
 
     @property
     def start(self) -> tuple[float, float]:
@@ -93,7 +93,7 @@ class Observation(MissionBase):
         return x, y
 
 
-def observes(document: Document) -> bool:
+def is_observation(document: Document) -> bool:
     """Return whether a mission file is that of an observation.
 
     Parameters
@@ -130,24 +130,24 @@ def load_observation(name: str, rig: str | None = None, settings: dict[str, str]
     """
     settings = settings or {}
     document = open_document(name, settings)
-    both = [section for section in STEERING if section in document.data]
-    if both and observes(document):
+    both = [section for section in STEERING_SECTIONS if section in document.data]
+    if both and is_observation(document):
         message = f"[observe] only looks, and [{both[0]}] steers: a mission has one or the other."
         raise document.error([Fault((both[0],), message)])
     sections, rig_config, robot_config = load_parts(document, ObservationFile, rig, settings)
-    unfit = _unfit(rig_config, robot_config)
+    unfit = _find_faults(rig_config, robot_config)
     if unfit:
         raise document.error(unfit)
     observation = Observation(document, sections, rig_config, robot_config)
-    from smolbot.config.feasibility import listening_faults
+    from smolbot.config.feasibility import find_listening_faults
 
-    unfit = listening_faults(observation)
+    unfit = find_listening_faults(observation)
     if unfit:
         raise document.error(unfit)
     return observation
 
 
-def _unfit(rig: RigConfig, robot: RobotConfig) -> list[Fault]:
+def _find_faults(rig: RigConfig, robot: RobotConfig) -> list[Fault]:
     """Find faults of device and world together."""
     if robot.kind != "device":
         message = f"'{robot.name}' is of kind '{robot.kind}', which swims; [observe] needs a bare device."

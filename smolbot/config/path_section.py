@@ -11,15 +11,15 @@ from pydantic import field_validator, model_validator
 
 from smolbot.config.alternatives import PATHS
 from smolbot.config.document import Document, Fault, FileModel
-from smolbot.config.plugins import load, names
+from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.config.units import NotNegative, Point, Positive
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
-from smolbot.paths.corners import rounded
+from smolbot.paths.corners import round_corners
 from smolbot.paths.curve import Curve
-from smolbot.paths.glyphs import drawn_glyph, glyph_fault
+from smolbot.paths.glyphs import find_glyph_fault, make_glyph_outline
 from smolbot.paths.outline import Outline
-from smolbot.paths.speed_profile import speed_profile
+from smolbot.paths.speed_profile import compute_speed_profile
 
 if TYPE_CHECKING:
     from smolbot.config.plugin_protocols import PathReader
@@ -58,15 +58,15 @@ class PathSection(FileModel):
 
     @field_validator("glyph")
     @classmethod
-    def _known(cls, name: str | None) -> str | None:
-        fault = glyph_fault(name) if name is not None else None
+    def _check_glyph(cls, name: str | None) -> str | None:
+        fault = find_glyph_fault(name) if name is not None else None
         if fault:
             raise ValueError(fault)
         return name
 
     @field_validator("points_mm")
     @classmethod
-    def _enough(cls, points: list[Point] | None) -> list[Point] | None:
+    def _check_point_count(cls, points: list[Point] | None) -> list[Point] | None:
         if points is not None and len(points) < 2:
             raise ValueError("points_mm needs at least two points.")
         return points
@@ -74,13 +74,13 @@ class PathSection(FileModel):
     @field_validator("file")
     @classmethod
     def _readable(cls, file: str | None) -> str | None:
-        known = names("path_readers")
+        known = list_plugins("path_readers")
         if file is not None and _suffix(file) not in known:
             raise ValueError(f"no reader of '.{_suffix(file)}' is installed; files may be: {', '.join(known)}.")
         return file
 
     @model_validator(mode="after")
-    def _one_kind(self) -> PathSection:
+    def _check_one_kind(self) -> PathSection:
         given = [name for name in PATHS if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"give one of glyph, points_mm or file; got {', '.join(given) or 'none'}.")
@@ -102,7 +102,7 @@ class PathSection(FileModel):
     @property
     def reader(self) -> PathReader | None:
         """What reads the file; None where the path is in none."""
-        return None if self.file is None else load("path_readers", _suffix(self.file))
+        return None if self.file is None else load_plugin("path_readers", _suffix(self.file))
 
 
 def _suffix(file: str) -> str:
@@ -134,25 +134,25 @@ def read_path(document: Document, section: PathSection, height: float) -> tuple[
     """
     key = next(name for name in PATHS if getattr(section, name) is not None)
     try:
-        outline = _outline(document, section)
-        curve = Curve(_in_world(outline, section.center_mm, height))  # points that coincide are told as they were given
+        outline = _read_outline(document, section)
+        curve = Curve(_to_world(outline, section.center_mm, height))  # points that coincide are told as they were given
         remarks = outline.remarks
         if section.corner_radius_mm > 0.0:
-            moved = rounded(outline.points + np.array(section.center_mm), section.corner_radius_mm)
-            curve, remarks = Curve(_in_world(moved, (0.0, 0.0), height)), (*remarks, *moved.remarks)
+            moved = round_corners(outline.points + np.array(section.center_mm), section.corner_radius_mm)
+            curve, remarks = Curve(_to_world(moved, (0.0, 0.0), height)), (*remarks, *moved.remarks)
         if section.speed_mm_s is not None:
             limits = (None if v is None else v * 1e-3 for v in (section.lateral_mm_s2, section.acceleration_mm_s2))
-            curve = replace(curve, speed=speed_profile(curve.points, section.speed_mm_s * 1e-3, *limits))
+            curve = replace(curve, speed=compute_speed_profile(curve.points, section.speed_mm_s * 1e-3, *limits))
         return curve, remarks
     except InputError as error:
         raise document.error([Fault(("path", key), str(error))]) from error
 
 
-def _outline(document: Document, section: PathSection) -> Outline:
+def _read_outline(document: Document, section: PathSection) -> Outline:
     if section.glyph is not None:
         assert section.width_mm is not None
         assert section.height_mm is not None
-        return drawn_glyph(section.glyph, section.width_mm, section.height_mm)
+        return make_glyph_outline(section.glyph, section.width_mm, section.height_mm)
     reader = section.reader
     if section.file is None or reader is None:
         return Outline(np.array(section.points_mm))
@@ -163,7 +163,7 @@ def _outline(document: Document, section: PathSection) -> Outline:
     return Outline(points)
 
 
-def _in_world(outline: Outline, center_mm: Point, height: float) -> FloatArray:
+def _to_world(outline: Outline, center_mm: Point, height: float) -> FloatArray:
     """Return points (n, 3) in the world frame, in m."""
     flat = (outline.points + np.array(center_mm)) * 1e-3
     return np.column_stack([flat, np.full(len(flat), height)])

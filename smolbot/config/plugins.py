@@ -11,7 +11,7 @@ from inspect import Parameter
 from typing import Any
 
 from smolbot.config.document import Document, Fault
-from smolbot.errors import PluginError, did_you_mean
+from smolbot.errors import PluginError, suggest_name
 
 PROTOCOLS = {
     "controllers": "smolbot.motion.controller:Controller",
@@ -31,12 +31,12 @@ _POSITIONAL = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
 
 
 @cache
-def _installed(group: str) -> dict[str, EntryPoint]:
+def _find_entry_points(group: str) -> dict[str, EntryPoint]:
     """Find the entry points of ``smolbot.<group>`` by name; cached, since that reads a file of every package."""
     return {point.name: point for point in reversed(tuple(entry_points(group=f"smolbot.{group}")))}
 
 
-def names(group: str) -> list[str]:
+def list_plugins(group: str) -> list[str]:
     """List the names of the installed entry points of ``smolbot.<group>``.
 
     Parameters
@@ -49,10 +49,10 @@ def names(group: str) -> list[str]:
     list of str
         Sorted.
     """
-    return sorted(_installed(group))
+    return sorted(_find_entry_points(group))
 
 
-def load(group: str, name: str) -> Any:
+def load_plugin(group: str, name: str) -> Any:
     """Load the entry point `name` of ``smolbot.<group>``, and check that it keeps the protocol of that group.
 
     Raises
@@ -60,13 +60,13 @@ def load(group: str, name: str) -> Any:
     PluginError
         If none has that name, if a foreign package shadows the one that it lives in, or if it breaks its protocol.
     """
-    found, kind = _installed(group).get(name), _CALLED.get(group, group[:-1])
+    found, kind = _find_entry_points(group).get(name), _CALLED.get(group, group[:-1])
     if found is None:
-        known = names(group)
-        hint = did_you_mean(name, known)
+        known = list_plugins(group)
+        hint = suggest_name(name, known)
         message = f"No {kind} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}"
         raise PluginError(message, group=group, name=name)
-    plugin, what = _load(found), f"{kind.capitalize()} '{name}' ({found.value})"
+    plugin, what = _load_entry_point(found), f"{kind.capitalize()} '{name}' ({found.value})"
     if group in PROTOCOLS:
         module, _, protocol = PROTOCOLS[group].partition(":")
         check_protocol(plugin, getattr(import_module(module), protocol), what)
@@ -194,12 +194,14 @@ def load_world(name: str, document: Document) -> Any:
     PluginError
         If it cannot be loaded.
     """
-    if name not in names("rigs"):
-        raise document.error([Fault(("world",), f"no world is named '{name}'; installed: {', '.join(names('rigs'))}.")])
-    return load("rigs", name)
+    if name not in list_plugins("rigs"):
+        raise document.error(
+            [Fault(("world",), f"no world is named '{name}'; installed: {', '.join(list_plugins('rigs'))}.")]
+        )
+    return load_plugin("rigs", name)
 
 
-def _load(point: EntryPoint) -> Any:
+def _load_entry_point(point: EntryPoint) -> Any:
     try:
         return point.load()
     except Exception as error:  # whatever a foreign module does when it is imported

@@ -11,14 +11,14 @@ import numpy as np
 from smolbot.config.alternatives import SINGLE_AXIS
 from smolbot.config.document import Document, Fault, Model, validate
 from smolbot.config.library import open_file
-from smolbot.config.plugins import load, load_world, names
+from smolbot.config.plugins import list_plugins, load_plugin, load_world
 from smolbot.config.rig_sections import MagnetSection, Range, RigFile
 from smolbot.config.sensors import CalibratedSensors, load_sensors
-from smolbot.core.arrays import FloatArray, frozen
-from smolbot.core.coil_heat import Coil
+from smolbot.core.arrays import FloatArray, freeze
+from smolbot.core.coil_heat import ThermalCoil
 from smolbot.core.limits import Limits
 from smolbot.core.sensing import SensorArray
-from smolbot.errors import ConfigError, did_you_mean
+from smolbot.errors import ConfigError, suggest_name
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable, FlatCoil, RoundCoil
@@ -53,7 +53,7 @@ class RigConfig:
         """The assumed array and gains, from the sensors file if the rig file names one."""
         section, path = self.sections.sensors, self.sensors_file
         if path is None:
-            return CalibratedSensors(section.array, frozen(section.gain_of_each), section.covariance)
+            return CalibratedSensors(section.array, freeze(section.gain_of_each), section.covariance)
         return load_sensors(path, self.name, section)
 
     @property
@@ -77,7 +77,7 @@ class RigConfig:
 
     @property
     def sensor_covariance(self) -> FloatArray | None:
-        """Covariance (6 n, 6 n) of the sensors' deviations from what is assumed, see `array_filter.ArrayBelief`.
+        """Covariance (6 n, 6 n) of the sensors' deviations from what is assumed, see `array_filter.ArrayPrior`.
 
         It comes from the sensors file, if the rig file names one; else from the tolerances of the rig file. None
         where neither states any, and for a sensors file without correlations, as a stage calibration writes it.
@@ -176,11 +176,11 @@ class RigConfig:
         return np.array([coil.resistance_ohm for coil in self.sections.coils])
 
     @property
-    def thermal(self) -> tuple[Coil | None, ...]:
+    def thermal(self) -> tuple[ThermalCoil | None, ...]:
         """Thermal constants of actuation, then excitation coils; None for coils where they are not known."""
         safety = self.sections.safety
-        own = tuple(coil.thermal(safety) for coil in self.sections.coils)
-        return (*own, *(safety.excitation.thermal(f"excitation {c.name}") for c in self.sections.excitation))
+        own = tuple(coil.compute_thermal_coil(safety) for coil in self.sections.coils)
+        return (*own, *(safety.excitation.make_thermal_coil(f"excitation {c.name}") for c in self.sections.excitation))
 
     @property
     def surface_z(self) -> float:
@@ -258,7 +258,7 @@ class RigConfig:
                 raise self.document.error([Fault(("table", "file"), message)])
             return table
         spans = [span for span in (section.x_mm, section.y_mm, section.z_mm) if span is not None]
-        axes = [mesh_axis(span, section.mesh_mm) for span in spans]
+        axes = [make_mesh_axis(span, section.mesh_mm) for span in spans]
         try:
             return cached_table(self.round_coils(), *axes)
         except TableError as error:
@@ -280,7 +280,7 @@ class RigConfig:
         return self._table
 
 
-def mesh_axis(span_mm: Range, mesh_mm: float) -> FloatArray:
+def make_mesh_axis(span_mm: Range, mesh_mm: float) -> FloatArray:
     """Make equally spaced points that cover a span.
 
     Parameters
@@ -314,7 +314,7 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
     faults = _expand_sensors(document)
     sections, of_file = validate(RigFile, _without_own_section(document))
     told = {fault.key for fault in faults}
-    faults += [_of_world(document, fault) for fault in of_file if fault.key not in told] + _world_faults(document)
+    faults += [_of_world(document, fault) for fault in of_file if fault.key not in told] + _find_world_faults(document)
     if sections is None or faults:
         raise document.error(faults)
     config = RigConfig(document, sections)
@@ -329,11 +329,11 @@ def _expand_sensors(document: Document) -> list[Fault]:
     kind = section.get("kind", SINGLE_AXIS) if isinstance(section, dict) else SINGLE_AXIS
     if kind == SINGLE_AXIS or not isinstance(section, dict):
         return []
-    known = names("sensors")
+    known = list_plugins("sensors")
     if kind not in known:
         message = f"no kind of sensor is named '{kind}'; installed: {', '.join(known)}."
-        return [Fault(("sensors", "kind"), message + did_you_mean(str(kind), known))]
-    plugin: SensorKind = load("sensors", kind)
+        return [Fault(("sensors", "kind"), message + suggest_name(str(kind), known))]
+    plugin: SensorKind = load_plugin("sensors", kind)
     given, faults = validate(plugin.section, {k: v for k, v in section.items() if k != "kind"}, ("sensors",))
     if given is None:
         return faults
@@ -353,14 +353,14 @@ def _without_own_section(document: Document) -> dict[str, Any]:
 def _of_world(document: Document, fault: Fault) -> Fault:
     """An unknown section that bears the name of another world says so."""
     name, world = str(fault.key[0]) if fault.key else "", document.data.get("world")
-    if len(fault.key) != 1 or name in RigFile.model_fields or name not in names("rigs"):
+    if len(fault.key) != 1 or name in RigFile.model_fields or name not in list_plugins("rigs"):
         return fault
     return Fault(
         fault.key, f"[{name}] is of world '{name}', and this rig is of world '{world}': leave one of them out."
     )
 
 
-def _world_faults(document: Document) -> list[Fault]:
+def _find_world_faults(document: Document) -> list[Fault]:
     """Find faults of the section that only its own world can check."""
     world = document.data.get("world")
     if not isinstance(world, str):

@@ -13,7 +13,7 @@ from smolbot.config.safety_section import SafetySection
 from smolbot.config.sensors import Direction, SensorsSection
 from smolbot.config.units import SI, NotNegative, Positive, SIVector, Vector
 from smolbot.core.arrays import FloatArray
-from smolbot.core.coil_heat import FILM, Coil, wound_capacity
+from smolbot.core.coil_heat import STILL_AIR_HEAT_TRANSFER, ThermalCoil, compute_winding_heat_capacity
 
 Range = tuple[float, float]
 
@@ -38,12 +38,12 @@ class CoilSection(FileModel):
     time_constant = SI("time_constant_ms")
 
     @model_validator(mode="after")
-    def _radii_in_order(self) -> CoilSection:
+    def _check_radii(self) -> CoilSection:
         if self.outer_radius_mm <= self.inner_radius_mm:
             raise ValueError("outer_radius_mm must exceed inner_radius_mm.")
         return self
 
-    def thermal(self, safety: SafetySection) -> Coil:
+    def compute_thermal_coil(self, safety: SafetySection) -> ThermalCoil:
         """Compute the thermal constants of the coil.
 
         Those that the file does not state follow from the copper of the winding and its surface in still air.
@@ -59,12 +59,12 @@ class CoilSection(FileModel):
         stated, inner, outer = safety.coils, self.inner_radius, self.outer_radius
         length, across = self.length, math.pi * (inner + outer)
         surface = 2.0 * across * (length + outer - inner)
-        return Coil(
+        return ThermalCoil(
             self.name,
             self.resistance_ohm,
             stated.heat_capacity_j_per_k
-            or wound_capacity(self.resistance_ohm, self.turns, across, (outer - inner) * length),
-            stated.thermal_resistance_k_per_w or 1.0 / (FILM * surface),
+            or compute_winding_heat_capacity(self.resistance_ohm, self.turns, across, (outer - inner) * length),
+            stated.thermal_resistance_k_per_w or 1.0 / (STILL_AIR_HEAT_TRANSFER * surface),
             stated.max_temperature_c,
         )
 
@@ -101,7 +101,7 @@ class TableSection(FileModel):
     rotation_deg: float = 0.0
 
     @model_validator(mode="after")
-    def _region_or_file(self) -> TableSection:
+    def _check_region_or_file(self) -> TableSection:
         region = [self.x_mm, self.y_mm, self.z_mm]
         if self.file is None and None in region:
             raise ValueError("give either file, or all of x_mm, y_mm and z_mm to build the table.")
@@ -133,7 +133,7 @@ class ContainerSection(FileModel):
     wall_height = SI("wall_height_mm")
 
     @model_validator(mode="after")
-    def _surface_above_floor(self) -> ContainerSection:
+    def _check_surface(self) -> ContainerSection:
         if self.surface_z_mm <= self.floor_z_mm:
             raise ValueError("surface_z_mm must lie above floor_z_mm.")
         return self
@@ -198,7 +198,7 @@ class NoiseSection(FileModel):
 
     @field_validator("harmonics")
     @classmethod
-    def _orders(cls, value: dict[str, float]) -> dict[str, float]:
+    def _check_harmonics(cls, value: dict[str, float]) -> dict[str, float]:
         for key in value:
             if not key.isdigit() or int(key) < 2:
                 raise ValueError(

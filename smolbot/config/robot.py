@@ -61,7 +61,7 @@ class DeviceSection(FileModel):
 
     @field_validator("moment_in_body")
     @classmethod
-    def _in_the_plane_of_swing(cls, value: Vector) -> Vector:
+    def _check_moment_in_plane(cls, value: Vector) -> Vector:
         if value[1] != 0 or not any(value):
             raise ValueError(f"must point somewhere in the plane of oscillation (body x, z); got {list(value)}.")
         return value
@@ -98,7 +98,7 @@ class RobotFile(FileModel):
     device: DeviceSection
 
     @model_validator(mode="after")
-    def _body_of_a_swimmer(self) -> RobotFile:
+    def _check_sections(self) -> RobotFile:
         if self.kind != "device" and self.body is None:
             raise ValueError(f"a robot of kind '{self.kind}' needs a [body] section.")
         if self.kind == "gradient" and self.body is not None:

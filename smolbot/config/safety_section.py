@@ -8,7 +8,7 @@ from pydantic import Field
 
 from smolbot.config.document import FileModel
 from smolbot.config.units import SI, NotNegative, Positive
-from smolbot.core.coil_heat import Coil
+from smolbot.core.coil_heat import ThermalCoil
 
 
 class CoilSafety(FileModel):
@@ -24,7 +24,7 @@ class ExcitationSafety(CoilSafety):
 
     resistance_ohm: Positive | None = None
 
-    def thermal(self, name: str) -> Coil | None:
+    def make_thermal_coil(self, name: str) -> ThermalCoil | None:
         """Build the thermal constants of one excitation coil.
 
         Parameters
@@ -40,14 +40,14 @@ class ExcitationSafety(CoilSafety):
         ohm, capacity, resistance = self.resistance_ohm, self.heat_capacity_j_per_k, self.thermal_resistance_k_per_w
         if ohm is None or capacity is None or resistance is None:
             return None
-        return Coil(name, ohm, capacity, resistance, self.max_temperature_c)
+        return ThermalCoil(name, ohm, capacity, resistance, self.max_temperature_c)
 
 
 class SafetySection(FileModel):
     """Conditions that end a run. Every key has a default, so that a rig file may leave all of it out.
 
     Without given constants, an actuation coil's heat is computed from its geometry and resistance, see
-    `heat.wound_capacity`, and from its bare surface in still air.
+    `heat.compute_winding_heat_capacity`, and from its bare surface in still air.
     """
 
     ambient_c: float = 25.0

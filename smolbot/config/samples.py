@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.config.sample_checks import check_units, unsound_channels
+from smolbot.config.sample_checks import check_units, find_invalid_channels
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Recording
 from smolbot.core.text_table import read_table
-from smolbot.errors import InputError, MissingFileError, did_you_mean
+from smolbot.errors import InputError, MissingFileError, suggest_name
 
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
@@ -55,7 +55,7 @@ class Samples:
 
 
 @dataclass(frozen=True, eq=False)
-class Shots:
+class SampleRecordings:
     """Recordings of a file of samples.
 
     Attributes
@@ -70,14 +70,14 @@ class Shots:
     notes: tuple[str, ...]
 
 
-def read_samples(path: str | Path, *, quiet: bool = False) -> Samples:
+def read_samples(path: str | Path, *, background_noise: bool = False) -> Samples:
     """Read a file of samples.
 
     Parameters
     ----------
     path : str or Path
         The suffix gives the format: .npz, .mat (also v7.3), .h5, .hdf5 or .csv.
-    quiet : bool
+    background_noise : bool
         Background noise: no drive preceded these samples, so that `time_since_drive_ms` may be missing.
 
     Returns
@@ -102,30 +102,30 @@ def read_samples(path: str | Path, *, quiet: bool = False) -> Samples:
     suffix = path.suffix.lower()
     reader = {".npz": _read_npz, ".mat": _read_mat, ".csv": _read_csv}.get(suffix, _read_hdf5)
     values = reader(path)
-    _check_keys(path, values, quiet)
-    volts = _numbers(path, "volts", values["volts"])
+    _check_keys(path, values, background_noise)
+    volts = _parse_numbers(path, "volts", values["volts"])
     if volts.ndim == 2:
         volts = volts[None]
     if volts.ndim != 3 or 0 in volts.shape:
         raise InputError(
             f"{path}: volts must have shape (n_channels, n) or (n_shots, n_channels, n); got {volts.shape}."
         )
-    rate = _per_shot(path, "sample_rate_hz", values, 1)
+    rate = _parse_per_shot(path, "sample_rate_hz", values, 1)
     if not rate[0] > 0:
         raise InputError(f"{path}: sample_rate_hz must be positive; got {rate[0]:g}.")
     since = np.full(len(volts), np.inf)
     if "time_since_drive_ms" in values:
-        since = 1e-3 * _per_shot(path, "time_since_drive_ms", values, len(volts))
+        since = 1e-3 * _parse_per_shot(path, "time_since_drive_ms", values, len(volts))
         if np.any(since < 0):
             raise InputError(
                 f"{path}: time_since_drive_ms must not be negative; got {1e3 * since.min():g}. It counts from the end "
                 "of the drive to the first sample."
             )
-    clock = _per_shot(path, "clock_s", values, len(volts)) if "clock_s" in values else np.zeros(len(volts))
+    clock = _parse_per_shot(path, "clock_s", values, len(volts)) if "clock_s" in values else np.zeros(len(volts))
     return Samples(path, volts, float(rate[0]), since, clock)
 
 
-def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
+def make_recordings(samples: Samples, rig: RigConfig) -> SampleRecordings:
     """Make recordings in T, with saturated and dead channels named and marked to be left out.
 
     Parameters
@@ -163,7 +163,7 @@ def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
     field = samples.volts * (1e-6 / section.sensitivity_v_per_ut) / rig.sensor_gains[:, None]
     recordings, notes = [], []
     for shot in range(n_shots):
-        unsound = unsound_channels(samples.volts[shot], samples.sample_rate, rig)
+        unsound = find_invalid_channels(samples.volts[shot], samples.sample_rate, rig)
         said = []
         for why, bad in unsound.items():
             if bad.any():
@@ -177,13 +177,13 @@ def recordings_from(samples: Samples, rig: RigConfig) -> Shots:
             )
         )  # fmt: skip
         notes.append("; ".join(said))
-    return Shots(tuple(recordings), tuple(notes))
+    return SampleRecordings(tuple(recordings), tuple(notes))
 
 
 def _check_keys(path: Path, values: Mapping[str, Any], quiet: bool) -> None:
     unknown = sorted(set(values) - set(KEYS))
     if unknown:
-        hint = did_you_mean(unknown[0], KEYS)
+        hint = suggest_name(unknown[0], KEYS)
         raise InputError(f"{path}: unknown key {', '.join(unknown)}; known keys: {', '.join(KEYS)}.{hint}")
     needed = KEYS[:2] if quiet else KEYS[:3]
     missing = [key for key in needed if key not in values]
@@ -200,7 +200,7 @@ def _check_keys(path: Path, values: Mapping[str, Any], quiet: bool) -> None:
         raise InputError(f"{path}: missing {told}.{header}")
 
 
-def _numbers(path: Path, key: str, value: Any) -> FloatArray:
+def _parse_numbers(path: Path, key: str, value: Any) -> FloatArray:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "iuf":
@@ -210,9 +210,9 @@ def _numbers(path: Path, key: str, value: Any) -> FloatArray:
         raise InputError(f"{path}: {key} must be real numbers: {error}.") from error
 
 
-def _per_shot(path: Path, key: str, values: Mapping[str, Any], n_shots: int) -> FloatArray:
+def _parse_per_shot(path: Path, key: str, values: Mapping[str, Any], n_shots: int) -> FloatArray:
     """Read one number for each shot, shape (n_shots,), from one number or as many."""
-    given = np.ravel(_numbers(path, key, values[key]))
+    given = np.ravel(_parse_numbers(path, key, values[key]))
     if given.size not in (1, n_shots) or not np.isfinite(given).all():
         many = f"one finite number, or one for each of {n_shots} shots" if n_shots > 1 else "one finite number"
         raise InputError(f"{path}: {key} must be {many}; got {given.tolist() if given.size < 6 else given.shape}.")
@@ -266,11 +266,11 @@ def _read_csv(path: Path) -> dict[str, Any]:
     for comment in table.comments:
         key, equals, text = comment.text.lstrip("# \t").partition("=")
         if equals:
-            values[key.strip()] = comment.number(text, key.strip())
-    rows = [[row.number(cell, f"column {i}") for i, cell in enumerate(row.cells)] for row in table.rows]
+            values[key.strip()] = comment.parse_number(text, key.strip())
+    rows = [[row.parse_number(cell, f"column {i}") for i, cell in enumerate(row.cells)] for row in table.rows]
     for row, numbers in zip(table.rows, rows, strict=True):
         if len(numbers) != len(rows[0]):
-            raise row.fault(f"has {len(numbers)} columns; the rows above have {len(rows[0])}.")
+            raise row.make_error(f"has {len(numbers)} columns; the rows above have {len(rows[0])}.")
     if rows:
         values["volts"] = np.array(rows).T
     return values

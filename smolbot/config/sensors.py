@@ -14,7 +14,7 @@ from smolbot.config.alternatives import SINGLE_AXIS
 from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.toml_layers import write_file
 from smolbot.config.units import SI, NotNegative, Positive, Vector
-from smolbot.core.arrays import FloatArray, frozen
+from smolbot.core.arrays import FloatArray, freeze
 from smolbot.core.sensing import SensorArray
 
 DIGITS = 7
@@ -29,17 +29,17 @@ WRITTEN_BY = (
 )
 """Comment lines with which a sensors file begins."""
 
-SAME = ("bandwidth_hz", "sensitivity_v_per_ut")
+EQUAL_KEYS = ("bandwidth_hz", "sensitivity_v_per_ut")
 """What a calibration takes for granted, so that it holds for no other array."""
 
 
-def _points_somewhere(value: Vector) -> Vector:
+def _check_direction(value: Vector) -> Vector:
     if not any(value):
         raise ValueError("must have a direction; got three zeros.")
     return value
 
 
-Direction = Annotated[Vector, AfterValidator(_points_somewhere)]
+Direction = Annotated[Vector, AfterValidator(_check_direction)]
 
 
 class SensorsSection(FileModel):
@@ -74,7 +74,7 @@ class SensorsSection(FileModel):
     volts_per_tesla = SI("sensitivity_v_per_ut")
 
     @model_validator(mode="after")
-    def _one_of_each(self) -> SensorsSection:
+    def _check_counts(self) -> SensorsSection:
         count = len(self.positions_mm)
         if len(self.axes) != count:
             raise ValueError(f"{count} positions_mm but {len(self.axes)} axes; each sensor needs both.")
@@ -135,7 +135,7 @@ class UncertaintySection(FileModel):
     correlations: list[list[float]] | None = None
 
     @model_validator(mode="after")
-    def _whole_triangle(self) -> UncertaintySection:
+    def _check_triangle(self) -> UncertaintySection:
         n, rows = len(self.positions_mm), self.correlations
         if len(self.axes_deg) != n or len(self.gains) != n:
             counts = f"{n} positions_mm, {len(self.axes_deg)} axes_deg and {len(self.gains)} gains"
@@ -166,7 +166,7 @@ class UncertaintySection(FileModel):
         return covariance
 
     @classmethod
-    def of(cls, covariance: FloatArray, recordings: int) -> UncertaintySection:
+    def from_covariance(cls, covariance: FloatArray, recordings: int) -> UncertaintySection:
         """Build the section from a covariance that a flight estimated.
 
         Parameters
@@ -221,7 +221,7 @@ class CalibratedSensors:
     covariance: FloatArray | None = None
 
 
-def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSensors:
+def load_sensors(path: Path, rig: str, section: SensorsSection) -> CalibratedSensors:
     """Read a sensors file and check that it belongs to the rig.
 
     Parameters
@@ -229,7 +229,7 @@ def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSe
     path : Path
     rig : str
         Name of the rig.
-    believed : SensorsSection
+    section : SensorsSection
         Sensors section of the rig file.
 
     Returns
@@ -248,14 +248,14 @@ def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSe
     found, faults = sections.sensors, []
     if sections.rig != rig:
         faults.append(Fault(("rig",), f"these sensors were calibrated on rig '{sections.rig}'; asked for is '{rig}'."))
-    if len(found.positions_mm) != len(believed.positions_mm):
-        counts = f"holds {len(found.positions_mm)} sensors; rig '{rig}' has {len(believed.positions_mm)}."
+    if len(found.positions_mm) != len(section.positions_mm):
+        counts = f"holds {len(found.positions_mm)} sensors; rig '{rig}' has {len(section.positions_mm)}."
         faults.append(Fault(("sensors", "positions_mm"), counts))
     if found.calibrated is not None:
         faults.append(Fault(("sensors", "calibrated"), "a sensors file cannot name another one."))
-    for key in SAME:
-        if getattr(found, key) != getattr(believed, key):
-            differ = f"was {getattr(found, key):g} in the calibration; rig '{rig}' has {getattr(believed, key):g}."
+    for key in EQUAL_KEYS:
+        if getattr(found, key) != getattr(section, key):
+            differ = f"was {getattr(found, key):g} in the calibration; rig '{rig}' has {getattr(section, key):g}."
             faults.append(Fault(("sensors", key), f"{differ} Calibrate anew."))
     if faults:
         raise document.error(faults)
@@ -263,7 +263,7 @@ def load_sensors(path: Path, rig: str, believed: SensorsSection) -> CalibratedSe
     if left is not None and len(left.positions_mm) != len(found.positions_mm):
         counts = f"holds {len(left.positions_mm)} sensors; [sensors] holds {len(found.positions_mm)}."
         raise document.error([Fault(("uncertainty", "positions_mm"), counts)])
-    return CalibratedSensors(found.array, frozen(found.gain_of_each), None if left is None else left.covariance)
+    return CalibratedSensors(found.array, freeze(found.gain_of_each), None if left is None else left.covariance)
 
 
 def write_sensors(path: str | Path, config: SensorsFile) -> None:

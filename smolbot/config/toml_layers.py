@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smolbot.errors import writing
+from smolbot.errors import report_write_errors
 
 if TYPE_CHECKING:
     from tomlkit.items import Item
@@ -188,7 +188,7 @@ def write_file(path: str | Path, above: Sequence[str], tables: Mapping[str, Sequ
             table.add(key, item)
         if name:
             document.add(name, table)
-    with writing(path):
+    with report_write_errors(path):
         Path(path).write_text(tomlkit.dumps(document), encoding="utf-8")
 
 

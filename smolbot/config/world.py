@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 from smolbot.config.document import Document, Fault
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
-from smolbot.core.rig import Rig, Stage
+from smolbot.core.rig import CalibrationStage, Rig
 from smolbot.core.sensing import Device
 
 
@@ -68,7 +68,7 @@ class StagedWorld(Protocol):
     """A world that can also bring a device to known places over its sensors, by which these are calibrated."""
 
     @staticmethod
-    def stage(rig: RigConfig, device: Device, seed: int) -> Stage:
+    def stage(rig: RigConfig, device: Device, seed: int) -> CalibrationStage:
         """Open the positioning stage.
 
         Parameters

@@ -15,13 +15,13 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 
-SMALL = 64
+MAX_SIZE_FOR_DOT = 64
 """Elements up to which a dot product is the fastest check that an array is finite."""
 
 
-def _sums_up(value: FloatArray) -> bool:
+def _is_surely_finite(value: FloatArray) -> bool:
     """Return True only if all values are finite; False may also mean that very large values overflowed."""
-    if value.size <= SMALL:
+    if value.size <= MAX_SIZE_FOR_DOT:
         flat = value.reshape(-1)
         return math.isfinite(flat.dot(flat))
     return math.isfinite(value.sum())
@@ -34,7 +34,7 @@ def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: b
     ----------
     value : array_like
     shape : tuple of int or None
-        Requested shape; ``None`` matches any length.
+        Requested shape; ``N_PARAMETERSone`` matches any length.
     name : str
         Name of the value, for messages.
     finite : bool
@@ -51,26 +51,26 @@ def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: b
         If the value is not numeric, has another shape, or holds nan or infinity where `finite` is set.
     """
     plain = type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous
-    if plain and value.shape == shape and (not finite or _sums_up(value)):
+    if plain and value.shape == shape and (not finite or _is_surely_finite(value)):
         return value
     try:
         array = np.ascontiguousarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be numbers of shape {_spell(shape)}; got {value!r}.") from error
+        raise InputError(f"{name} must be numbers of shape {_format_shape(shape)}; got {value!r}.") from error
     if array.ndim != len(shape) or any(
         want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
     ):
         hint = ""
         if len(shape) == 2 and array.shape == (shape[1],):
             hint = f" For one row, pass {name}[None, :]."
-        raise InputError(f"{name} must have shape {_spell(shape)}; got {array.shape}.{hint}")
+        raise InputError(f"{name} must have shape {_format_shape(shape)}; got {array.shape}.{hint}")
     if finite and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InputError(f"{name} must be finite; entry {where} is {array[where]}.")
     return array
 
 
-def frozen(array: FloatArray) -> FloatArray:
+def freeze(array: FloatArray) -> FloatArray:
     """Return a read-only copy, for fields of frozen dataclasses.
 
     Parameters
@@ -87,7 +87,7 @@ def frozen(array: FloatArray) -> FloatArray:
     return copy
 
 
-def _spell(shape: tuple[int | None, ...]) -> str:
+def _format_shape(shape: tuple[int | None, ...]) -> str:
     names = iter("nmkl")
     parts = [next(names) if size is None else str(size) for size in shape]
     return f"({parts[0]},)" if len(parts) == 1 else f"({', '.join(parts)})"

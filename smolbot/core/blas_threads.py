@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def limit_to_one_thread() -> Iterator[None]:
     """Limit the linear algebra of numpy and scipy to one thread while the block runs.
 
     Yields
@@ -25,7 +25,7 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def kernel() -> str:
+def describe_blas() -> str:
     """Return the name of the linear algebra library and the processor type that its kernels are made for.
 
     They decide the last bits of a result.

@@ -14,30 +14,30 @@ from dataclasses import dataclass
 
 from smolbot.core.shots import Actuate, Excite, Window
 
-DENSITY = 8960.0
+COPPER_DENSITY = 8960.0
 """Density of copper, in kg/m³."""
 
-HEAT = 385.0
+COPPER_SPECIFIC_HEAT = 385.0
 """Specific heat of copper, in J/(kg K)."""
 
-RESISTIVITY = 1.72e-8
+COPPER_RESISTIVITY = 1.72e-8
 """Resistivity of copper at the reference temperature, in ohm m."""
 
-ALPHA = 3.93e-3
+COPPER_TEMPERATURE_COEFFICIENT = 3.93e-3
 """Relative rise of copper's resistance per kelvin, in 1/K, from the reference temperature."""
 
 REFERENCE_TEMPERATURE = 20.0
 """Temperature, in °C, at which copper's constants are given."""
 
-FILM = 10.0
+STILL_AIR_HEAT_TRANSFER = 10.0
 """Heat transfer from a surface to still air, in W/(m² K): half by convection, half by radiation."""
 
-FILL = 0.8
+MAX_FILL_FACTOR = 0.8
 """Largest share of a winding's cross-section that is copper, with round wire."""
 
 
 @dataclass(frozen=True)
-class Coil:
+class ThermalCoil:
     """Thermal constants of one coil.
 
     Attributes
@@ -61,7 +61,7 @@ class Coil:
     limit: float
 
 
-def wound_capacity(resistance: float, turns: float, mean_turn: float, section: float) -> float:
+def compute_winding_heat_capacity(resistance: float, turns: float, mean_turn: float, section: float) -> float:
     """Compute the heat capacity of a winding's copper.
 
     A wire of known length and resistance has one cross-section, and so one mass; a mass larger than fits into the
@@ -84,15 +84,17 @@ def wound_capacity(resistance: float, turns: float, mean_turn: float, section: f
     Examples
     --------
     >>> mean_turn = math.pi * 0.05  # 200 turns of 50 mm: 31 m of 0.54 mm², 150 g
-    >>> round(wound_capacity(1.0, 200, mean_turn, 4e-4), 1)
+    >>> round(compute_winding_heat_capacity(1.0, 200, mean_turn, 4e-4), 1)
     58.6
     """
     length = turns * mean_turn
-    area = min(RESISTIVITY * length / resistance, FILL * section / turns)
-    return HEAT * DENSITY * length * area
+    area = min(COPPER_RESISTIVITY * length / resistance, MAX_FILL_FACTOR * section / turns)
+    return COPPER_SPECIFIC_HEAT * COPPER_DENSITY * length * area
 
 
-def stepped(coil: Coil, temperature: float, mean_square: float, duration: float, ambient: float) -> float:
+def advance_temperature(
+    coil: ThermalCoil, temperature: float, mean_square: float, duration: float, ambient: float
+) -> float:
     """Compute a coil's temperature after a time at a constant mean square current.
 
     The exact solution of ``C dT/dt = I² R (1 + alpha (T - 20)) - (T - T_ambient) / R_th``.
@@ -113,14 +115,14 @@ def stepped(coil: Coil, temperature: float, mean_square: float, duration: float,
     """
     # heat balance C dT/dt = R I² (1 + alpha (T - T_ref)) - (T - T_ambient) / R_th, linear in T: solved exactly
     power = mean_square * coil.resistance
-    rate = (1.0 / coil.thermal_resistance - ALPHA * power) / coil.capacity
-    heating = power * (1.0 + ALPHA * (temperature - REFERENCE_TEMPERATURE))
+    rate = (1.0 / coil.thermal_resistance - COPPER_TEMPERATURE_COEFFICIENT * power) / coil.capacity
+    heating = power * (1.0 + COPPER_TEMPERATURE_COEFFICIENT * (temperature - REFERENCE_TEMPERATURE))
     slope = (heating - (temperature - ambient) / coil.thermal_resistance) / coil.capacity
     x = rate * duration
     return temperature + slope * duration * (-math.expm1(-x) / x if x else 1.0)
 
 
-def mean_squares(window: Window, n_coils: int, n_excitation: int) -> Sequence[float]:
+def compute_mean_square_currents(window: Window, n_coils: int, n_excitation: int) -> Sequence[float]:
     """Compute the mean square current that a window commands in each coil.
 
     Parameters
@@ -160,18 +162,18 @@ class CoilHeat:
         Present and highest temperature of each coil.
     """
 
-    def __init__(self, coils: Sequence[Coil | None], ambient: float) -> None:
+    def __init__(self, coils: Sequence[ThermalCoil | None], ambient: float) -> None:
         self.coils = tuple(coils)
         self.ambient = ambient
         self.temperatures = [ambient] * len(self.coils)
         self.peaks = [ambient] * len(self.coils)
 
-    def advance(self, squares: Sequence[float], duration: float) -> None:
+    def advance(self, mean_square_currents: Sequence[float], duration: float) -> None:
         """Advance all temperatures in time at constant mean square currents.
 
         Parameters
         ----------
-        squares : sequence of float, length n_coils, in A²
+        mean_square_currents : sequence of float, length n_coils, in A²
             Mean square currents; an empty one lets all coils cool.
         duration : float, in s
         """
@@ -180,13 +182,13 @@ class CoilHeat:
         for i, coil in enumerate(self.coils):
             if coil is None:  # its constants are not known
                 continue
-            square = squares[i] if squares else 0.0
-            after = stepped(coil, self.temperatures[i], square, duration, self.ambient)
+            square = mean_square_currents[i] if mean_square_currents else 0.0
+            after = advance_temperature(coil, self.temperatures[i], square, duration, self.ambient)
             self.temperatures[i] = after
             if after > self.peaks[i]:
                 self.peaks[i] = after
 
-    def too_hot(self) -> tuple[Coil, float] | None:
+    def find_overheated_coil(self) -> tuple[ThermalCoil, float] | None:
         """Find the first coil above its temperature limit.
 
         Returns

@@ -10,7 +10,7 @@ from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Shot
 from smolbot.errors import InputError
 
-BEFORE, HELD, AFTER = 0.020, 0.040, 0.040
+BASELINE_DURATION, HOLD_DURATION, DECAY_DURATION = 0.020, 0.040, 0.040
 """Durations of a probe's parts, in s: baseline, current on, decay; 20 ms is one period of 50 Hz mains."""
 
 
@@ -21,7 +21,7 @@ class Probe:
     Attributes
     ----------
     recording : Recording
-        From `BEFORE` s before the coil was commanded on to `AFTER` s after it was commanded off.
+        From `BASELINE_DURATION` s before the coil was commanded on to `DECAY_DURATION` s after it was commanded off.
     on, off : float, in s from the first sample
         Times of the two commands.
     close_limit, open_limit : float, in s
@@ -64,7 +64,7 @@ class Prober(Protocol):
         """
 
 
-def probe_shot(limits: Limits, coil: str, current: float) -> Shot:
+def make_probe_shot(limits: Limits, coil: str, current: float) -> Shot:
     """Make the shot that drives a coil like its probe does, to check the probe against the limits of shots.
 
     Parameters
@@ -84,9 +84,9 @@ def probe_shot(limits: Limits, coil: str, current: float) -> Shot:
         If the rig has no such coil.
     """
     if coil in limits.coils:
-        return Shot((Actuate(tuple(current if name == coil else 0.0 for name in limits.coils), HELD),))
+        return Shot((Actuate(tuple(current if name == coil else 0.0 for name in limits.coils), HOLD_DURATION),))
     if coil in ("excitation x", "excitation y"):
         x = coil.endswith("x")
-        return Shot((Excite((current if x else 0.0, 0.0 if x else current), 1.0 / HELD, 1),))
+        return Shot((Excite((current if x else 0.0, 0.0 if x else current), 1.0 / HOLD_DURATION, 1),))
     known = ", ".join([*limits.coils, "excitation x", "excitation y"])
     raise InputError(f"No coil '{coil}' can be probed; coils are {known}.")

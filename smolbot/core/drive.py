@@ -15,7 +15,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
 
-WEAKEST = 0.02
+MIN_CURRENT_SHARE = 0.02
 """Smallest share of the maximum current that a burst uses."""
 
 MIN_USEFUL_FIELD = 1e-12
@@ -41,14 +41,14 @@ class Drive:
     amplitude: float
 
 
-def drive(
-    fields: FloatArray,
+def compute_drive(
+    fields_in_world: FloatArray,
     pose: Pose,
     device: Device,
     inertia: float,
     cycles: int,
     max_current: float,
-    left: float = 0.0,
+    residual_swing: float = 0.0,
 ) -> Drive:
     """Compute the currents that bring a device of known orientation to its stops by the end of a burst.
 
@@ -60,7 +60,7 @@ def drive(
 
     Parameters
     ----------
-    fields : ndarray, shape (n_exc, 3), in T per A
+    fields_in_world : ndarray, shape (n_exc, 3), in T per A
         Of each excitation coil at the device, world frame.
     pose : Pose
     device : Device
@@ -70,7 +70,7 @@ def drive(
         Length of the burst, in periods of the device.
     max_current : float, in A
         Peak, per coil.
-    left : float
+    residual_swing : float
         Remaining oscillation at the start as a share of `theta_max`, in any phase; the current is increased to
         cancel it in the worst case.
 
@@ -80,18 +80,18 @@ def drive(
         Full current in the first coil and amplitude 0 if no coil can drive the device in this orientation.
     """
     x, y, z = (pose.rotation @ device.drive_direction_in_body).tolist()
-    useful = [bx * x + by * y + bz * z for bx, by, bz in fields.tolist()]
+    useful = [bx * x + by * y + bz * z for bx, by, bz in fields_in_world.tolist()]
     largest = max(abs(field) for field in useful)
     if largest < MIN_USEFUL_FIELD:
-        return Drive(max_current * np.eye(len(fields))[0], 0.0)
+        return Drive(max_current * np.eye(len(fields_in_world))[0], 0.0)
     mix = [field / largest for field in useful]
     per_ampere = sum(field * part for field, part in zip(useful, mix, strict=True))
-    full = amplitude_after(max_current * per_ampere, device, inertia, cycles)
-    share = min(max((1.0 + left) * device.theta_max / full, WEAKEST), 1.0)
+    full = compute_amplitude_after_burst(max_current * per_ampere, device, inertia, cycles)
+    share = min(max((1.0 + residual_swing) * device.theta_max / full, MIN_CURRENT_SHARE), 1.0)
     return Drive(max_current * share * np.array(mix), min(full, device.theta_max))
 
 
-def amplitude_after(field: float, device: Device, inertia: float, cycles: int) -> float:
+def compute_amplitude_after_burst(field: float, device: Device, inertia: float, cycles: int) -> float:
     """Compute the amplitude that a resonant field builds up in a burst, without the stops.
 
         A = m B / (2 I w) t                          (linear damping; decay neglected)

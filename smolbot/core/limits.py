@@ -101,10 +101,10 @@ class Limits:
                     )
                 )
             if isinstance(window, Actuate):
-                found += self._actuation_faults(window)
+                found += self._find_actuation_faults(window)
                 quiet_since = 0.0
             elif isinstance(window, Excite):
-                found += self._excitation_faults(window)
+                found += self._find_excitation_faults(window)
                 quiet_since = 0.0
             elif isinstance(window, Listen):
                 if quiet_since < self.min_ring_down - ROUNDING:
@@ -117,7 +117,7 @@ class Limits:
                     said = f"Listen window must last at most {self.max_listen:g} s; got {window.duration:.3f} s."
                     found.append(BrokenLimit(said, self.max_listen, window.duration, "s"))
             elif isinstance(window, Rotate | MoveMagnet):
-                found += self._mechanical_faults(window, axis, near=magnet_near)
+                found += self._find_mechanical_faults(window, axis, near=magnet_near)
                 axis = window.axis if isinstance(window, Rotate) else None
                 magnet_near = window.to == "near" if isinstance(window, MoveMagnet) else magnet_near
             if not isinstance(window, Actuate | Excite):
@@ -146,7 +146,7 @@ class Limits:
                 limit=one.limit, value=one.value, unit=one.unit, channel=one.channel,
             )  # fmt: skip
 
-    def _actuation_faults(self, window: Actuate) -> list[BrokenLimit]:
+    def _find_actuation_faults(self, window: Actuate) -> list[BrokenLimit]:
         if len(window.currents) != len(self.coils):
             coils = f"{len(self.coils)} coils ({', '.join(self.coils)})"
             return [BrokenLimit(f"Actuate has {len(window.currents)} currents; this rig has {coils}.")]
@@ -167,7 +167,7 @@ class Limits:
             found.append(BrokenLimit(said, self.max_actuation, window.duration, "s"))
         return found
 
-    def _excitation_faults(self, window: Excite) -> list[BrokenLimit]:
+    def _find_excitation_faults(self, window: Excite) -> list[BrokenLimit]:
         most = self.max_excitation_current
         found = [
             BrokenLimit(
@@ -185,10 +185,10 @@ class Limits:
             found.append(BrokenLimit(said, self.max_excitation, window.duration, "s"))
         return found
 
-    def _mechanical_faults(
-        self, window: Rotate | MoveMagnet, before: tuple[float, float, float] | None, *, near: bool
+    def _find_mechanical_faults(
+        self, window: Rotate | MoveMagnet, previous_axis: tuple[float, float, float] | None, *, near: bool
     ) -> list[BrokenLimit]:
-        """List the limits that a move of the magnet breaks; `before` is the axis of the preceding rotation."""
+        """List the limits that a move of the magnet breaks; `previous_axis` is the axis of the preceding rotation."""
         if self.max_rotation_frequency <= 0:
             return [BrokenLimit("This rig has no rotating magnet; Rotate and MoveMagnet cannot be played.")]
         if isinstance(window, MoveMagnet):
@@ -203,9 +203,9 @@ class Limits:
         length = math.sqrt(sum(a * a for a in window.axis))
         if not length > 0 or abs(window.axis[2]) > AXIS_TOLERANCE * length:
             found.append(BrokenLimit(f"The stage's axis lies in the horizontal plane; got {window.axis}."))
-        elif before is not None:
-            along = abs(sum(a * b for a, b in zip(window.axis, before, strict=True)))
-            change = math.acos(min(along / length / math.sqrt(sum(a * a for a in before)), 1.0))
+        elif previous_axis is not None:
+            along = abs(sum(a * b for a, b in zip(window.axis, previous_axis, strict=True)))
+            change = math.acos(min(along / length / math.sqrt(sum(a * a for a in previous_axis)), 1.0))
             most = self.max_steering_rate * window.duration
             if change > most + AXIS_TOLERANCE:
                 said = (

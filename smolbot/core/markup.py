@@ -25,7 +25,7 @@ def load_template(path: Path) -> Template:
 
     Examples
     --------
-    >>> from smolbot.runs.report.html import ELEMENTS
+    >>> from smolbot.runs.report.page_elements import ELEMENTS
     >>> print(ELEMENTS.paragraph("R² < 0.7"))
     <p>R² &lt; 0.7</p>
     """

@@ -14,9 +14,9 @@ from typing import Any, Protocol, TextIO
 
 from smolbot.errors import RigError
 
-DONE = ("", "y", "yes", "done", "ok")
-ABORT = ("q", "quit", "n", "no", "abort")
-_POLL = 0.05  # s: between two checks whether the operator has acted
+DONE_ANSWERS = ("", "y", "yes", "done", "ok")
+ABORT_ANSWERS = ("q", "quit", "n", "no", "abort")
+_POLL_INTERVAL = 0.05  # s: between two checks whether the operator has acted
 
 
 class Operator(Protocol):
@@ -87,7 +87,7 @@ class SilentOperator:
         while not until():
             if time.monotonic() >= end:
                 raise RigError(f"Nothing happened within {timeout:g} s of: '{question}'.")
-            time.sleep(_POLL)
+            time.sleep(_POLL_INTERVAL)
         return True
 
     def say(self, text: str) -> None:
@@ -144,16 +144,16 @@ class TerminalOperator:
         RigError
             When nobody answers in time, or standard input has ended.
         """
-        with self._alone():
+        with self._pause_others():
             out = self._out or sys.stderr  # a progress bar that is paused restores it
-            lines = self._reader()
-            lines.forget()
+            lines = self._open_reader()
+            lines.discard_pending()
             end = time.monotonic() + timeout
             print(f"{question}  [Enter: done, q: abort, {timeout:g} s] ", end="", file=out, flush=True)
             while True:
-                answer = self._answer(lines, end, until, question, timeout)
-                if answer in DONE or answer in ABORT:
-                    return answer in DONE
+                answer = self._wait_for_answer(lines, end, until, question, timeout)
+                if answer in DONE_ANSWERS or answer in ABORT_ANSWERS:
+                    return answer in DONE_ANSWERS
                 print(f"'{answer}' is neither: Enter when it is done, q to abort ", end="", file=out, flush=True)
 
     def say(self, text: str) -> None:
@@ -163,10 +163,10 @@ class TerminalOperator:
         ----------
         text : str
         """
-        with self._alone():
+        with self._pause_others():
             print(text, file=self._out or sys.stderr, flush=True)
 
-    def _answer(
+    def _wait_for_answer(
         self, lines: _Lines, end: float, until: Callable[[], bool] | None, question: str, timeout: float
     ) -> str:
         ended = False
@@ -178,10 +178,10 @@ class TerminalOperator:
             if left <= 0.0:
                 raise RigError(f"The operator did not answer within {timeout:g} s: '{question}'.")
             if ended:  # only `until` can answer now
-                time.sleep(min(left, _POLL))
+                time.sleep(min(left, _POLL_INTERVAL))
                 continue
             try:
-                line = lines.next(min(left, _POLL))
+                line = lines.read_line(min(left, _POLL_INTERVAL))
             except EOFError:
                 if until is None:
                     raise RigError(
@@ -194,13 +194,13 @@ class TerminalOperator:
                 return line.strip().lower()
 
     @contextmanager
-    def _alone(self) -> Iterator[None]:
+    def _pause_others(self) -> Iterator[None]:
         with ExitStack() as stack:
             for pause in self.pauses:
                 stack.enter_context(pause())
             yield
 
-    def _reader(self) -> _Lines:
+    def _open_reader(self) -> _Lines:
         if self._lines is None:
             source = self._source or sys.stdin
             try:
@@ -212,10 +212,10 @@ class TerminalOperator:
 
 
 class _Lines(Protocol):
-    def next(self, timeout: float) -> str | None:
+    def read_line(self, timeout: float) -> str | None:
         """Return the next line, or None if none came within `timeout` s; raise EOFError at the end."""
 
-    def forget(self) -> None:
+    def discard_pending(self) -> None:
         """Drop what a person typed before the question was asked."""
 
 
@@ -226,7 +226,7 @@ class _DescriptorLines:
         self._number = number
         self._held = b""
 
-    def next(self, timeout: float) -> str | None:
+    def read_line(self, timeout: float) -> str | None:
         import select
 
         end = time.monotonic() + timeout
@@ -244,7 +244,7 @@ class _DescriptorLines:
         line, _, self._held = self._held.partition(b"\n")
         return line.decode(errors="replace")
 
-    def forget(self) -> None:
+    def discard_pending(self) -> None:
         if os.isatty(self._number):
             import termios
 
@@ -266,7 +266,7 @@ class _ThreadLines:
         finally:
             self._queue.put(None)
 
-    def next(self, timeout: float) -> str | None:
+    def read_line(self, timeout: float) -> str | None:
         try:
             line = self._queue.get(timeout=timeout)
         except queue.Empty:
@@ -276,5 +276,5 @@ class _ThreadLines:
             raise EOFError
         return line
 
-    def forget(self) -> None:
+    def discard_pending(self) -> None:
         """Keep everything: a stream that is no terminal holds answers given in advance."""

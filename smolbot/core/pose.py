@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.core.arrays import FloatArray, as_floats, freeze
 from smolbot.core.results import Readable
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.errors import InputError
@@ -59,10 +59,10 @@ class Pose(Readable):
         length = math.sqrt(orientation @ orientation)
         if not UNIT_LENGTH[0] < length < UNIT_LENGTH[1]:
             raise InputError(f"Pose orientation must be a unit quaternion; got length {length:.4g}.")
-        object.__setattr__(self, "position", frozen(position))
-        object.__setattr__(self, "orientation", frozen(orientation / length))
+        object.__setattr__(self, "position", freeze(position))
+        object.__setattr__(self, "orientation", freeze(orientation / length))
         covariance = as_floats(self.covariance, (6, 6), "Pose covariance", finite=False)
-        object.__setattr__(self, "covariance", frozen(covariance))
+        object.__setattr__(self, "covariance", freeze(covariance))
 
     @cached_property
     def rotation(self) -> FloatArray:

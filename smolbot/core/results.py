@@ -91,6 +91,6 @@ def as_json(value: Any) -> Any:
     return value
 
 
-def json_text(data: Any) -> str:
+def format_json(data: Any) -> str:
     """One JSON object as text, as commands print and keep it."""
     return json.dumps(as_json(data), indent=2, default=str) + "\n"

@@ -45,7 +45,7 @@ class Witness(Protocol):
         """
 
 
-class Stage(Protocol):
+class CalibrationStage(Protocol):
     """A holder that brings a device to known poses above a rig's sensors, where it is driven and recorded."""
 
     def record(self, position: FloatArray, orientation: FloatArray, half_periods: int) -> Recording:

@@ -18,7 +18,7 @@ _SMALL_ANGLE = 1e-12  # rad: below it, sin(x) / x is its limit
 
 
 @njit((types.float64,) * 4, cache=True, error_model="numpy")
-def _quaternion(w: float, x: float, y: float, z: float) -> FloatArray:
+def _make_quaternion(w: float, x: float, y: float, z: float) -> FloatArray:
     out = np.empty(4)  # compiles in a fifth of the time of an array made from a list
     out[0], out[1], out[2], out[3] = w, x, y, z
     return out
@@ -71,11 +71,11 @@ def quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
     else:
         w, x, y, z = m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1.0 - xx - yy + zz
     size = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), 1.0 if w >= 0.0 else -1.0)
-    return _quaternion(w / size, x / size, y / size, z / size)
+    return _make_quaternion(w / size, x / size, y / size, z / size)
 
 
 @njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
-def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
+def multiply_quaternions(a: FloatArray, b: FloatArray) -> FloatArray:
     """Multiply two quaternions (Hamilton product): the rotation `b` followed by the rotation `a`.
 
     Parameters
@@ -88,7 +88,7 @@ def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
     """
     aw, ax, ay, az = a[0], a[1], a[2], a[3]
     bw, bx, by, bz = b[0], b[1], b[2], b[3]
-    return _quaternion(
+    return _make_quaternion(
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,
@@ -111,11 +111,11 @@ def quaternion_from_rotation_vector(vector: FloatArray) -> FloatArray:
     angle = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     half = 0.5 * angle
     scale = 0.5 if angle < _SMALL_ANGLE else np.sin(half) / angle
-    return _quaternion(np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2])
+    return _make_quaternion(np.cos(half), scale * vector[0], scale * vector[1], scale * vector[2])
 
 
 @njit((_VECTOR,), cache=True, error_model="numpy")
-def rotation_vector(quaternion: FloatArray) -> FloatArray:
+def rotation_vector_from_quaternion(quaternion: FloatArray) -> FloatArray:
     """Compute the rotation vector of a unit quaternion.
 
     Parameters
@@ -136,7 +136,7 @@ def rotation_vector(quaternion: FloatArray) -> FloatArray:
 
 
 @njit((_VECTOR, _VECTOR), cache=True, error_model="numpy")
-def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
+def compute_rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     """Compute the rotation error e in the world frame, with R_estimate = exp(e) R_true.
 
     Parameters
@@ -148,10 +148,12 @@ def rotation_error(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     -------
     ndarray, shape (3,), in rad, world frame
     """
-    return rotation_vector(quaternion_product(estimate, _quaternion(truth[0], -truth[1], -truth[2], -truth[3])))
+    return rotation_vector_from_quaternion(
+        multiply_quaternions(estimate, _make_quaternion(truth[0], -truth[1], -truth[2], -truth[3]))
+    )
 
 
-def half_turned(quaternion: FloatArray) -> FloatArray:
+def flip_orientation(quaternion: FloatArray) -> FloatArray:
     """Turn an orientation by 180° about body z.
 
     With a moment along body z, both orientations give the same signal at the sensors.
@@ -168,23 +170,23 @@ def half_turned(quaternion: FloatArray) -> FloatArray:
     return np.array([-z, y, -x, w])
 
 
-def nearer_twin(quaternion: FloatArray, other: FloatArray | None) -> FloatArray:
+def choose_nearer_orientation(quaternion: FloatArray, reference: FloatArray | None) -> FloatArray:
     """Choose between an orientation and the one turned by 180° about body z: the one nearer to a reference.
 
     Parameters
     ----------
     quaternion : ndarray, shape (4,)
-    other : ndarray, shape (4,), or None
+    reference : ndarray, shape (4,), or None
         The reference; None keeps `quaternion`.
 
     Returns
     -------
     ndarray, shape (4,)
     """
-    if other is None:
+    if reference is None:
         return quaternion
-    twin = half_turned(quaternion)
-    return twin if abs(twin @ other) > abs(quaternion @ other) else quaternion
+    twin = flip_orientation(quaternion)
+    return twin if abs(twin @ reference) > abs(quaternion @ reference) else quaternion
 
 
 def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> FloatArray:
@@ -213,7 +215,7 @@ def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> F
     return quaternion_from_matrix(matrix)
 
 
-def mean_rotation(quaternions: FloatArray) -> FloatArray:
+def compute_mean_rotation(quaternions: FloatArray) -> FloatArray:
     """The rotation (4,) nearest in the mean square to all of `quaternions` (n, 4)."""
     from scipy.spatial.transform import Rotation
 

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from smolbot.core.arrays import BoolArray, FloatArray, as_floats, frozen
+from smolbot.core.arrays import BoolArray, FloatArray, as_floats, freeze
 from smolbot.core.shots import Excite
 from smolbot.errors import InputError
 
@@ -66,13 +66,13 @@ class SensorArray:
             raise InputError(f"SensorArray axis {int(np.argmin(lengths))} has no direction.")
         if not self.bandwidth > 0:
             raise InputError(f"SensorArray bandwidth must be positive, in Hz; got {self.bandwidth}.")
-        object.__setattr__(self, "positions", frozen(positions))
-        object.__setattr__(self, "axes", frozen(axes / lengths[:, None]))
+        object.__setattr__(self, "positions", freeze(positions))
+        object.__setattr__(self, "axes", freeze(axes / lengths[:, None]))
         if self.gains is not None:
             gains = as_floats(self.gains, (len(positions),), "SensorArray gains")
             if not np.all(gains > 0):
                 raise InputError(f"SensorArray gains must be positive; got {gains.min():.4g}.")
-            object.__setattr__(self, "gains", frozen(gains))
+            object.__setattr__(self, "gains", freeze(gains))
 
     @property
     def responses(self) -> FloatArray:
@@ -126,7 +126,7 @@ class Device:
         length = float(np.linalg.norm(direction))
         if length < MIN_LENGTH:
             raise InputError("Device moment_in_body has no direction.")
-        object.__setattr__(self, "moment_in_body", frozen(direction / length))
+        object.__setattr__(self, "moment_in_body", freeze(direction / length))
         for name in ("moment", "theta_max", "frequency"):
             if not 0 < getattr(self, name) < np.inf:
                 raise InputError(f"Device {name} must be positive; got {getattr(self, name)}.")

@@ -256,7 +256,7 @@ _ELECTRICAL = (Actuate, Excite, RingDown, Listen)
 _MECHANICAL = (Rotate, MoveMagnet)
 
 
-def magnet_near_after(shot: Shot, *, near: bool) -> bool:
+def is_magnet_near_after(shot: Shot, *, near: bool) -> bool:
     """Return whether the actuation magnet is near once a shot was played.
 
     Parameters

@@ -41,7 +41,7 @@ class Row:
     def __getitem__(self, name: str) -> str:
         return self.cells[self.names.index(name)]
 
-    def fault(self, message: str) -> InputError:
+    def make_error(self, message: str) -> InputError:
         """Make the error to raise for this row, with ``file:line``.
 
         Parameters
@@ -54,7 +54,7 @@ class Row:
         """
         return InputError(f"{self.path}:{self.line}: {message}")
 
-    def number(self, cell: str, name: str) -> float:
+    def parse_number(self, cell: str, name: str) -> float:
         """Parse the number in a cell.
 
         Parameters
@@ -76,10 +76,10 @@ class Row:
             return float(cell)
         except ValueError:
             if "," in self.text and ";" in self.text:
-                raise self.fault("has both ',' and ';'. Write decimals with a point, 0.5 and not 0,5.") from None
-            raise self.fault(f"{name} is not a number ('{cell.strip()}').") from None
+                raise self.make_error("has both ',' and ';'. Write decimals with a point, 0.5 and not 0,5.") from None
+            raise self.make_error(f"{name} is not a number ('{cell.strip()}').") from None
 
-    def finite(self, names: Sequence[str]) -> FloatArray:
+    def parse_finite(self, names: Sequence[str]) -> FloatArray:
         """Parse the numbers in some columns.
 
         Parameters
@@ -96,10 +96,10 @@ class Row:
         InputError
             For the first cell that is not a number, infinite or nan.
         """
-        values = [self.number(self[name], name) for name in names]
+        values = [self.parse_number(self[name], name) for name in names]
         for name, value in zip(names, values, strict=True):
             if not math.isfinite(value):
-                raise self.fault(f"{name} is not a number ('{self[name]}').")
+                raise self.make_error(f"{name} is not a number ('{self[name]}').")
         return np.array(values)
 
 
@@ -156,11 +156,11 @@ def read_table(path: Path, *, named: bool = False) -> Table:
         raise InputError(f"{path}: cannot be read as text: {error}.") from error
     for row in rows if named else ():
         if len(row.cells) != len(names):
-            raise row.fault(f"has {len(row.cells)} columns; the line of names has {len(names)}.")
+            raise row.make_error(f"has {len(row.cells)} columns; the line of names has {len(names)}.")
     return Table(names, tuple(rows), tuple(comments))
 
 
-def write_rows(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+def write_table(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
     """Write a comma-separated table.
 
     Parameters

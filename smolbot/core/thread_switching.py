@@ -6,12 +6,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-TURN = 0.5e-3
+SWITCH_INTERVAL = 0.5e-3
 """Time, in s, after which a computing thread yields to a waiting one; Python's 5 ms is too long for a watchdog."""
 
 
 @contextmanager
-def short_turns() -> Iterator[None]:
+def shorten_switch_interval() -> Iterator[None]:
     """Shorten the switch interval of this process's threads while the block runs: loop, watchdog, recorder, STOP.
 
     Yields
@@ -19,7 +19,7 @@ def short_turns() -> Iterator[None]:
     None
     """
     before = sys.getswitchinterval()
-    sys.setswitchinterval(min(TURN, before))
+    sys.setswitchinterval(min(SWITCH_INTERVAL, before))
     try:
         yield
     finally:

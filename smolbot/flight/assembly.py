@@ -10,7 +10,7 @@ from smolbot.config.load import AnyMission
 from smolbot.config.mission import Mission
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.observation import Observation
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.config.sensors import SensorsFile, UncertaintySection
 from smolbot.core.coil_heat import CoilHeat
 from smolbot.core.rig import Rig
@@ -18,22 +18,22 @@ from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.loop import Loop, StopRules
 from smolbot.flight.pause import Pause
 from smolbot.flight.pilots import Follower, Measurer, Pilot, Watcher
-from smolbot.flight.preparation import Quiet
-from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.preparation import PreparationSettings
+from smolbot.flight.safety.duty_cycle import DutyCycle
 from smolbot.flight.safety.heat_store import HeatMemory
-from smolbot.flight.safety.sensor_monitor import SoundWatch
+from smolbot.flight.safety.sensor_monitor import SensorMonitor
 from smolbot.flight.safety.stop_latch import Latch
-from smolbot.flight.safety.supervisor import Rules, Safety
+from smolbot.flight.safety.supervisor import Safety, SafetyRules
 from smolbot.flight.scheduler import Scheduler
-from smolbot.flight.tracking.passive_trackers import Glimpse, LedTracker
+from smolbot.flight.tracking.passive_trackers import SingleShotTracker, VelocityTracker
 from smolbot.flight.tracking.tracker import Tracker
-from smolbot.localization.array.filter import ArrayBelief, ArrayFilter, tilt_frames
-from smolbot.localization.array.terms import OF_DEVICE
+from smolbot.localization.array.filter import ArrayFilter, ArrayPrior, compute_tilt_frames
+from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.estimator import PoseEstimator
-from smolbot.localization.synthetic import SightingRig
+from smolbot.localization.synthetic import SyntheticPoseRig
 from smolbot.motion.controller import Controller
-from smolbot.runs.run import Listener, Tape
+from smolbot.runs.run import Listener, RecorderSink
 
 
 def make_loop(
@@ -41,8 +41,8 @@ def make_loop(
     mission: AnyMission,
     listeners: tuple[Listener, ...] = (),
     latch: Latch | None = None,
-    memory: HeatMemory | None = None,
-    tape: Tape | None = None,
+    heat_memory: HeatMemory | None = None,
+    tape: RecorderSink | None = None,
     pause: Pause | None = None,
     *,
     controller: Controller | None = None,
@@ -58,7 +58,7 @@ def make_loop(
         Called with the record of every cycle.
     latch : Latch, optional
         Whoever holds it may stop the run, from any thread.
-    memory : HeatMemory, optional
+    heat_memory : HeatMemory, optional
         How hot the coils were left.
     tape : Tape, optional
         What records everything that is played.
@@ -73,23 +73,29 @@ def make_loop(
         To be flown with `Loop.fly`, or stepped in a ``with`` block.
     """
     device, cycle = mission.robot.device, mission.cycle
-    tracker, pilot = _watch(mission) if isinstance(mission, Observation) else _steer(mission, controller)
+    tracker, pilot = (
+        _make_watching_parts(mission) if isinstance(mission, Observation) else _make_steering_parts(mission, controller)
+    )
     scheduler = Scheduler(cycle, rig.limits, DeviceBelief(device), rig.excitation_field, rig.now)
     listening = mission.base.localization
-    localizer = load("estimators", listening.estimator)(rig.sensors, device, volume=search_volume(mission))
-    quiet = Quiet(listening.quiet, mission.rig.sample_rate, listening.learns_ring_down)
+    localizer = load_plugin("estimators", listening.estimator)(rig.sensors, device, volume=make_search_volume(mission))
+    quiet = PreparationSettings(
+        listening.background_noise_duration, mission.rig.sample_rate, listening.learns_ring_down
+    )
     stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
-    locator: PoseEstimator = rig.sightings(localizer) if isinstance(rig, SightingRig) else localizer
+    locator: PoseEstimator = rig.make_synthetic_localizer(localizer) if isinstance(rig, SyntheticPoseRig) else localizer
     return Loop(
         rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
-        independent=isinstance(tracker, Glimpse), led=isinstance(mission, Observation) and mission.motion is not None,
-        array_filter=None if isinstance(tracker, Glimpse) else make_array_filter(mission, locator),
-        safety=make_safety(rig, mission, latch, memory), tape=tape, pause=pause,
+        independent=isinstance(tracker, SingleShotTracker), externally_guided=isinstance(mission, Observation) and mission.motion is not None,
+        array_filter=None if isinstance(tracker, SingleShotTracker) else make_array_filter(mission, locator),
+        safety=make_safety(rig, mission, latch, heat_memory), tape=tape, pause=pause,
     )  # fmt: skip
 
 
-def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memory: HeatMemory | None = None) -> Safety:
+def make_safety(
+    rig: Rig, mission: AnyMission, latch: Latch | None = None, heat_memory: HeatMemory | None = None
+) -> Safety:
     """Build the safety supervisor of a mission from the ``[safety]`` section of its rig file.
 
     Parameters
@@ -98,7 +104,7 @@ def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memor
     mission : Mission or Observation
     latch : Latch, optional
         Stop latch of the run; a new one unless given.
-    memory : HeatMemory, optional
+    heat_memory : HeatMemory, optional
         Coil temperatures that earlier runs left; without it, the coils start cold.
 
     Returns
@@ -106,26 +112,28 @@ def make_safety(rig: Rig, mission: AnyMission, latch: Latch | None = None, memor
     Safety
     """
     section = mission.rig.sections.safety
-    rules = Rules(
+    rules = SafetyRules(
         max_duty=section.max_duty,
         max_sigma=section.max_sigma,
         uncertain_shots=section.uncertain_shots,
         stale_shots=section.stale_shots,
         max_age=section.max_age + mission.rig.turnaround,
-        reach=None if isinstance(mission, Observation) else _reach(mission, section.reach_margin),
+        allowed_box=None if isinstance(mission, Observation) else _compute_allowed_box(mission, section.reach_margin),
     )
     return Safety(
         rig.limits,
         rules,
-        Duty(mission.rig.driven, section.duty_window_s),
+        DutyCycle(mission.rig.driven, section.duty_window_s),
         CoilHeat(mission.rig.thermal, section.ambient_c),
-        SoundWatch(len(rig.sensors), section.sensor_shots, section.broken_sensors),
+        SensorMonitor(len(rig.sensors), section.sensor_shots, section.broken_sensors),
         latch,
-        memory,
+        heat_memory,
     )
 
 
-def _reach(mission: MissionBase, margin: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _compute_allowed_box(
+    mission: MissionBase, margin: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Compute the allowed box: the container from its floor to the surface, `margin` m larger on every side."""
     box = mission.rig.container
     half = 0.5 * box.size + margin
@@ -151,14 +159,14 @@ def make_array_filter(mission: MissionBase, locator: PoseEstimator) -> ArrayFilt
     if covariance is None or "sensors" not in locator.learns:
         return None
     n = len(covariance)
-    deviations = np.zeros((n + OF_DEVICE, n + OF_DEVICE))
+    deviations = np.zeros((n + DEVIATIONS_OF_DEVICE, n + DEVIATIONS_OF_DEVICE))
     deviations[:n, :n] = covariance
     deviations[n:, n:] = np.diag(np.array(mission.robot.device_tolerances) ** 2)
-    frames = tilt_frames(mission.rig.sections.sensors.array)
-    return ArrayFilter(ArrayBelief(locator.sensors, locator.device, deviations, frames))
+    frames = compute_tilt_frames(mission.rig.sections.sensors.array)
+    return ArrayFilter(ArrayPrior(locator.sensors, locator.device, deviations, frames))
 
 
-def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
+def make_learned_sensors_file(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
     """Convert the sensor array that a flight has estimated to a sensors file, from which the next flight can start.
 
     Parameters
@@ -173,7 +181,7 @@ def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
     SensorsFile
         Positions, axes and gains with their remaining uncertainty.
     """
-    rig, array = mission.rig, learned.belief.array(learned.deviations)
+    rig, array = mission.rig, learned.prior.make_array(learned.deviations)
     gains = rig.sensor_gains * (1.0 if array.gains is None else array.gains)
     section = rig.sections.sensors.model_copy(
         update={
@@ -183,15 +191,17 @@ def learned_sensors(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:
             "calibrated": None,
         }
     )
-    left = UncertaintySection.of(learned.covariance[:-OF_DEVICE, :-OF_DEVICE], learned.recordings)
+    left = UncertaintySection.from_covariance(
+        learned.covariance[:-DEVIATIONS_OF_DEVICE, :-DEVIATIONS_OF_DEVICE], learned.recordings
+    )
     return SensorsFile(
         rig=rig.name, date=date.today(), description="learned in flight", sensors=section, uncertainty=left
     )
 
 
-def _steer(mission: Mission, controller: Controller | None = None) -> tuple[Tracker, Pilot]:
+def _make_steering_parts(mission: Mission, controller: Controller | None = None) -> tuple[Tracker, Pilot]:
     """Build tracker and pilot of a mission that steers a robot along a path."""
-    make = load("controllers", mission.law)
+    make = load_plugin("controllers", mission.law)
     if mission.robot.kind == "helical":
         screwed = mission.helix_setup()
         tracker = Tracker(screwed.helix, screwed.device, None)
@@ -201,19 +211,19 @@ def _steer(mission: Mission, controller: Controller | None = None) -> tuple[Trac
     return tracker, Follower(mission.path, controller or make(setup, mission.gains))
 
 
-def _watch(mission: Observation) -> tuple[Tracker, Pilot]:
+def _make_watching_parts(mission: Observation) -> tuple[Tracker, Pilot]:
     """Build tracker and pilot of an observation, which steers nothing."""
     section = mission.sections.observe
     if section.measurements is not None:
-        glimpse = Glimpse(mission.robot.device)
+        glimpse = SingleShotTracker(mission.robot.device)
         return glimpse, Measurer(glimpse, section.measurements)
     assert section.duration_s is not None
     device, motion = mission.robot.device, mission.motion
-    tracker = Tracker(None, device, None) if motion is None else LedTracker(device, motion)
+    tracker = Tracker(None, device, None) if motion is None else VelocityTracker(device, motion)
     return tracker, Watcher(section.duration_s)
 
 
-def search_volume(mission: MissionBase) -> SearchVolume:
+def make_search_volume(mission: MissionBase) -> SearchVolume:
     """Compute the volume to search for the robot: the container, from its floor to 10 mm above the surface.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from smolbot.core.sensing import Device
-from smolbot.motion.robot import magnet_inertia
+from smolbot.motion.robot import compute_magnet_inertia
 
 
 class DeviceBelief:
@@ -51,7 +51,7 @@ class DeviceBelief:
 
     def __init__(self, device: Device) -> None:
         self.device = self.scheduled = device
-        self.inertia = magnet_inertia(device.moment, device.l0)
+        self.inertia = compute_magnet_inertia(device.moment, device.l0)
 
     def learn_magnet(self, moment: float, l0: float) -> None:
         """Take in moment, in A·m², and distance of the magnet from the rotation centre, in m."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from lookup_tables.errors import OutsideTableError
-from smolbot.core.blas_threads import one_thread
+from smolbot.core.blas_threads import limit_to_one_thread
 from smolbot.core.pose import Pose
 from smolbot.core.rig import RecoveryCounter, Rig, StatusReporter
 from smolbot.core.sensing import Recording, SensorArray
@@ -21,23 +21,23 @@ from smolbot.core.shots import Shot
 from smolbot.errors import InputError, InterlockError, OperatorStopError, RigError
 from smolbot.flight.pause import Pause
 from smolbot.flight.pilots import Pilot
-from smolbot.flight.preparation import Preparation, Quiet
-from smolbot.flight.safety.stop_signals import CTRL_C
-from smolbot.flight.safety.supervisor import Safety, unbounded
+from smolbot.flight.preparation import Preparation, PreparationSettings
+from smolbot.flight.safety.stop_signals import CTRL_C_REASON
+from smolbot.flight.safety.supervisor import Safety, make_limits_only_safety
 from smolbot.flight.scheduler import Scheduler
-from smolbot.flight.tracking.noise_monitor import NoiseWatch
-from smolbot.flight.tracking.resonance_filter import Resonance
+from smolbot.flight.tracking.noise_monitor import NoiseMonitor
+from smolbot.flight.tracking.resonance_filter import ResonanceFilter
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter
 from smolbot.localization.estimator import Oscillation, PoseEstimator
-from smolbot.localization.noise.actuation_tails import CoilTails
+from smolbot.localization.noise.actuation_decay import CoilDecays
 from smolbot.motion.controller import Command
-from smolbot.runs.run import CycleRecord, Event, Listener, Run, Status, Tape
+from smolbot.runs.run import CycleRecord, Event, Listener, RecorderSink, Run, Status
 
 _LOG = logging.getLogger(__name__)
 _FORESEEN = (InterlockError, RigError, OutsideTableError)
 
-LEARN_EVERY = 5
+LEARNING_INTERVAL = 5
 """Number of cycles between two updates of resonance and noise, which change slowly."""
 
 
@@ -49,12 +49,12 @@ class StopRules:
     ----------
     max_duration : float, in s
         Counted from the first cycle on, pauses excluded.
-    lost_shots : int
+    max_lost_shots : int
         Listening shots in a row without an accepted pose.
     """
 
     max_duration: float
-    lost_shots: int
+    max_lost_shots: int
 
 
 def as_lists(sensors: SensorArray) -> dict[str, object]:
@@ -77,7 +77,7 @@ class Loop:
     """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
 
     Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
-    A device that is `led` leaves residuals that are not noise: the noise stays as it was learned at the start.
+    A device that is `externally_guided` leaves residuals that are not noise: the noise stays as it was learned at the start.
     The `safety` is asked before every shot and told of every recording; without one, only the rig's limits count.
     The `tape` hears of all that is played and happens; while the `pause` holds, the robot is listened to and not moved.
 
@@ -93,7 +93,7 @@ class Loop:
         What has happened so far; whole once the block was left, or `fly` returned or raised.
     """
 
-    resonance: Resonance  # of the scheduler's belief, from the first step on
+    resonance: ResonanceFilter  # of the scheduler's belief, from the first step on
 
     def __init__(
         self,
@@ -103,15 +103,15 @@ class Loop:
         tracker: Tracker,
         pilot: Pilot,
         rules: StopRules,
-        quiet: Quiet,
+        preparation: PreparationSettings,
         listeners: tuple[Listener, ...] = (),
         clock: Callable[[], float] = time.perf_counter,
         *,
         independent: bool = False,
-        led: bool = False,
+        externally_guided: bool = False,
         array_filter: ArrayFilter | None = None,
         safety: Safety | None = None,
-        tape: Tape | None = None,
+        tape: RecorderSink | None = None,
         pause: Pause | None = None,
     ) -> None:
         self.rig = rig
@@ -120,15 +120,15 @@ class Loop:
         self.tracker = tracker
         self.pilot = pilot
         self.rules = rules
-        self.quiet = quiet
+        self.preparation = preparation
         self.events: list[Event] = []
-        self.tails = CoilTails()
-        self.noise_watch = NoiseWatch(len(localizer.sensors))
+        self.tails = CoilDecays()
+        self.noise_watch = NoiseMonitor(len(localizer.sensors))
         self.array_filter = array_filter
         self.listeners = listeners
         self.independent = independent
-        self.led = led
-        self.safety = safety if safety is not None else unbounded(rig.limits, len(localizer.sensors))
+        self.externally_guided = externally_guided
+        self.safety = safety if safety is not None else make_limits_only_safety(rig.limits, len(localizer.sensors))
         self.run = Run()
         self.pause = pause if pause is not None else Pause()
         self._tape = tape
@@ -138,7 +138,7 @@ class Loop:
         self._ending: tuple[Status, str] | None = None
         self._began = self._started = 0.0
         self._paused = 0.0
-        self._heard = 0
+        self._located = 0
 
     def fly(self) -> Run:
         """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards.
@@ -164,7 +164,7 @@ class Loop:
         self.run, self._command, self._ending = Run(), None, None
         self._began = self._clock()
         self._linear_algebra = ExitStack()
-        self._linear_algebra.enter_context(one_thread())
+        self._linear_algebra.enter_context(limit_to_one_thread())
         self._flying = True
         return self
 
@@ -206,21 +206,23 @@ class Loop:
         if self._command is None:
             self._prepare()
             self._command = Command(None, note="no pose yet")
-        record = self._cycle(self._command)
+        record = self._run_cycle(self._command)
         self.run.cycles.append(record)
         for listener in self.listeners:
             listener(record)
         self._command = record.command
-        self._ending = self._ended(record.command)
+        self._ending = self._find_stop_reason(record.command)
         return record
 
     def _prepare(self) -> None:
         """Learn what is to be learned before the first cycle."""
-        first = Preparation(self.localizer, self.scheduler, self.quiet, self._played, self.rig.now, self._happened)
+        first = Preparation(
+            self.localizer, self.scheduler, self.preparation, self._play_checked, self.rig.now, self._record_event
+        )
         first.learn()
         self.localizer, self.tails = first.localizer, first.tails
-        first.warm_up(None if self.array_filter is None else self.array_filter.belief.frames)
-        self.resonance = Resonance(self.scheduler.belief)
+        first.warm_up(None if self.array_filter is None else self.array_filter.prior.frames)
+        self.resonance = ResonanceFilter(self.scheduler.belief)
         self.run.begun = self._started = self.rig.now()
 
     def _finish(self, run: Run, error: BaseException | None) -> None:
@@ -228,12 +230,12 @@ class Loop:
         try:
             run.status, run.stop_reason = self._outcome(error)
         finally:
-            self._silence(run)
+            self._zero_outputs(run)
         run.error = error if isinstance(error, _FORESEEN) else None
         run.duration = self.rig.now()
         run.events = self.events
-        run.safety = self.safety.figures()
-        run.recovered = self._recovered()
+        run.safety = self.safety.summarize()
+        run.recovered = self._count_recovered()
         run.wall = self._clock() - self._began
 
     def _outcome(self, error: BaseException | None) -> tuple[Status, str]:
@@ -241,23 +243,23 @@ class Loop:
         if error is None:
             return self._ending or ("stopped", "the loop was left before it was done")
         if isinstance(error, KeyboardInterrupt):
-            return "stopped", str(error) or CTRL_C
+            return "stopped", str(error) or CTRL_C_REASON
         if not isinstance(error, Exception):
             return "stopped", type(error).__name__
         if isinstance(error, OperatorStopError):
             return "stopped", str(error)
-        if self.safety.latch.is_shut:  # what stopped the rig matters, not what it said then
+        if self.safety.latch.tripped:  # what stopped the rig matters, not what it said then
             return self.safety.latch.ending, self.safety.latch.reason
         return "failed", str(error) if isinstance(error, _FORESEEN) else f"{type(error).__name__}: {error}"
 
-    def _silence(self, run: Run) -> None:
+    def _zero_outputs(self, run: Run) -> None:
         try:
             self.rig.stop()
         except Exception as error:  # a device that is gone must not cost the record of the run
             run.status = "failed"
             run.stop_reason += f"; the outputs could not be set to zero: {error}"
 
-    def _recovered(self) -> dict[str, int]:
+    def _count_recovered(self) -> dict[str, int]:
         """Count the faults that the flight recovered from. A kind that safety and rig both count enters once."""
         found = dict(self.safety.recovered)
         counted = self.rig.recovered if isinstance(self.rig, RecoveryCounter) else {}
@@ -266,45 +268,45 @@ class Loop:
             found[name] = max(found.get(name, 0), times)
         return found
 
-    def _played(self, shot: Shot) -> Recording | None:
+    def _play_checked(self, shot: Shot) -> Recording | None:
         """Play one shot that the safety supervisor has checked, and pass it to the recorder sink."""
-        self.safety.before(shot, self.rig.now(), self.tracker.pose)
+        self.safety.check_shot(shot, self.rig.now(), self.tracker.pose)
         recording = self.rig.play(shot)
         ended = self.rig.now()
         if self._tape is not None:
-            self._tape.played(shot, recording, ended)
-        return self.safety.after(shot, recording, ended)
+            self._tape.record_shot(shot, recording, ended)
+        return self.safety.check_recording(shot, recording, ended)
 
-    def _happened(self, time: float, what: str, detail: dict[str, object]) -> None:
+    def _record_event(self, time: float, what: str, detail: dict[str, object]) -> None:
         event = Event(time, what, detail)
         self.events.append(event)
         _LOG.info("%.3f s: %s %s", time, what, detail)
         if self._tape is not None:
-            self._tape.happened(event)
+            self._tape.record_event(event)
 
-    def _heed_pause(self) -> None:
+    def _apply_pause(self) -> None:
         """Begin or end a pause that was requested."""
         if self.pause.held != self.scheduler.paused:
             self.scheduler.paused = self.pause.held
-            self._happened(self.rig.now(), "paused" if self.pause.held else "resumed", {})
+            self._record_event(self.rig.now(), "paused" if self.pause.held else "resumed", {})
 
-    def _cycle(self, command: Command) -> CycleRecord:
+    def _run_cycle(self, command: Command) -> CycleRecord:
         begin = self._clock()
-        self._heed_pause()
+        self._apply_pause()
         shot = self.scheduler.next(command, self.tracker)
-        self.safety.before(shot, self.rig.now(), self.tracker.pose)
+        self.safety.check_shot(shot, self.rig.now(), self.tracker.pose)
         planned = self._clock()
         recording = self.rig.play(shot)
         heard, ended = self._clock(), self.rig.now()
         if self._tape is not None:
-            self._tape.played(shot, recording, ended)
-        recording = self.safety.after(shot, recording, ended)
-        recording = None if recording is None else self.tails.removed(shot, recording)
+            self._tape.record_shot(shot, recording, ended)
+        recording = self.safety.check_recording(shot, recording, ended)
+        recording = None if recording is None else self.tails.subtract_from(shot, recording)
         pose: Pose | None = None
         swing: Oscillation | None = None
         if recording is not None:
             # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
-            lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.vague
+            lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.orientation_uncertain
             prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
                 pose, swing = self.localizer.locate_swing(recording, prior)
@@ -312,19 +314,19 @@ class Loop:
                 pose = swing = None
         tracked = self.tracker.update(shot, pose, swing)
         if self.array_filter is not None and self.tracker.motion is not None:
-            self.array_filter.moved(*self.tracker.motion)
+            self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
         if recording is not None and swing is not None and learns:
             assert tracked is not None
             if self.array_filter is not None and pose is not None:
                 self._learn_array(tracked.time, self.array_filter, pose, swing)
-            self._heard += 1
-            if self._heard % LEARN_EVERY == 0:
-                self._follow_resonance(tracked.time, swing)
+            self._located += 1
+            if self._located % LEARNING_INTERVAL == 0:
+                self._update_resonance(tracked.time, swing)
                 self._refresh_noise(tracked.time, swing, recording)
         answer = self.pilot.command(shot, self.tracker)
         if answer.event:
-            self._happened(shot.end, answer.event, {"note": answer.note})
+            self._record_event(shot.end, answer.event, {"note": answer.note})
         if self.scheduler.paused:
             self._paused += ended - shot.start
         done = self._clock()
@@ -333,39 +335,39 @@ class Loop:
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
-        terms = swing.of_the_array(learned.belief.frames)
+        terms = swing.compute_array_terms(learned.prior.frames)
         if terms is None or not learned.update(pose, terms):
             return
         belief = self.scheduler.belief
         belief.learn_magnet(learned.moment, learned.l0)
         self.localizer = self.localizer.with_sensors(learned.sensors).with_device(belief.device)
         found = {"recordings": learned.recordings, "moment_a_m2": learned.moment, "l0_m": learned.l0}
-        self._happened(time, "array learned", {**found, **as_lists(learned.sensors)})
+        self._record_event(time, "array learned", {**found, **as_lists(learned.sensors)})
 
-    def _follow_resonance(self, time: float, swing: Oscillation) -> None:
-        seen = swing.resonance()
+    def _update_resonance(self, time: float, swing: Oscillation) -> None:
+        seen = swing.estimate_resonance_error()
         device = None if seen is None else self.resonance.update(time, *seen)
         if device is None:
             return
         self.localizer = self.localizer.with_device(device)
-        self._happened(time, "device retuned", {"frequency_hz": device.frequency, "damping_per_s": device.damping})
+        self._record_event(time, "device retuned", {"frequency_hz": device.frequency, "damping_per_s": device.damping})
 
     def _refresh_noise(self, time: float, swing: Oscillation, recording: Recording) -> None:
         """Update the noise model of sensors whose noise has changed since the start."""
         noise = self.localizer.noise
-        energies = None if self.led or noise is None else swing.energies(recording, noise)
+        energies = None if self.externally_guided or noise is None else swing.compute_energies(recording, noise)
         ratios = None if energies is None else self.noise_watch.update(*energies)
         if noise is None or ratios is None:
             return
         self.localizer = self.localizer.with_noise(noise.rescaled(ratios))
-        self._happened(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})
+        self._record_event(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})
 
-    def _ended(self, command: Command) -> tuple[Status, str] | None:
+    def _find_stop_reason(self, command: Command) -> tuple[Status, str] | None:
         if command.done:
             return "completed", command.note or "done"
         if command.stuck:
             return "stuck", command.note or "the controller gave up"
-        if self.tracker.misses >= self.rules.lost_shots:
+        if self.tracker.misses >= self.rules.max_lost_shots:
             seen = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
             return "lost", f"{seen}: {self.tracker.misses} shots in a row gave no pose that can be believed"
         flown = self.rig.now() - self._started - self._paused

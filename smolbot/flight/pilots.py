@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from smolbot.core.shots import Actuate, Shot
-from smolbot.flight.tracking.passive_trackers import Glimpse
+from smolbot.flight.tracking.passive_trackers import SingleShotTracker
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion.controller import Command, Controller, PlaybackAware
 from smolbot.paths.curve import Curve
@@ -123,15 +123,15 @@ class Measurer:
 
     Parameters
     ----------
-    glimpse : Glimpse
+    tracker : Glimpse
         Tracker that counts the measurements.
-    wanted : int
+    required : int
         Number of measurements to make.
     """
 
-    def __init__(self, glimpse: Glimpse, wanted: int) -> None:
-        self.wanted = wanted
-        self._glimpse = glimpse
+    def __init__(self, tracker: SingleShotTracker, required: int) -> None:
+        self.required = required
+        self._tracker = tracker
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
         """Return an empty command; it is done when there are enough measurements.
@@ -146,5 +146,5 @@ class Measurer:
         -------
         Command
         """
-        made = self._glimpse.measured
-        return Command(None, note=f"{made} of {self.wanted} measurements", done=made >= self.wanted)
+        made = self._tracker.measurements
+        return Command(None, note=f"{made} of {self.required} measurements", done=made >= self.required)

@@ -16,10 +16,10 @@ from smolbot.errors import InputError, RigError
 from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion.controller import Command, Cycle
-from smolbot.runs.recording.reader import Played, RecordedRun
+from smolbot.runs.recording.reader import PlayedShot, RecordedRun
 
 
-class PlayedRig:
+class ReplayRig:
     """Rig that returns the recordings of a recorded run, shot after shot, and moves nothing.
 
     Parameters
@@ -73,13 +73,13 @@ class PlayedRig:
         """
         for index in range(self._next, len(self._record.played)):
             played = self._record.played[index]
-            if self.shortened(played.shot).windows == shot.windows:
+            if self.shorten(played.shot).windows == shot.windows:
                 self._next, self._now = index + 1, played.ended
-                recording = played.recording(self._record.converter)
-                return None if recording is None else self._cut(played.shot, recording)
+                recording = played.decode_recording(self._record.converter)
+                return None if recording is None else self._cut_to_length(played.shot, recording)
         raise RigError(f"{self._record.path}: holds no more shot like this one, at {shot.start:.3f} s: {shot}.")
 
-    def shortened(self, shot: Shot) -> Shot:
+    def shorten(self, shot: Shot) -> Shot:
         """Shorten the listening window of a shot to the requested number of half-periods.
 
         Parameters
@@ -117,15 +117,15 @@ class PlayedRig:
     def close(self) -> None:
         """Do nothing: no device is open."""
 
-    def _cut(self, shot: Shot, recording: Recording) -> Recording:
-        brief = self.shortened(shot).listen
+    def _cut_to_length(self, shot: Shot, recording: Recording) -> Recording:
+        brief = self.shorten(shot).listen
         if brief is None or brief is shot.listen or brief == shot.listen:
             return recording
         n = round(brief.duration * recording.sample_rate)
         return replace(recording, field=recording.field[:, :n])
 
 
-class PlayedScheduler:
+class ReplayScheduler:
     """Scheduler that returns the recorded shots in order instead of planning any.
 
     Parameters
@@ -138,7 +138,7 @@ class PlayedScheduler:
     device : Device
     """
 
-    def __init__(self, record: RecordedRun, rig: PlayedRig, cycle: Cycle, limits: Limits, belief: DeviceBelief) -> None:
+    def __init__(self, record: RecordedRun, rig: ReplayRig, cycle: Cycle, limits: Limits, belief: DeviceBelief) -> None:
         self.cycle = cycle
         self.limits = limits
         self.belief = belief
@@ -146,14 +146,14 @@ class PlayedScheduler:
         cycles = set(record.shot_of_cycle)
         self._learned = [p for p in record.played if p.shot.mode == "quiet" and p.number not in cycles]
         by_number = {p.number: p for p in record.played}
-        self._shots = iter([rig.shortened(by_number[number].shot) for number in record.shot_of_cycle])
+        self._shots = iter([rig.shorten(by_number[number].shot) for number in record.shot_of_cycle])
 
     @property
     def device(self) -> Device:
         """The device that shots were made for."""
         return self.belief.scheduled
 
-    def quiet_shots(self, duration: float) -> Iterator[Shot]:
+    def make_noise_shots(self, duration: float) -> Iterator[Shot]:
         """Return the recorded shots of background noise.
 
         Parameters
@@ -167,16 +167,16 @@ class PlayedScheduler:
         """
         yield from (p.shot for p in self._learned if all(isinstance(w, Listen) for w in p.shot.windows))
 
-    def probe_shots(self) -> Iterator[Shot]:
+    def make_probe_shots(self) -> Iterator[Shot]:
         """Return the recorded shots that excite off resonance.
 
         Yields
         ------
         Shot
         """
-        yield from _first_tries([p for p in self._learned if isinstance(p.shot.windows[0], Excite)])
+        yield from _drop_repeats([p for p in self._learned if isinstance(p.shot.windows[0], Excite)])
 
-    def tail_shots(self, coil: int) -> Iterator[Shot]:
+    def make_tail_shots(self, coil: int) -> Iterator[Shot]:
         """Return the recorded shots that measure the current decay of one actuation coil.
 
         Parameters
@@ -188,7 +188,7 @@ class PlayedScheduler:
         ------
         Shot
         """
-        yield from _first_tries([p for p in self._learned if _pulled(p.shot) == coil])
+        yield from _drop_repeats([p for p in self._learned if _find_pulling_coil(p.shot) == coil])
 
     def next(self, command: Command, tracker: object) -> Shot:
         """Return the recorded shot of the next cycle.
@@ -207,7 +207,7 @@ class PlayedScheduler:
         return next(self._shots)
 
 
-class PlayedPilot:
+class ReplayPilot:
     """Pilot that repeats the recorded commands and is done at the last cycle.
 
     Parameters
@@ -239,7 +239,7 @@ class PlayedPilot:
         return replace(command, done=over, stuck=False)
 
 
-def require_windows(record: RecordedRun, half_periods: int | None) -> None:
+def check_windows(record: RecordedRun, half_periods: int | None) -> None:
     """Check that a record holds listening windows, and that they are as long as requested.
 
     Parameters
@@ -256,7 +256,7 @@ def require_windows(record: RecordedRun, half_periods: int | None) -> None:
     cycles = set(record.shot_of_cycle)
     heard = [p for p in record.played if p.samples is not None and p.number in cycles]
     if not record.moments:
-        short = "" if record.whole else "; it was cut short before the first"
+        short = "" if record.complete else "; it was cut short before the first"
         raise InputError(f"{record.path}: holds no cycle, so there is nothing to replay{short}.")
     if not heard:
         raise InputError(
@@ -270,7 +270,7 @@ def require_windows(record: RecordedRun, half_periods: int | None) -> None:
         )
 
 
-def _pulled(shot: Shot) -> int | None:
+def _find_pulling_coil(shot: Shot) -> int | None:
     """Find the actuation coil that a shot of the learning phase drives; None if it drives none."""
     first = shot.windows[0]
     if not isinstance(first, Actuate):
@@ -278,9 +278,9 @@ def _pulled(shot: Shot) -> int | None:
     return int(np.argmax(np.abs(first.currents)))
 
 
-def _first_tries(played: list[Played]) -> Iterator[Shot]:
+def _drop_repeats(played: list[PlayedShot]) -> Iterator[Shot]:
     """Drop shots that repeat one whose window was lost."""
-    before: Played | None = None
+    before: PlayedShot | None = None
     for p in played:
         repeats = before is not None and before.samples is None and before.shot.windows == p.shot.windows
         before = p

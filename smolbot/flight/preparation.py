@@ -11,13 +11,13 @@ from smolbot.core.shots import Shot
 from smolbot.errors import InputError, RigError
 from smolbot.flight.scheduler import Scheduler
 from smolbot.localization.estimator import PoseEstimator
-from smolbot.localization.noise.actuation_tails import CoilTails, Tail, learn_tail
-from smolbot.localization.noise.excitation_transients import QUIET_AFTER, learn_time_constant
+from smolbot.localization.noise.actuation_decay import CoilDecay, CoilDecays, identify_decay
+from smolbot.localization.noise.excitation_transients import SEPARABLE_AFTER, learn_time_constant
 from smolbot.localization.noise.model import NoiseModel
 
 
 @dataclass(frozen=True)
-class Quiet:
+class PreparationSettings:
     """What to learn before the first cycle.
 
     Attributes
@@ -41,13 +41,13 @@ class Preparation:
     ----------
     localizer, scheduler
         As they begin. The scheduler's cycle is replaced where listening may start earlier.
-    quiet : Quiet
+    settings : Quiet
         What to learn.
     play : callable
         Plays a shot and returns what was heard.
     now : callable
         Time on the rig's clock, in s.
-    happened : callable
+    record_event : callable
         Told of what was learned: time, what, and details.
 
     Attributes
@@ -61,18 +61,18 @@ class Preparation:
         self,
         localizer: PoseEstimator,
         scheduler: Scheduler,
-        quiet: Quiet,
+        settings: PreparationSettings,
         play: Callable[[Shot], Recording | None],
         now: Callable[[], float],
-        happened: Callable[[float, str, dict[str, object]], None],
+        record_event: Callable[[float, str, dict[str, object]], None],
     ) -> None:
         self.localizer = localizer
         self.scheduler = scheduler
-        self.quiet = quiet
-        self.tails = CoilTails()
+        self.settings = settings
+        self.tails = CoilDecays()
         self._play = play
         self._now = now
-        self._happened = happened
+        self._record_event = record_event
 
     def learn(self) -> None:
         """Play the shots of the learning phase, and learn noise, ring-down and coil decay from them.
@@ -86,16 +86,16 @@ class Preparation:
         self._learn_ring_down()
         self._learn_tails()
 
-    def _listened(self, shot: Shot) -> Recording | None:
+    def _play_with_retry(self, shot: Shot) -> Recording | None:
         """Play one shot, and play it once more if its window was lost."""
         heard = self._play(shot)
         return heard if heard is not None else self._play(replace(shot, start=self._now()))
 
     def _learn_noise(self) -> None:
         """Record background noise and pass the learned noise model to the localizer."""
-        if self.quiet.duration <= 0.0:
+        if self.settings.duration <= 0.0:
             return
-        heard = [self._play(shot) for shot in self.scheduler.quiet_shots(self.quiet.duration)]
+        heard = [self._play(shot) for shot in self.scheduler.make_noise_shots(self.settings.duration)]
         if "noise" not in self.localizer.learns:
             return
         try:
@@ -104,52 +104,52 @@ class Preparation:
             raise RigError(f"The noise cannot be learned from {len(heard)} quiet shots: {error}") from error
         self.localizer = self.localizer.with_noise(noise)
         lines = [round(float(f), 3) for f in noise.line_frequencies]
-        self._happened(self._now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines})
+        self._record_event(self._now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines})
 
     def _learn_ring_down(self) -> None:
         """Learn the decay of the excitation coils, and start listening as early as it allows."""
-        if not self.quiet.learn_ring_down:
+        if not self.settings.learn_ring_down:
             return
-        heard = [self._listened(shot) for shot in self.scheduler.probe_shots()]
+        heard = [self._play_with_retry(shot) for shot in self.scheduler.make_probe_shots()]
         constants = self.localizer.transients
         if "transients" in self.localizer.learns:
             frequency = self.localizer.device.frequency
             constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
             if len(constants) < len(heard):  # listening later, as the mission says, is right for any coil
-                self._happened(self._now(), "ring-down not learned", {"lost": len(heard) - len(constants)})
+                self._record_event(self._now(), "ring-down not learned", {"lost": len(heard) - len(constants)})
                 return
             self.localizer = self.localizer.with_transients(constants)
         if not constants:
             return
-        ring_down = max(QUIET_AFTER * max(constants), self.scheduler.limits.min_ring_down)
+        ring_down = max(SEPARABLE_AFTER * max(constants), self.scheduler.limits.min_ring_down)
         self.scheduler.cycle = replace(self.scheduler.cycle, ring_down=ring_down)
         detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
-        self._happened(self._now(), "ring-down learned", detail)
+        self._record_event(self._now(), "ring-down learned", detail)
 
     def _learn_tails(self) -> None:
         """Learn the decay of each actuation coil's current, where listening starts before it is over."""
-        if not self.quiet.learn_ring_down or "transients" not in self.localizer.learns:
+        if not self.settings.learn_ring_down or "transients" not in self.localizer.learns:
             return
-        self.tails = CoilTails(tuple(self._tail(coil) for coil in range(len(self.scheduler.limits.coils))))
-        learned = [tail for tail in self.tails.tails if tail is not None]
+        self.tails = CoilDecays(tuple(self._learn_tail(coil) for coil in range(len(self.scheduler.limits.coils))))
+        learned = [tail for tail in self.tails.decays if tail is not None]
         if learned:
             detail: dict[str, object] = {
-                "time_constants_ms": [None if t is None else 1e3 * t.time_constant for t in self.tails.tails],
-                "sizes_t_per_a": [None if t is None else t.size.tolist() for t in self.tails.tails],
+                "time_constants_ms": [None if t is None else 1e3 * t.time_constant for t in self.tails.decays],
+                "sizes_t_per_a": [None if t is None else t.size.tolist() for t in self.tails.decays],
             }
-            self._happened(self._now(), "coil tails learned", detail)
+            self._record_event(self._now(), "coil tails learned", detail)
 
-    def _tail(self, coil: int) -> Tail | None:
-        for shot in self.scheduler.tail_shots(coil):
-            heard = self._listened(shot)
+    def _learn_tail(self, coil: int) -> CoilDecay | None:
+        for shot in self.scheduler.make_tail_shots(coil):
+            heard = self._play_with_retry(shot)
             if heard is not None and not heard.saturated.any():
-                return learn_tail(shot, [heard], self.scheduler.device.frequency)
+                return identify_decay(shot, [heard], self.scheduler.device.frequency)
         return None
 
     def warm_up(self, frames: FloatArray | None) -> None:
         """Have the estimator do once whatever is slow the first time, as the cycle is by now.
 
-        `frames` are those in which an array's tilts are learned, where they are; see `array_filter.tilt_frames`.
+        `frames` are those in which an array's tilts are learned, where they are; see `array_filter.compute_tilt_frames`.
         """
         cycle = self.scheduler.cycle
-        self.localizer.warm_up(cycle.half_periods, self.quiet.sample_rate, cycle.ring_down, frames)
+        self.localizer.warm_up(cycle.half_periods, self.settings.sample_rate, cycle.ring_down, frames)

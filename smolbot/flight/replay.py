@@ -14,19 +14,19 @@ import numpy as np
 
 from smolbot.config.load import AnyMission
 from smolbot.config.mission_base import MissionBase
-from smolbot.core.blas_threads import kernel
+from smolbot.core.blas_threads import describe_blas
 from smolbot.core.pose import Pose
 from smolbot.core.results import Readable, as_columns
 from smolbot.core.version import __version__
 from smolbot.flight.assembly import make_loop
 from smolbot.flight.loop import Loop, StopRules
-from smolbot.flight.playback import PlayedPilot, PlayedRig, PlayedScheduler, require_windows
-from smolbot.flight.safety.supervisor import Rules
-from smolbot.runs.folder import packages
+from smolbot.flight.playback import ReplayPilot, ReplayRig, ReplayScheduler, check_windows
+from smolbot.flight.safety.supervisor import SafetyRules
+from smolbot.runs.folder import find_package_versions
 from smolbot.runs.recording.reader import RecordedRun, read_run
 from smolbot.runs.run import CycleRecord
-from smolbot.runs.summary import against_truth
-from smolbot.runs.trace import Moment, located
+from smolbot.runs.summary import compute_errors
+from smolbot.runs.trace import Moment, get_located_poses
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,17 +90,17 @@ class Replay(Readable):
         recorded = self.record.moments
         for index, (moment, cycle) in enumerate(zip(recorded, self.cycles, strict=False)):
             for name in ("pose", "tracked"):
-                what = _difference(getattr(moment.cycle, name), getattr(cycle, name))
+                what = _describe_difference(getattr(moment.cycle, name), getattr(cycle, name))
                 if what:
-                    return f"cycle {index}, {name} pose: {what}{self._elsewhere()}"
+                    return f"cycle {index}, {name} pose: {what}{self._describe_other_machine()}"
         if len(self.cycles) < len(recorded):
             return f"the replay ended after {len(self.cycles)} of {len(recorded)} cycles: {self.stop_reason}"
         return None
 
-    def _elsewhere(self) -> str:
+    def _describe_other_machine(self) -> str:
         """Describe how the recording computer differed from this one, since last bits may then differ."""
         there = {name: self.record.provenance.get(name) for name in ("linear_algebra", "packages", "smolbot")}
-        here = {"linear_algebra": kernel(), "packages": packages(), "smolbot": __version__}
+        here = {"linear_algebra": describe_blas(), "packages": find_package_versions(), "smolbot": __version__}
         other = [name.replace("_", " ") for name, value in here.items() if there[name] != value]
         return f" (recorded with other {', '.join(other)})" if other else ""
 
@@ -137,7 +137,7 @@ def replay(
     smolbot.errors.InputError: runs/monday: no such run.
     """
     record = run if isinstance(run, RecordedRun) else read_run(run)
-    require_windows(record, half_periods)
+    check_windows(record, half_periods)
     changed = {}
     if estimator is not None:
         changed["estimator"] = estimator
@@ -171,16 +171,16 @@ def make_replay_loop(record: RecordedRun, mission: Any, half_periods: int | None
     -------
     Loop
     """
-    rig = PlayedRig(record, mission.rig.sensors, mission.rig.limits, half_periods)
+    rig = ReplayRig(record, mission.rig.sensors, mission.rig.limits, half_periods)
     loop = make_loop(rig, mission)
-    loop.scheduler = PlayedScheduler(record, rig, loop.scheduler.cycle, rig.limits, loop.scheduler.belief)  # type: ignore[assignment]
-    loop.pilot = PlayedPilot(record)
+    loop.scheduler = ReplayScheduler(record, rig, loop.scheduler.cycle, rig.limits, loop.scheduler.belief)  # type: ignore[assignment]
+    loop.pilot = ReplayPilot(record)
     loop.rules = StopRules(float("inf"), len(record.moments) + 1)
     learned = [p for p in record.played if p.shot.mode == "quiet"]
     if not learned:  # the mission's own settings learned nothing, others would
-        loop.quiet = replace(loop.quiet, duration=0.0, learn_ring_down=False)
+        loop.preparation = replace(loop.preparation, duration=0.0, learn_ring_down=False)
     if changed:  # poses that others would have given steer nothing, so that no pose of theirs can do harm
-        loop.safety.rules = Rules(stale_shots=len(record.played) + 1)
+        loop.safety.rules = SafetyRules(stale_shots=len(record.played) + 1)
     return loop
 
 
@@ -196,7 +196,7 @@ _SHOWN_IN = {
 """Parts of a pose, with the factor and the unit in which a difference is printed."""
 
 
-def _difference(recorded: Pose | None, found: Pose | None) -> str:
+def _describe_difference(recorded: Pose | None, found: Pose | None) -> str:
     """Describe how two poses differ; empty if they are equal bit for bit."""
     if recorded is None or found is None:
         return "" if recorded is found else f"{'none' if recorded is None else 'one'} was recorded"
@@ -208,7 +208,7 @@ def _difference(recorded: Pose | None, found: Pose | None) -> str:
     return ""
 
 
-def figures(replayed: Replay) -> dict[str, dict[str, Any]]:
+def compute_figures(replayed: Replay) -> dict[str, dict[str, Any]]:
     """Compute the figures of the record and of the replay over the cycles that both have.
 
     Parameters
@@ -222,11 +222,11 @@ def figures(replayed: Replay) -> dict[str, dict[str, Any]]:
     """
     moments = replayed.moments
     both = {"recorded": replayed.record.moments[: len(moments)], "replayed": moments}
-    return {name: _figures(replayed.mission, of) for name, of in both.items()}
+    return {name: _compute_figures(replayed.mission, of) for name, of in both.items()}
 
 
-def _figures(mission: MissionBase, moments: Sequence[Moment]) -> dict[str, Any]:
-    trusted = located(moments)
+def _compute_figures(mission: MissionBase, moments: Sequence[Moment]) -> dict[str, Any]:
+    trusted = get_located_poses(moments)
     sigma = [1e3 * float(np.sqrt(p.covariance[:3, :3].trace() / 3.0)) for p in trusted]
     out: dict[str, Any] = {
         "windows": sum(m.cycle.shot.listen is not None for m in moments),
@@ -234,10 +234,10 @@ def _figures(mission: MissionBase, moments: Sequence[Moment]) -> dict[str, Any]:
         "r_squared_median": float(np.median([p.r_squared for p in trusted])) if trusted else None,
         "sigma_mm_median": float(np.median(sigma)) if sigma else None,
     }
-    return out | against_truth(mission, list(moments))
+    return out | compute_errors(mission, list(moments))
 
 
-def apart(replayed: Replay) -> dict[str, Any]:
+def compute_pose_differences(replayed: Replay) -> dict[str, Any]:
     """Compute the difference between replayed and recorded poses, where both are trusted.
 
     Parameters
@@ -249,8 +249,8 @@ def apart(replayed: Replay) -> dict[str, Any]:
     dict
         Number of poses, statistics of the distance in mm and of the angle in deg; empty if there are no such poses.
     """
-    from smolbot.core.rotations import nearer_twin, rotation_error
-    from smolbot.runs.summary import statistics
+    from smolbot.core.rotations import choose_nearer_orientation, compute_rotation_error
+    from smolbot.runs.summary import compute_statistics
 
     pairs = [
         (first, second)
@@ -260,10 +260,12 @@ def apart(replayed: Replay) -> dict[str, Any]:
     if not pairs:
         return {}
     distance = np.array([np.linalg.norm(b.position - a.position) for a, b in pairs])
-    turned = [rotation_error(nearer_twin(b.orientation, a.orientation), a.orientation) for a, b in pairs]
+    turned = [
+        compute_rotation_error(choose_nearer_orientation(b.orientation, a.orientation), a.orientation) for a, b in pairs
+    ]
     angle = np.degrees(np.linalg.norm(np.array(turned), axis=1))
     return {
         "poses": len(pairs),
-        "distance_mm": statistics(distance * 1e3, "mean", "rms", "p95", "max"),
-        "angle_deg": statistics(angle, "mean", "rms", "p95", "max"),
+        "distance_mm": compute_statistics(distance * 1e3, "mean", "rms", "p95", "max"),
+        "angle_deg": compute_statistics(angle, "mean", "rms", "p95", "max"),
     }

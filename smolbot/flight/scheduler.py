@@ -12,13 +12,13 @@ from typing import Protocol
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.core.drive import drive
+from smolbot.core.drive import compute_drive
 from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Excite, Listen, Mode, RingDown, Shot, Window
 from smolbot.flight.device_belief import DeviceBelief
-from smolbot.localization.forward import envelope
+from smolbot.localization.forward import compute_envelope
 from smolbot.motion.controller import Command, Cycle
 
 PROBE_HALF_PERIODS = 8
@@ -28,13 +28,13 @@ TAIL_CURRENTS = (0.025, 0.006, 0.0015)
 """Currents, as shares of the highest one, with which the decay of a coil is measured: the next lower one if sensors
 were saturated. None of them moves a robot by more than some micrometres."""
 
-TAIL_PULL = 15e-3
+TAIL_PULL_DURATION = 15e-3
 """Length of such an actuation window, in s."""
 
-TAIL_PAUSE = 8e-3
+TAIL_PAUSE_DURATION = 8e-3
 """Time from its end to listening, in s."""
 
-AUDIBLE_LEFT = 0.2
+MIN_REMAINING_SWING = 0.2
 """Remaining swing, as a share of the stops, above which it is taken into account in the next burst. A device in a
 capsule swings on for a second, and a burst against that swing would cancel most of both; with strong damping
 nothing remains."""
@@ -43,18 +43,18 @@ SEARCH_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
 """Excitation mixes (x, y) tried in turn while the orientation is unknown."""
 
 
-def stretched_actuation(turn: float, t_min: float, t_max: float, sharp: float) -> float:
+def compute_actuation_time(turn_angle: float, t_min: float, t_max: float, sharp_angle: float) -> float:
     """Compute the actuation time for a turn: longer for sharp turns, so that the magnet aligns.
 
         t = t_min + (t_max - t_min) |turn| / pi    for |turn| > sharp, else t_min    (Eq. S17)
 
     Parameters
     ----------
-    turn : float, in rad
+    turn_angle : float, in rad
     t_min : float, in s
     t_max : float, in s
         Time for a turn of 180 degrees.
-    sharp : float, in rad
+    sharp_angle : float, in rad
         Angle above which a turn counts as sharp.
 
     Returns
@@ -63,15 +63,15 @@ def stretched_actuation(turn: float, t_min: float, t_max: float, sharp: float) -
 
     Examples
     --------
-    >>> [round(stretched_actuation(np.radians(a), 0.03, 0.08, np.radians(30)), 4) for a in (0, 29, 90, 180)]
+    >>> [round(compute_actuation_time(np.radians(a), 0.03, 0.08, np.radians(30)), 4) for a in (0, 29, 90, 180)]
     [0.03, 0.03, 0.055, 0.08]
     """
-    if abs(turn) <= sharp:
+    if abs(turn_angle) <= sharp_angle:
         return t_min
-    return t_min + (t_max - t_min) * abs(float(turn)) / math.pi
+    return t_min + (t_max - t_min) * abs(float(turn_angle)) / math.pi
 
 
-class Believed(Protocol):
+class TrackedPose(Protocol):
     """Protocol of the tracker as the scheduler uses it."""
 
     @property
@@ -104,7 +104,7 @@ class Scheduler:
     """Decides the mode of the next shot and lays out its windows.
 
     Modes: ``search`` without a pose; ``hold`` to listen without actuating; ``track`` to act and
-    listen; ``lost`` after `patience` windows without a pose that can be believed.
+    listen; ``lost`` after `max_misses` windows without a pose that can be believed.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Scheduler:
         Position (3,) in m to field (2, 3) in T per A of the excitation coils, as believed.
     clock : callable
         Earliest start of the next shot, in s.
-    patience : int
+    max_misses : int
         Misses in a row that are borne before actuation stops.
     """
 
@@ -127,14 +127,14 @@ class Scheduler:
         belief: DeviceBelief,
         excitation_field: Callable[[FloatArray], FloatArray],
         clock: Callable[[], float],
-        patience: int = 3,
+        max_misses: int = 3,
     ) -> None:
         self.cycle = cycle
         self.limits = limits
         self.belief = belief
-        self.patience = patience
+        self.max_misses = max_misses
         self.paused = False
-        self.searched = 0
+        self.search_shots = 0
         self._excitation_field = excitation_field
         self._clock = clock
         self._driven: float | None = None  # end of the last burst, in s
@@ -144,7 +144,7 @@ class Scheduler:
         """The device that shots are made for."""
         return self.belief.scheduled
 
-    def quiet_shots(self, duration: float) -> Iterator[Shot]:
+    def make_noise_shots(self, duration: float) -> Iterator[Shot]:
         """Make shots of at most a second that only listen, to record background noise.
 
         Parameters
@@ -163,7 +163,7 @@ class Scheduler:
         for _ in range(count):
             yield Shot((Listen(half_periods, frequency),), "quiet", self._clock())
 
-    def probe_shots(self) -> Iterator[Shot]:
+    def make_probe_shots(self) -> Iterator[Shot]:
         """Make one shot for each excitation coil that excites off resonance and listens as early as it may.
 
         Yields
@@ -177,7 +177,7 @@ class Scheduler:
             listen = Listen(PROBE_HALF_PERIODS, self.device.frequency)
             yield Shot((excite, RingDown(ring_down), listen), "quiet", self._clock())
 
-    def tail_shots(self, coil: int) -> Iterator[Shot]:
+    def make_tail_shots(self, coil: int) -> Iterator[Shot]:
         """Make weak pulls of one actuation coil, each weaker than the last, until the sensors are not saturated.
 
         Parameters
@@ -192,11 +192,11 @@ class Scheduler:
         for share in TAIL_CURRENTS:
             currents = [0.0] * len(self.limits.coils)
             currents[coil] = share * self.limits.max_current
-            pull = Actuate(tuple(currents), min(TAIL_PULL, self.limits.max_actuation))
-            ring_down = RingDown(max(self.limits.min_ring_down, TAIL_PAUSE))
+            pull = Actuate(tuple(currents), min(TAIL_PULL_DURATION, self.limits.max_actuation))
+            ring_down = RingDown(max(self.limits.min_ring_down, TAIL_PAUSE_DURATION))
             yield Shot((pull, ring_down, Listen(PROBE_HALF_PERIODS, self.device.frequency)), "quiet", self._clock())
 
-    def next(self, command: Command, tracker: Believed) -> Shot:
+    def next(self, command: Command, tracker: TrackedPose) -> Shot:
         """Plan the next shot from a command and the tracked pose.
 
         Parameters
@@ -208,51 +208,53 @@ class Scheduler:
         -------
         Shot
         """
-        mode = self._mode(tracker)
+        mode = self._choose_mode(tracker)
         windows: list[Window] = []
         if mode == "track" and command.mechanical:
             return Shot(command.mechanical, mode, self._clock())
         if mode == "track" and isinstance(command.window, Actuate):
             windows.append(command.window)
-        self.searched = self.searched + 1 if mode in ("search", "lost") else 0
+        self.search_shots = self.search_shots + 1 if mode in ("search", "lost") else 0
         start = self._clock() + sum(window.duration for window in windows)
-        excite = self._excite(mode, None if tracker.pose is None else tracker.pose_at(start), start)
+        excite = self._plan_excitation(mode, None if tracker.pose is None else tracker.pose_at(start), start)
         self._driven = start + excite.duration
         windows.append(excite)
         windows.append(RingDown(self.cycle.ring_down))
         windows.append(Listen(self.cycle.half_periods, self.device.frequency))
         return Shot(tuple(windows), mode, self._clock())
 
-    def _mode(self, tracker: Believed) -> Mode:
+    def _choose_mode(self, tracker: TrackedPose) -> Mode:
         if tracker.pose is None:
             return "search"
-        if tracker.misses >= self.patience:
+        if tracker.misses >= self.max_misses:
             return "lost"
         return "hold" if self.paused or not tracker.confirmed else "track"
 
-    def _excite(self, mode: Mode, pose: Pose | None, start: float) -> Excite:
+    def _plan_excitation(self, mode: Mode, pose: Pose | None, start: float) -> Excite:
         """Plan the excitation for the pose predicted for `start` s.
 
         In a search, each direction is tried in turn, with longer bursts from round to round.
         """
-        turn = (self.searched - 1) % (len(SEARCH_DIRECTIONS) + 1) if mode in ("search", "lost") else 0
-        rounds = max(self.searched - 1, 0) // (len(SEARCH_DIRECTIONS) + 1)
+        turn = (self.search_shots - 1) % (len(SEARCH_DIRECTIONS) + 1) if mode in ("search", "lost") else 0
+        rounds = max(self.search_shots - 1, 0) // (len(SEARCH_DIRECTIONS) + 1)
         if mode == "search":
-            turn = (self.searched - 1) % len(SEARCH_DIRECTIONS) + 1
-            rounds = max(self.searched - 1, 0) // len(SEARCH_DIRECTIONS)
+            turn = (self.search_shots - 1) % len(SEARCH_DIRECTIONS) + 1
+            rounds = max(self.search_shots - 1, 0) // len(SEARCH_DIRECTIONS)
         longest = int(self.limits.max_excitation * self.device.frequency)
         cycles = min(self.cycle.excite_cycles * 2 ** min(rounds, 4), longest) if rounds else self.cycle.excite_cycles
         most = self.cycle.excite_current
         if turn == 0 and pose is not None:
             fields = self._excitation_field(np.asarray(pose.position))
-            currents = drive(fields, pose, self.device, self.belief.inertia, cycles, most, self._left(start)).currents
+            currents = compute_drive(
+                fields, pose, self.device, self.belief.inertia, cycles, most, self._compute_remaining_swing(start)
+            ).currents
         else:
             currents = most * np.array(SEARCH_DIRECTIONS[turn - 1])
         return Excite((float(currents[0]), float(currents[1])), self.device.frequency, cycles)
 
-    def _left(self, start: float) -> float:
+    def _compute_remaining_swing(self, start: float) -> float:
         """Compute the remaining swing at `start` s as a share of the amplitude at the stops; 0 if negligible."""
         if self._driven is None:
             return 0.0
-        left = float(envelope(self.device, np.array([max(start - self._driven, 0.0)]))[0])
-        return left if left > AUDIBLE_LEFT else 0.0
+        left = float(compute_envelope(self.device, np.array([max(start - self._driven, 0.0)]))[0])
+        return left if left > MIN_REMAINING_SWING else 0.0

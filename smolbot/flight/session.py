@@ -18,26 +18,26 @@ from smolbot.config.sensors import write_sensors
 from smolbot.config.world import World
 from smolbot.core.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.core.rig import ProvenanceReporter, Rig
-from smolbot.core.thread_switching import short_turns
+from smolbot.core.thread_switching import shorten_switch_interval
 from smolbot.errors import InputError
-from smolbot.flight.assembly import learned_sensors, make_loop
+from smolbot.flight.assembly import make_learned_sensors_file, make_loop
 from smolbot.flight.loop import Loop
 from smolbot.flight.pause import Pause
 from smolbot.flight.safety.heat_store import HeatMemory
 from smolbot.flight.safety.stop_latch import Latch
-from smolbot.flight.safety.stop_signals import stop_signals
-from smolbot.runs.folder import PICTURE, RunFolder, provenance
-from smolbot.runs.outcome import draw, sum_up
+from smolbot.flight.safety.stop_signals import catch_stop_signals
+from smolbot.runs.folder import PICTURE, RunFolder, collect_provenance
+from smolbot.runs.outcome import draw_run_picture, summarise_run
 from smolbot.runs.recording.converter import Converter
-from smolbot.runs.recording.files import RunFiles
-from smolbot.runs.recording.pump import Pump, Tapes
-from smolbot.runs.recording.recorder import Recorder, begin_message, end_message
+from smolbot.runs.recording.message_queue import MessageQueue, RecorderSinks
+from smolbot.runs.recording.recorder import Recorder, make_begin_message, make_end_message
+from smolbot.runs.recording.run_files import RunFiles
 from smolbot.runs.run import CycleRecord, Listener, Run
 from smolbot.runs.trace import Trace
 
 _LOG = logging.getLogger(__name__)
 
-LEARNED = "sensors_learned.toml"
+LEARNED_SENSORS_FILE = "sensors_learned.toml"
 """File of a run folder with the sensor array as the flight has estimated it."""
 
 
@@ -93,14 +93,14 @@ def run(
     >>> run.status, len(run.cycles) == len(run.table()["time"])
     ('timeout', True)
     """
-    settings = {name.replace("__", "."): _spell(value) for name, value in overrides.items()}
+    settings = {name.replace("__", "."): _format_setting(value) for name, value in overrides.items()}
     if isinstance(mission, str):
         mission = load_mission(mission, rig, settings)
     elif rig is not None or settings:
         raise InputError("rig and overrides belong to loading: pass the mission's name, or load it with them.")
     folder = None if out is None else RunFolder(Path(out))
     latch = Latch()
-    with stop_signals(latch):
+    with catch_stop_signals(latch):
         return fly(
             mission, seed, folder=folder, settings=settings, gui=gui, witness=witness,
             operator=operator or TerminalOperator(), latch=latch, report=report,
@@ -115,13 +115,13 @@ def fly(
     settings: Mapping[str, str] | None = None,
     gui: bool = False,
     witness: bool = True,
-    listeners: Callable[[AnyMission], tuple[Listener, ...]] | None = None,
+    make_listeners: Callable[[AnyMission], tuple[Listener, ...]] | None = None,
     opener: Callable[[AnyMission, int], Rig] | None = None,
     operator: Operator | None = None,
     latch: Latch | None = None,
     pause: Pause | None = None,
-    live: Callable[[Converter], Pump] | None = None,
-    flushed: Callable[[int], None] | None = None,
+    make_live_sink: Callable[[Converter], MessageQueue] | None = None,
+    on_flush: Callable[[int], None] | None = None,
     report: bool = False,
 ) -> Run:
     """Fly a loaded mission.
@@ -139,7 +139,7 @@ def fly(
         Show the simulated world in a window, where there is a display.
     witness : bool
         Log the ground truth of a simulated world.
-    listeners : callable, optional
+    make_listeners : callable, optional
         Makes further listeners of every cycle from the mission, such as a progress bar.
     opener : callable, optional
         Opens another rig than the rig file names, from mission and seed, such as ``sim.reduced.rig.open_reduced``.
@@ -149,9 +149,9 @@ def fly(
         Whoever holds it may end the run.
     pause : Pause, optional
         Whoever holds it may pause the run.
-    live : callable, optional
+    make_live_sink : callable, optional
         Makes one more recorder sink from the converter of sensor values, such as the pump of a live page.
-    flushed : callable, optional
+    on_flush : callable, optional
         Called with the number of messages that are safely in the folder, each time that it grows.
     report : bool
         Whether to write the run's page into the folder once the rig is closed. If that fails, the run is complete
@@ -172,11 +172,11 @@ def fly(
     try:
         latch.bind(rig.stop)
         flight = _Flight(mission, seed, folder, settings or {}, latch, pause)
-        flown = flight.fly(rig, witness, listeners, live, flushed)
+        flown = flight.fly(rig, witness, make_listeners, make_live_sink, on_flush)
     finally:
         rig.close()
     if report and folder is not None:
-        flown.report = _report(mission, folder.path)
+        flown.report = _write_report(mission, folder.path)
     return flown
 
 
@@ -206,19 +206,19 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
         If what the world opens breaks the protocol of a `Rig`.
     """
     world: World = load_world(mission.rig.world, mission.rig.document)
-    place = mission.start if isinstance(mission, Observation) else mission.put_down
+    place = mission.start if isinstance(mission, Observation) else mission.start_placement
     rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
     check_protocol(rig, Rig, f"What world '{mission.rig.world}' opens")
     return rig
 
 
-def _report(mission: AnyMission, folder: Path) -> str:
+def _write_report(mission: AnyMission, folder: Path) -> str:
     """Write the page of a run that is over; return its path, or why it could not be written."""
-    from smolbot.runs.report.flight import Flight
     from smolbot.runs.report.page import save_report
+    from smolbot.runs.report.recorded_flight import RecordedFlight
 
     try:
-        return str(save_report(Flight.read(folder, mission)))
+        return str(save_report(RecordedFlight.read(folder, mission)))
     except Exception as error:
         _LOG.warning("%s: the report could not be written", folder, exc_info=error)
         return f"could not be written: {type(error).__name__}: {error}"
@@ -242,55 +242,57 @@ class _Flight:
         self.settings = settings
         self.latch = latch
         self.pause = pause
-        self.drawn: dict[str, Any] = {}
+        self.sampled: dict[str, Any] = {}
         self.trace = Trace(None)
-        self.told = 0
-        self.tapes: Tapes = Tapes(())
+        self.n_recorded = 0
+        self.tapes: RecorderSinks = RecorderSinks(())
 
     def fly(
         self,
         rig: Rig,
         witness: bool,
         listeners: Callable[[AnyMission], tuple[Listener, ...]] | None,
-        live: Callable[[Converter], Pump] | None,
+        live: Callable[[Converter], MessageQueue] | None,
         flushed: Callable[[int], None] | None,
     ) -> Run:
         mission = self.mission
-        self.drawn = rig.provenance() if isinstance(rig, ProvenanceReporter) else {}
+        self.sampled = rig.provenance() if isinstance(rig, ProvenanceReporter) else {}
         self.trace = Trace(rig.witness if witness else None)
         real = rig.witness is None  # coils of a world that tells the truth are made anew each time
-        memory = HeatMemory.of(mission.rig.name) if real else None
+        memory = HeatMemory.from_rig_name(mission.rig.name) if real else None
         extra = listeners(mission) if listeners else ()
         self.tapes = self._begin(live, flushed)
         try:
-            loop = make_loop(rig, mission, (self._hear, *extra), self.latch, memory, self.tapes, self.pause)
+            loop = make_loop(rig, mission, (self._record_cycle, *extra), self.latch, memory, self.tapes, self.pause)
             gc.freeze()  # what is there by now is not looked through again while the robot waits
             try:
-                with short_turns():
+                with shorten_switch_interval():
                     loop.fly()
             finally:
                 gc.unfreeze()
-                self._settle(loop)
+                self._finish(loop)
         finally:
             self.tapes.close()
         return loop.run
 
-    def _begin(self, live: Callable[[Converter], Pump] | None, flushed: Callable[[int], None] | None) -> Tapes:
+    def _begin(
+        self, live: Callable[[Converter], MessageQueue] | None, flushed: Callable[[int], None] | None
+    ) -> RecorderSinks:
         """Write what the run starts from, and pass it to the recorder and to the live page."""
         converter = Converter.of(self.mission.rig.sections.sensors, self.mission.rig.sensor_gains)
         pumps = [] if live is None else [live(converter)]
         if self.folder is None and not pumps:
-            return Tapes(())
+            return RecorderSinks(())
         files = RunFiles.of(self.mission)
-        where = provenance(self.seed, self.settings, self.drawn)
+        where = collect_provenance(self.seed, self.settings, self.sampled)
         if self.folder is not None:
             self.folder.begin(files.contents, where)
             pumps.insert(0, Recorder(self.folder.path, converter, flushed))
-        tapes = Tapes(tuple(pumps))
-        tapes.tell("/run/begin", 0.0, begin_message(files, where, converter))
+        tapes = RecorderSinks(tuple(pumps))
+        tapes.record_message("/run/begin", 0.0, make_begin_message(files, where, converter))
         return tapes
 
-    def _hear(self, record: CycleRecord) -> None:
+    def _record_cycle(self, record: CycleRecord) -> None:
         before = self.trace.moments[-1].cycle.shot.mode if self.trace.moments else ""
         if record.shot.mode == "lost" != before:
             _LOG.warning("%.3f s: the signal is lost; searching", record.shot.start)
@@ -298,10 +300,10 @@ class _Flight:
         moment = self.trace.moments[-1]
         if self.folder is not None:
             self.folder.record(moment)
-        self.tapes.cycle(len(self.trace.moments) - 1, moment)
-        self.told = len(self.trace.moments)
+        self.tapes.record_cycle(len(self.trace.moments) - 1, moment)
+        self.n_recorded = len(self.trace.moments)
 
-    def _settle(self, loop: Loop) -> None:
+    def _finish(self, loop: Loop) -> None:
         """Summarize a flight, however it ended, and complete its folder."""
         flown, folder, trace = loop.run, self.folder, self.trace
         if flown.status == "stopped":  # perhaps between a cycle and its record
@@ -310,28 +312,30 @@ class _Flight:
             if folder is not None:
                 for moment in trace.moments[folder.rows :]:
                     folder.record(moment)
-            for number in range(self.told, len(trace.moments)):
-                self.tapes.cycle(number, trace.moments[number])
+            for number in range(self.n_recorded, len(trace.moments)):
+                self.tapes.record_cycle(number, trace.moments[number])
         level = logging.INFO if flown.status == "completed" else logging.WARNING
         _LOG.log(level, "%.3f s: %s: %s", flown.duration, flown.status, flown.stop_reason)
         flown.true_trail = trace.true_positions() if trace.knows_truth else None
         flown.folder = str(folder.path) if folder is not None else None
-        self.tapes.tell("/run/end", flown.duration, end_message(flown), wait=True)
+        self.tapes.record_message("/run/end", flown.duration, make_end_message(flown), wait=True)
         self.tapes.close()
-        flown.summary = sum_up(self.mission, flown, trace, self.seed, self.drawn)
+        flown.summary = summarise_run(self.mission, flown, trace, self.seed, self.sampled)
         if folder is not None:
-            figures = self.tapes.figures()
+            figures = self.tapes.collect_figures()
             flown.summary["recording"] = {**figures, "error": figures["error"] or folder.error}
             try:
                 if loop.array_filter is not None and loop.array_filter.recordings:
-                    write_sensors(folder.path / LEARNED, learned_sensors(self.mission, loop.array_filter))
+                    write_sensors(
+                        folder.path / LEARNED_SENSORS_FILE, make_learned_sensors_file(self.mission, loop.array_filter)
+                    )
                 folder.end(flown.summary)
-                draw(self.mission, flown, trace, folder.path / PICTURE)
+                draw_run_picture(self.mission, flown, trace, folder.path / PICTURE)
             except OSError as error:
                 raise InputError(f"{folder.path}: the run's folder cannot be completed: {error}.") from error
 
 
-def new_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) -> RunFolder:
+def make_run_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) -> RunFolder:
     """Choose a run folder that does not exist yet, named by mission, local time and seed.
 
     Parameters
@@ -354,7 +358,7 @@ def new_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) -> Ru
     return RunFolder(path)
 
 
-def _spell(value: Any) -> str:
+def _format_setting(value: Any) -> str:
     import json
 
     return value if isinstance(value, str) else json.dumps(value)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from smolbot.bench.calibration.device import Calibration, Plan
+from smolbot.bench.calibration.device import Calibration, CalibrationPlan
 from smolbot.bench.calibration.device import calibrate as calibrate_device
 from smolbot.config.device import DeviceConfig, write_device
 from smolbot.config.plugins import load_world
@@ -24,7 +24,7 @@ def calibrate(
     height: float,
     *,
     robot: str | None = None,
-    plan: Plan | None = None,
+    plan: CalibrationPlan | None = None,
     seed: int = 1,
     out: str | Path | None = None,
     settings: Mapping[str, str] | None = None,

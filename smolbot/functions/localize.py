@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from smolbot.bench.calibration.quiet_samples import Quiet, learn_quiet
+from smolbot.bench.calibration.background_noise import BackgroundNoise, learn_background_noise
 from smolbot.config.rig import RigConfig, load_rig
-from smolbot.config.samples import Shots, read_samples, recordings_from
+from smolbot.config.samples import SampleRecordings, make_recordings, read_samples
 from smolbot.core.pose import Pose
 from smolbot.core.results import Readable, as_columns
 from smolbot.core.sensing import Device, Recording
@@ -165,21 +165,23 @@ def localize(
     config = load_rig(rig)
     name, known = find_device(robot, device)
     held = read_samples(samples)
-    shots = recordings_from(held, config)
+    shots = make_recordings(held, config)
     localizer, heard = make_localizer(config, known, estimator, quiet, held.sample_rate)
     try:
-        poses = locate_all(localizer, shots if heard is None else heard.taken_from(shots), half_periods, superfast)
+        poses = locate_all(
+            localizer, shots if heard is None else heard.remove_broken_channels(shots), half_periods, superfast
+        )
     except InputError as error:
         raise InputError(f"{samples}: {error}") from error
     return Localization(
-        samples, config.name, name, str(device) if device else None, None if heard is None else heard.told,
+        samples, config.name, name, str(device) if device else None, None if heard is None else heard.remark,
         localizer.estimator, held.sample_rate, len(shots.recordings), poses,
     )  # fmt: skip
 
 
 def make_localizer(
     rig: RigConfig, device: Device, estimator: str | None, quiet: str | Path | None, rate: float
-) -> tuple[Localizer, Quiet | None]:
+) -> tuple[Localizer, BackgroundNoise | None]:
     """A localizer for the rig's array, with the noise learned from quiet samples where they are given.
 
     Parameters
@@ -202,14 +204,14 @@ def make_localizer(
     InputError
         If the localizer has no such estimator, or nothing can be learned for samples of that rate.
     """
-    heard = None if quiet is None else learn_quiet(Path(quiet), rig, rate)
+    heard = None if quiet is None else learn_background_noise(Path(quiet), rig, rate)
     options: dict[str, Any] = {} if estimator is None else {"estimator": estimator}
     noise = None if heard is None else heard.noise
     return Localizer(sensors=rig.sensors, device=device, noise=noise, **options), heard
 
 
 def locate_all(
-    localizer: Localizer, shots: Shots, half_periods: int | None = None, segments: int | None = None
+    localizer: Localizer, shots: SampleRecordings, half_periods: int | None = None, segments: int | None = None
 ) -> tuple[LocatedShot, ...]:
     """Poses in order, each with the last trusted one as prior; a shot that cannot be located keeps its place.
 

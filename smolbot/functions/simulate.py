@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.core.results import Readable, as_columns
 from smolbot.functions.settings import merge_settings
 
@@ -229,7 +229,7 @@ def simulate(
     Traceback (most recent call last):
     smolbot.errors.InputError: simulate needs one seed at least; got none.
     """
-    fly: Simulate = load("functions", "simulate")
+    fly: Simulate = load_plugin("functions", "simulate")
     return fly(
         mission, seeds, rig=rig, plant=plant, jobs=jobs, scheduler=scheduler, out=None if out is None else Path(out),
         settings=merge_settings(settings, overrides), progress=progress,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from smolbot.config.device import load_device
-from smolbot.config.library import holds_rig, shipped
-from smolbot.config.mission import load_mission
+from smolbot.config.library import holds_rig, list_shipped
+from smolbot.config.mission import load_steering_mission
 from smolbot.config.rig import RigConfig, load_rig
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.core.sensing import Device
@@ -53,7 +53,7 @@ def find_target(
         If a name is neither a rig nor a mission; lists what there is.
     """
     settings = settings or {}
-    rigs, missions = shipped("rigs"), shipped("missions")
+    rigs, missions = list_shipped("rigs"), list_shipped("missions")
     is_path = target.endswith(".toml") or "/" in target or "\\" in target
     if not is_path and target not in rigs and target not in missions:
         raise InputError(
@@ -65,7 +65,7 @@ def find_target(
         config = load_rig(target, {key.removeprefix("rig."): value for key, value in settings.items()} or None)
         x, y = config.container.center.tolist()
         return config, load_robot(robot or DEFAULT_ROBOT), (x, y)
-    mission = load_mission(target, None, settings)
+    mission = load_steering_mission(target, None, settings)
     chosen = mission.robot if robot is None else load_robot(robot, beside=mission.document.path.parent)
     return mission.rig, chosen, mission.start
 

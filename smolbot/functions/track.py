@@ -12,19 +12,19 @@ import numpy as np
 
 from smolbot.config.robot import RobotConfig, load_robot
 from smolbot.core.arrays import FloatArray
-from smolbot.core.results import Readable, as_columns, json_text
-from smolbot.errors import InputError, writing
+from smolbot.core.results import Readable, as_columns, format_json
+from smolbot.errors import InputError, report_write_errors
 from smolbot.functions.settings import DEFAULT_ROBOT
 from smolbot.runs.optics.alignment import Alignment, align
 from smolbot.runs.optics.analysis import PathAnalysis, analyse
-from smolbot.runs.optics.fiducials import read_fiducials, view_by_markers
-from smolbot.runs.optics.opticaltrack import COLUMNS, OpticalTrack, write_optical_track
-from smolbot.runs.optics.outline import Body
-from smolbot.runs.optics.runposes import RunPoses, read_run_poses
-from smolbot.runs.optics.trackfigures import tracking_error
-from smolbot.runs.optics.tracking import track_body
+from smolbot.runs.optics.body_fit import Body
+from smolbot.runs.optics.body_tracking import track_body
+from smolbot.runs.optics.fiducials import find_view_by_markers, read_fiducials
+from smolbot.runs.optics.optical_track import COLUMNS, OpticalTrack, write_optical_track
+from smolbot.runs.optics.run_poses import RunPoses, read_run_poses
+from smolbot.runs.optics.track_errors import compute_tracking_error
 from smolbot.runs.optics.video import Video, read_picture
-from smolbot.runs.optics.view import CLICK, View, check_points, find_view
+from smolbot.runs.optics.view import CLICK_SIGMA, View, check_points, find_view
 
 MAX_OFFSET_SIGMA = 0.05  # s: a video's beginning that is less sure is told: a tenth of a millimetre of a robot's way
 MIN_PIXELS_PER_MM = 9.0  # films of the tank are tracked well from 10 on; at 8 headings err by 13°, at 6 fits jump
@@ -167,7 +167,7 @@ def track(
         view, camera = _view_by_markers(film, Path(fiducials), camera_height)
     else:
         places = np.column_stack([corners_at, np.full(4, height if corners_height is None else corners_height)])  # type: ignore[list-item]
-        view = find_view(corners, places, film.size, camera_height, sharp=CLICK)  # type: ignore[arg-type]
+        view = find_view(corners, places, film.size, camera_height, pixel_sigma=CLICK_SIGMA)  # type: ignore[arg-type]
         camera = (f"four points, {view.rms:.2f} pixels rms",)
     empty = None if background is None else read_picture(Path(background), film.size)
     seen = track_body(film, view, _body(config, mark), height, background=empty, progress=progress)
@@ -176,13 +176,13 @@ def track(
     if poses is not None:
         alignment = align(seen, poses, offset)
         analysis = analyse(seen, poses, alignment, plane_known=robot_height is not None)
-        seen = seen.shifted(alignment.offset)
+        seen = seen.shift(alignment.offset)
         figures |= {"run": str(run), "offset_s": alignment.offset, "offset_sigma_s": alignment.sigma,
-                    "correlation": alignment.correlation} | analysis.figures()  # fmt: skip
+                    "correlation": alignment.correlation} | analysis.compute_figures()  # fmt: skip
         if alignment.sigma > MAX_OFFSET_SIGMA:
             warnings.append("when the video began is not sure: it shows too little but straight movement")
         path = None if poses.mission is None else poses.mission.path
-        error = None if path is None else tracking_error(seen, path, poses)
+        error = None if path is None else compute_tracking_error(seen, path, poses)
         figures |= {} if error is None else {"tracking_error_mm": error}
     found = VideoTrack(
         film.path, config.name, height, height_from, camera, view, seen, figures, tuple(warnings), alignment, analysis
@@ -227,9 +227,9 @@ def _height(
 
 
 def _view_by_markers(film: Video, fiducials: Path, camera_height: float | None) -> tuple[View, tuple[str, ...]]:
-    found = view_by_markers(film.background, read_fiducials(fiducials), camera_height)
-    total = len(found.seen) + len(found.missing)
-    notes = [f"{len(found.seen)} of {total} markers, {found.view.rms:.2f} pixels rms"]
+    found = find_view_by_markers(film.background, read_fiducials(fiducials), camera_height)
+    total = len(found.detected) + len(found.missing)
+    notes = [f"{len(found.detected)} of {total} markers, {found.view.rms:.2f} pixels rms"]
     if found.missing:
         notes.append(f"markers not seen: {', '.join(map(str, found.missing))}")
     return found.view, tuple(notes)
@@ -239,13 +239,13 @@ def _figures_of(
     track: OpticalTrack, film: Video, view: View, robot: RobotConfig, height: float, *, pictured: bool
 ) -> tuple[dict[str, Any], list[str]]:
     """Figures of a track, and what makes it doubtful; `pictured` if there was a picture of the empty scene."""
-    fine = 1e-3 * view.scale(np.array([*track.positions[:, :2].mean(axis=0), height]))
-    stay = track.stay(0.5 * min(robot.size[0], robot.size[2]))
+    fine = 1e-3 * view.compute_scale(np.array([*track.positions[:, :2].mean(axis=0), height]))
+    stay = track.compute_max_still_share(0.5 * min(robot.size[0], robot.size[2]))
     figures = {
         "video": str(film.path), "fps": film.fps, "frames": track.total, "seen": len(track.frames),
         "hidden": track.hidden, "robot": robot.name, "robot_z_mm": 1e3 * height,
         "duration_s": track.total / film.fps, "sigma_mm": 1e3 * float(np.median(track.sigmas)),
-        "camera_sigma_mm": 1e3 * track.view_sigma, "camera_place_mm": 1e3 * view.place,
+        "camera_sigma_mm": 1e3 * track.view_sigma, "camera_place_mm": 1e3 * view.position,
         **({"head_unsure": track.head_unsure} if track.head_unsure else {}),
         "pixels_per_mm": fine, "longest_stay": stay,
     }  # fmt: skip
@@ -263,7 +263,7 @@ def _figures_of(
 
 def _leave(found: VideoTrack, film: Video, folder: Path, name: str, path: Any) -> None:
     """Write track, figures and picture into `folder`; `path` is the curve that was to be followed, if any."""
-    from smolbot.runs.optics.picture import draw_track
+    from smolbot.runs.optics.track_picture import draw_track
 
     line = [f"{len(found.track.frames)} of {found.track.total} frames"]
     if found.analysis is not None:
@@ -272,7 +272,7 @@ def _leave(found: VideoTrack, film: Video, folder: Path, name: str, path: Any) -
             f"{len(found.analysis.times)} poses", f"position error {e['mean']:.2f} ± {e['std']:.2f} mm",
             f"angle error {a['mean']:.1f} ± {a['std']:.1f}°", *line,
         ]  # fmt: skip
-    with writing(folder, done="made"):
+    with report_write_errors(folder, done="made"):
         folder.mkdir(parents=True, exist_ok=True)
     write_optical_track(folder / "track.csv", found.track)
     draw_track(
@@ -280,4 +280,4 @@ def _leave(found: VideoTrack, film: Video, folder: Path, name: str, path: Any) -
         line="   ·   ".join(line), analysis=found.analysis, planned=None if path is None else path.points,
     )  # fmt: skip
     figures = {**found.figures, "track": str(folder / "track.csv")}
-    (folder / "track.json").write_text(json_text(figures), encoding="utf-8")
+    (folder / "track.json").write_text(format_json(figures), encoding="utf-8")

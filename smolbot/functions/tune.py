@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.core.results import Readable, as_columns
 from smolbot.functions.settings import merge_settings
 from smolbot.functions.simulate import PlantName
@@ -190,7 +190,7 @@ def tune(
     Traceback (most recent call last):
     smolbot.errors.InputError: --only: current_ratio has no gain 'agility'; it has ...
     """
-    search: Tune = load("functions", "tune")
+    search: Tune = load_plugin("functions", "tune")
     return search(
         mission, trials=trials, worlds=worlds, held_out=held_out, plant=plant, only=only, seed=seed, rig=rig, jobs=jobs,
         scheduler=scheduler, out=None if out is None else Path(out), resume=resume,

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
 from smolbot.localization.chain import Taps
-from smolbot.localization.forward import envelope
+from smolbot.localization.forward import compute_envelope
 
 DEGREE = 6
 """Highest power of the deflection in the series; the rest is below 1e-6 of the signal at 30 degrees."""
@@ -38,7 +38,7 @@ FREQUENCY_STEP, DAMPING_STEP = 0.02, 0.02
 ComplexArray = npt.NDArray[np.complex128]
 
 
-def nodes() -> FloatArray:
+def compute_nodes() -> FloatArray:
     """Compute the Chebyshev nodes at which the field is evaluated.
 
     Returns
@@ -51,18 +51,18 @@ def nodes() -> FloatArray:
 
 
 @lru_cache(maxsize=1)
-def power_matrix() -> FloatArray:
+def compute_power_matrix() -> FloatArray:
     """Compute the matrix that turns values at the nodes into power series coefficients.
 
     Returns
     -------
     ndarray, shape (DEGREE + 1, DEGREE + 1)
     """
-    inverse: FloatArray = np.linalg.inv(np.vander(nodes(), DEGREE + 1, increasing=True)).astype(np.float64)
+    inverse: FloatArray = np.linalg.inv(np.vander(compute_nodes(), DEGREE + 1, increasing=True)).astype(np.float64)
     return inverse
 
 
-def harmonic_weight(power: int, harmonic: int) -> float:
+def compute_harmonic_weight(power: int, harmonic: int) -> float:
     """Compute the weight w_kh of cos(h x) in cos(x)^k.
 
     Parameters
@@ -79,7 +79,7 @@ def harmonic_weight(power: int, harmonic: int) -> float:
     return weight if harmonic == 0 else 2.0 * weight
 
 
-def time_basis(
+def compute_time_basis(
     device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float
 ) -> ComplexArray:
     """Compute each D^k exp(i h w t) after the sensors' low pass and the chain.
@@ -104,7 +104,7 @@ def time_basis(
     omega = 2.0 * np.pi * device.frequency
     width = chain.weights.shape[1]
     time = time_since_drive + (chain.first[:, None] + np.arange(width)) / sample_rate
-    damping = envelope(device, time)
+    damping = compute_envelope(device, time)
     rate = device.damping / damping if device.damping_model == "linear" else np.full_like(time, device.damping)
     wave = np.exp(1j * omega * time)
     out = np.zeros((DEGREE + 1, DEGREE + 1, len(chain.first)), dtype=np.complex128)
@@ -113,11 +113,11 @@ def time_basis(
         for h in range(k % 2, k + 1, 2):
             # first-order low pass of the sensors, for a wave exp((i h omega - k rate) t)
             lag = 1.0 + (1j * h * omega - k * np.where(damping > 0, rate, 0.0)) / (2.0 * np.pi * bandwidth)
-            out[k, h] = harmonic_weight(k, h) * np.sum(chain.weights * damped * wave**h / lag, axis=1)
+            out[k, h] = compute_harmonic_weight(k, h) * np.sum(chain.weights * damped * wave**h / lag, axis=1)
     return out
 
 
-def labels() -> npt.NDArray[np.int64]:
+def list_labels() -> npt.NDArray[np.int64]:
     """List every real time function.
 
     Returns
@@ -130,7 +130,7 @@ def labels() -> npt.NDArray[np.int64]:
     )
 
 
-def real_functions(basis: ComplexArray) -> FloatArray:
+def to_real_functions(basis: ComplexArray) -> FloatArray:
     """Convert the complex time basis to real functions.
 
     Parameters
@@ -142,10 +142,10 @@ def real_functions(basis: ComplexArray) -> FloatArray:
     ndarray, shape (n_functions, n_out)
         In the order of `labels`.
     """
-    return np.array([basis[k, h].imag if part else basis[k, h].real for k, h, part in labels()])
+    return np.array([basis[k, h].imag if part else basis[k, h].real for k, h, part in list_labels()])
 
 
-def functions_and_slopes(
+def compute_functions_and_slopes(
     device: Device, chain: Taps, sample_rate: float, time_since_drive: float, bandwidth: float
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
     """Compute the real time functions, and their derivatives for frequency and damping.
@@ -169,7 +169,7 @@ def functions_and_slopes(
 
     def of(frequency: float, damping: float) -> FloatArray:
         changed = replace(device, frequency=frequency, damping=damping)
-        return real_functions(time_basis(changed, chain, sample_rate, time_since_drive, bandwidth))
+        return to_real_functions(compute_time_basis(changed, chain, sample_rate, time_since_drive, bandwidth))
 
     df, dd = FREQUENCY_STEP, DAMPING_STEP
     f, d = device.frequency, max(device.damping, dd)

@@ -18,14 +18,14 @@ from smolbot.errors import InputError
 from smolbot.localization import basis as time_functions
 from smolbot.localization import kernels
 from smolbot.localization.noise.model import NoiseModel
-from smolbot.localization.noise.whitening import BLOCK, blocks
+from smolbot.localization.noise.whitening import MAX_BLOCK, make_block_taps
 
 N_PHASES = 4
 """Phases of the oscillation, over half a turn, across which a bound is averaged."""
 
 
 @dataclass(frozen=True)
-class Window:
+class ListeningWindow:
     """A listening window.
 
     Attributes
@@ -40,7 +40,7 @@ class Window:
     sample_rate: float
     since: float
 
-    def n_samples(self, frequency: float) -> int:
+    def count_samples(self, frequency: float) -> int:
         """Count the samples in the window.
 
         Parameters
@@ -80,17 +80,17 @@ class Bound:
         return correlation
 
 
-def pose_bound(
+def compute_pose_bound(
     sensors: SensorArray,
     device: Device,
     noise: NoiseModel,
     positions: npt.ArrayLike,
     rotations: npt.ArrayLike,
-    window: Window,
+    window: ListeningWindow,
     *,
     amplitude: float | None = None,
     trend: int = 0,
-    block: float = BLOCK,
+    block: float = MAX_BLOCK,
 ) -> Bound:
     """Compute the Cramer-Rao bound at some poses, with phase, amplitude and a polynomial per channel free.
 
@@ -121,7 +121,7 @@ def pose_bound(
     InputError
         If the window holds too few blocks for the unknowns, or blocks are too short for the noise model.
     """
-    return Response(sensors, device, noise, window, amplitude=amplitude, trend=trend, block=block).bound(
+    return Response(sensors, device, noise, window, amplitude=amplitude, trend=trend, block=block).compute_bound(
         positions, rotations
     )
 
@@ -154,13 +154,13 @@ class Response:
         sensors: SensorArray,
         device: Device,
         noise: NoiseModel,
-        window: Window,
+        window: ListeningWindow,
         *,
         amplitude: float | None = None,
         trend: int = 0,
-        block: float = BLOCK,
+        block: float = MAX_BLOCK,
     ) -> None:
-        chain = blocks(window.n_samples(device.frequency), window.sample_rate, block)
+        chain = make_block_taps(window.count_samples(device.frequency), window.sample_rate, block)
         n_blocks, size = chain.weights.shape
         if len(sensors) * (n_blocks - 1 - trend) < kernels.N_PARAMETERS:
             raise InputError(f"A bound needs a longer window than {window.half_periods:g} half-periods of blocks.")
@@ -173,11 +173,13 @@ class Response:
         n = len(sensors)
         # noise of the blocks after the polynomials are removed, and the matrix that makes it white
         middle = np.einsum("ta,itju,ub->iajb", kept, covariance.reshape(n, n_blocks, n, n_blocks), kept, optimize=True)
-        whiten = _inverse_factor(middle.reshape(n * kept.shape[1], -1), noise, size / window.sample_rate)
+        whiten = _invert_cholesky_factor(middle.reshape(n * kept.shape[1], -1), noise, size / window.sample_rate)
         self._whiten = np.einsum("mja,ta->mjt", whiten.reshape(len(whiten), n, -1), kept, optimize=True)
-        self._basis = time_functions.time_basis(device, chain, window.sample_rate, window.since, sensors.bandwidth)
+        self._basis = time_functions.compute_time_basis(
+            device, chain, window.sample_rate, window.since, sensors.bandwidth
+        )
 
-    def bound(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Bound:
+    def compute_bound(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Bound:
         """Compute the bound at some poses, averaged over phases.
 
         Parameters
@@ -190,18 +192,18 @@ class Response:
         -------
         Bound
         """
-        values, slopes = self.series(positions, rotations)
+        values, slopes = self.compute_series(positions, rotations)
         covariances = []
         for phase in np.pi * np.arange(N_PHASES) / N_PHASES:
-            jacobian = self.jacobian(values, slopes, float(phase))
-            covariances.append(_inverse(np.swapaxes(jacobian, 1, 2) @ jacobian))
+            jacobian = self.compute_jacobian(values, slopes, float(phase))
+            covariances.append(_invert(np.swapaxes(jacobian, 1, 2) @ jacobian))
         covariance = np.mean(covariances, axis=0)
         covariance[:, 7] *= time_functions.REFERENCE_ANGLE
         covariance[:, :, 7] *= time_functions.REFERENCE_ANGLE
         return Bound(covariance)
 
-    def series(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Compute the power series of the channels at each pose; see `channel_series`.
+    def compute_series(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Compute the power series of the channels at each pose; see `compute_channel_series`.
 
         Parameters
         ----------
@@ -214,9 +216,9 @@ class Response:
         values : ndarray, shape (n_poses, n_sensors, K), in T
         slopes : ndarray, shape (n_poses, n_sensors, K, 6), in T/m and T/rad
         """
-        return channel_series(self.sensors, self.device, positions, rotations)
+        return compute_channel_series(self.sensors, self.device, positions, rotations)
 
-    def waves(self, phase: float) -> tuple[FloatArray, FloatArray]:
+    def compute_waves(self, phase: float) -> tuple[FloatArray, FloatArray]:
         """Compute the whitened response to each power of each channel.
 
         Parameters
@@ -236,7 +238,7 @@ class Response:
         ahead = size[:, None] * np.real((1j * harmonics[None, :, None] * turned).sum(axis=1))
         return self._whiten @ now.T, self._whiten @ ahead.T
 
-    def jacobian(self, values: FloatArray, slopes: FloatArray, phase: float) -> FloatArray:
+    def compute_jacobian(self, values: FloatArray, slopes: FloatArray, phase: float) -> FloatArray:
         """Compute the derivatives of whitened data.
 
         Parameters
@@ -251,7 +253,7 @@ class Response:
         ndarray, shape (n_poses, n_data, 8)
             For position, rotation e, phase, and amplitude as a fraction of the reference angle.
         """
-        now, ahead = self.waves(phase)
+        now, ahead = self.compute_waves(phase)
         n_data, n_poses = len(now), len(values)
         powers = np.arange(values.shape[2])
         coefficients = np.concatenate([slopes, (values * powers / self.amplitude)[..., None]], axis=3)
@@ -263,7 +265,7 @@ class Response:
         return out
 
 
-def channel_series(
+def compute_channel_series(
     sensors: SensorArray, device: Device, positions: npt.ArrayLike, rotations: npt.ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Compute each channel as a power series in the deflection, at some poses.
@@ -291,19 +293,19 @@ def channel_series(
     turns = np.asarray(rotations, dtype=np.float64).reshape(-1, 3, 3)
     if len(places) != len(turns):
         raise InputError(f"Bounds need as many positions as rotations; got {len(places)} and {len(turns)}.")
-    angles = time_functions.nodes() * time_functions.REFERENCE_ANGLE
+    angles = time_functions.compute_nodes() * time_functions.REFERENCE_ANGLE
     values = np.zeros((len(places), len(sensors), len(angles)))
     slopes = np.zeros((*values.shape, 6))
     array = (np.array(sensors.positions), np.array(sensors.responses))
     for i in range(len(places)):
-        kernels.series(
+        kernels.compute_series(
             *array, device.moment * device.moment_in_body, device.l0, angles,
-            time_functions.power_matrix(), places[i], np.ascontiguousarray(turns[i]), values[i], slopes[i],
+            time_functions.compute_power_matrix(), places[i], np.ascontiguousarray(turns[i]), values[i], slopes[i],
         )  # fmt: skip
     return values, slopes
 
 
-def _inverse_factor(covariance: FloatArray, noise: NoiseModel, block: float) -> FloatArray:
+def _invert_cholesky_factor(covariance: FloatArray, noise: NoiseModel, block: float) -> FloatArray:
     """Compute the inverse Cholesky factor."""
     try:
         factor = np.linalg.cholesky(covariance)
@@ -315,7 +317,7 @@ def _inverse_factor(covariance: FloatArray, noise: NoiseModel, block: float) -> 
     return np.asarray(np.linalg.inv(factor), dtype=np.float64)
 
 
-def _inverse(information: FloatArray) -> FloatArray:
+def _invert(information: FloatArray) -> FloatArray:
     """Invert symmetric positive matrices (n, 8, 8), scaled first so that units cost no precision."""
     scale = 1.0 / np.sqrt(np.einsum("nii->ni", information))
     outer = scale[:, :, None] * scale[:, None, :]

@@ -15,10 +15,10 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
-WINDOW = 50
+MEAN_WINDOW = 50
 """Length of each moving mean, in samples: 1 ms at the paper's 50 kS/s."""
 
-_REACH = 2 * WINDOW + 4
+_FILTER_REACH = 2 * MEAN_WINDOW + 4
 """Samples either side that two moving means and a central difference use."""
 
 _ROUNDING = 1e-9
@@ -34,7 +34,7 @@ POINTS_PER_HALF_PERIOD = 4
 """Samples of the filtered signal that are used per half-period."""
 
 
-def moving_mean(signal: FloatArray, window: int = WINDOW, *, later: bool = False) -> FloatArray:
+def compute_moving_mean(signal: FloatArray, window: int = MEAN_WINDOW, *, later: bool = False) -> FloatArray:
     """Compute a moving mean along the last axis; the window shrinks at both ends.
 
     An even window cannot be centred: it extends one sample further back, or, if `later`, forward. One
@@ -62,7 +62,7 @@ def moving_mean(signal: FloatArray, window: int = WINDOW, *, later: bool = False
     return means
 
 
-def central_difference(signal: FloatArray, sample_rate: float) -> FloatArray:
+def compute_central_difference(signal: FloatArray, sample_rate: float) -> FloatArray:
     """Compute the time derivative along the last axis, one-sided at both ends.
 
     Parameters
@@ -78,7 +78,7 @@ def central_difference(signal: FloatArray, sample_rate: float) -> FloatArray:
     return derivative
 
 
-def filtered(signal: FloatArray, sample_rate: float) -> FloatArray:
+def apply_filters(signal: FloatArray, sample_rate: float) -> FloatArray:
     """Apply two moving means and a central difference along the last axis, at full length.
 
     Parameters
@@ -90,11 +90,11 @@ def filtered(signal: FloatArray, sample_rate: float) -> FloatArray:
     -------
     ndarray, shape (..., n), per s
     """
-    smooth = moving_mean(moving_mean(signal), later=True)
-    return central_difference(smooth, sample_rate)
+    smooth = compute_moving_mean(compute_moving_mean(signal), later=True)
+    return compute_central_difference(smooth, sample_rate)
 
 
-def whole_half_periods(n_samples: int, sample_rate: float, frequency: float) -> int:
+def count_half_periods(n_samples: int, sample_rate: float, frequency: float) -> int:
     """Count the complete half-periods N of a recording; one that lacks a single sample still counts.
 
     Parameters
@@ -111,7 +111,7 @@ def whole_half_periods(n_samples: int, sample_rate: float, frequency: float) -> 
     return int(np.floor((n_samples + 1) * 2.0 * frequency / sample_rate + _ROUNDING))
 
 
-def sample_points(n_samples: int, sample_rate: float, frequency: float) -> FloatArray:
+def choose_sample_points(n_samples: int, sample_rate: float, frequency: float) -> FloatArray:
     """Choose the 4N+1 samples, evenly spread over the complete half-periods.
 
     Samples whose filters extend beyond an end are noisy; where the recording is long enough, the
@@ -134,18 +134,18 @@ def sample_points(n_samples: int, sample_rate: float, frequency: float) -> Float
     InputError
         If the recording is shorter than half a period.
     """
-    half_periods = whole_half_periods(n_samples, sample_rate, frequency)
+    half_periods = count_half_periods(n_samples, sample_rate, frequency)
     if half_periods < 1:
         raise InputError(
             f"The recording lasts {n_samples / sample_rate * 1e3:.2f} ms; a half-period of {frequency:g} Hz "
             f"lasts {500.0 / frequency:.2f} ms, and at least one is needed."
         )
     cut = min(n_samples - 1, round(half_periods * sample_rate / (2.0 * frequency)))
-    inset = min(EDGE, cut // EDGE_SHARE)
+    inset = min(EDGE_INSET, cut // EDGE_SHARE)
     return np.round(np.linspace(inset, cut - inset, POINTS_PER_HALF_PERIOD * half_periods + 1))
 
 
-EDGE = WINDOW // 2
+EDGE_INSET = MEAN_WINDOW // 2
 """Samples by which the outermost points are inset: half a moving mean, see docs/decisions."""
 
 
@@ -169,7 +169,7 @@ class Taps:
 
 
 @lru_cache(maxsize=32)
-def taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
+def compute_taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
     """Compute the weights of the chain's 4N+1 samples.
 
     Parameters
@@ -184,19 +184,19 @@ def taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
     -------
     Taps
     """
-    points = sample_points(n_samples, sample_rate, frequency)
-    width = min(n_samples, 2 * _REACH + 1)
+    points = choose_sample_points(n_samples, sample_rate, frequency)
+    width = min(n_samples, 2 * _FILTER_REACH + 1)
     first = np.zeros(len(points), dtype=np.int64)
     weights = np.zeros((len(points), width))
     inner: FloatArray | None = None
     for row, point in enumerate(points.astype(int)):
-        start = int(np.clip(point - _REACH, 0, n_samples - width))
+        start = int(np.clip(point - _FILTER_REACH, 0, n_samples - width))
         first[row] = start
-        interior = start == point - _REACH and width == 2 * _REACH + 1
+        interior = start == point - _FILTER_REACH and width == 2 * _FILTER_REACH + 1
         if interior and inner is not None:
             weights[row] = inner
             continue
-        weights[row] = filtered(np.eye(width), sample_rate)[:, point - start]
+        weights[row] = apply_filters(np.eye(width), sample_rate)[:, point - start]
         if interior:
             inner = weights[row]
     for array in (points, first, weights):
@@ -204,7 +204,7 @@ def taps(n_samples: int, sample_rate: float, frequency: float) -> Taps:
     return Taps(points, first, weights)
 
 
-def difference_matrix(axes: FloatArray, positions: FloatArray) -> FloatArray:
+def make_difference_matrix(axes: FloatArray, positions: FloatArray) -> FloatArray:
     """Make the matrix of the same-axis difference: each sensor minus the reference of its own direction.
 
     The reference of a group of parallel sensors is the one nearest to the group's middle, since noise

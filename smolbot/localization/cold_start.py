@@ -13,13 +13,13 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.localization import kernels
-from smolbot.localization.basis import labels
+from smolbot.localization.basis import list_labels
 from smolbot.localization.problem import Fit, Problem
 
-TURNS = 12
+TRIED_TURNS = 12
 """Orientations that are tried about the direction of the oscillation."""
 
-FINALS = 10
+FINAL_FITS = 10
 """Fits that are continued to convergence."""
 
 FIRST_STEPS, FINAL_STEPS = 4, 60
@@ -82,7 +82,7 @@ class Start:
     phase: float
 
 
-def likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Start]:
+def find_likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Start]:
     """Find the grid positions, at least two spacings apart, that explain most of the first harmonic.
 
     Parameters
@@ -98,11 +98,13 @@ def likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list
         The best first.
     """
     model = problem.model
-    real, imaginary = (int(np.flatnonzero((labels() == (1, 1, part)).all(axis=1))[0]) for part in (0, 1))
+    real, imaginary = (int(np.flatnonzero((list_labels() == (1, 1, part)).all(axis=1))[0]) for part in (0, 1))
     design = np.concatenate([model.matrix[:, real], -model.matrix[:, imaginary]], axis=1)
     grid = volume.grid()
     moments = np.zeros((len(grid), 6))
-    gains = kernels.grid_moments(design.T @ design, design.T @ problem.data, model.positions, model.axes, grid, moments)
+    gains = kernels.fit_grid_moments(
+        design.T @ design, design.T @ problem.data, model.positions, model.axes, grid, moments
+    )
     starts: list[Start] = []
     for index in np.argsort(-gains):
         if all(np.linalg.norm(grid[index] - s.magnet) > MIN_DISTANCE * volume.spacing for s in starts):
@@ -115,7 +117,7 @@ def likely_starts(problem: Problem, volume: SearchVolume, keep: int = 5) -> list
     return starts
 
 
-def best_fits(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Fit]:
+def find_best_fits(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Fit]:
     """Find distinct fits from the most promising starts.
 
     Parameters
@@ -132,28 +134,30 @@ def best_fits(problem: Problem, volume: SearchVolume, keep: int = 5) -> list[Fit
     """
     tries: list[Fit] = []
     top = problem.model.amplitude_max
-    for start in likely_starts(problem, volume, keep):
+    for start in find_likely_starts(problem, volume, keep):
         size = float(np.linalg.norm(start.swing)) / problem.model.device.moment
         amplitude = min(max(size, MIN_AMPLITUDE * top), MAX_AMPLITUDE * top)
-        for rotation, phase in _orientations(problem, start.swing, start.phase):
+        for rotation, phase in _list_orientations(problem, start.swing, start.phase):
             center = start.magnet - problem.model.device.l0 * rotation[:, 2]
             tries.append(problem.fit(center, rotation, phase, amplitude, iterations=FIRST_STEPS))
     tries.sort(key=lambda t: t.sse)
-    finals = [problem.fit(t.position, t.rotation, t.phase, t.amplitude, iterations=FINAL_STEPS) for t in tries[:FINALS]]
+    finals = [
+        problem.fit(t.position, t.rotation, t.phase, t.amplitude, iterations=FINAL_STEPS) for t in tries[:FINAL_FITS]
+    ]
     finals.sort(key=lambda t: t.sse)
     distinct: list[Fit] = []
     for fit in finals:
-        if all(not _alike(fit, other) for other in distinct):
+        if all(not _is_same_fit(fit, other) for other in distinct):
             distinct.append(fit)
     return distinct
 
 
-def _alike(a: Fit, b: Fit) -> bool:
+def _is_same_fit(a: Fit, b: Fit) -> bool:
     near = float(np.linalg.norm(a.position - b.position)) < SAME_POSITION
     return near and float(np.trace(a.rotation.T @ b.rotation)) > SAME_ROTATION
 
 
-def _orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tuple[FloatArray, float]]:
+def _list_orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tuple[FloatArray, float]]:
     """List rotation matrices whose moment swings along `swing`, turned about it, each with its phase."""
     body = np.array(problem.model.device.drive_direction_in_body)
     out: list[tuple[FloatArray, float]] = []
@@ -167,7 +171,7 @@ def _orientations(problem: Problem, swing: FloatArray, phase: float) -> list[tup
         body_side = np.array([0.0, 1.0, 0.0])
         body_up = np.cross(body, body_side)
         frame_body = np.stack([body, body_side, body_up], axis=1)
-        for turn in 2.0 * np.pi * np.arange(TURNS) / TURNS:
+        for turn in 2.0 * np.pi * np.arange(TRIED_TURNS) / TRIED_TURNS:
             turned = np.cos(turn) * side + np.sin(turn) * up
             frame_world = np.stack([along, turned, np.cross(along, turned)], axis=1)
             out.append((frame_world @ frame_body.T, phase if sign > 0 else phase + np.pi))

@@ -25,7 +25,7 @@ class Oscillation(Protocol):
     def covariance(self) -> FloatArray:
         """Of (position in m, rotation e in rad, amplitude in rad), shape (7, 7); its first six are the pose's."""
 
-    def resonance(self) -> tuple[FloatArray, FloatArray] | None:
+    def estimate_resonance_error(self) -> tuple[FloatArray, FloatArray] | None:
         """Compute by how much the device's resonance differs from what was assumed.
 
         Returns
@@ -36,7 +36,7 @@ class Oscillation(Protocol):
             Its covariance.
         """
 
-    def of_the_array(self, frames: FloatArray) -> ArrayTerms | None:
+    def compute_array_terms(self, frames: FloatArray) -> ArrayTerms | None:
         """Compute what the recording says of the sensors.
 
         Parameters
@@ -45,7 +45,7 @@ class Oscillation(Protocol):
             Directions of each sensor's tilts.
         """
 
-    def energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
+    def compute_energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
         """Compute the energy of the fit residuals of each sensor, and what the noise model predicts.
 
         Returns
@@ -129,7 +129,7 @@ class PoseEstimator(Protocol):
         ring_down : float, in s
             From the end of a drive to the first sample.
         frames : ndarray, shape (n_sensors, 2, 3), optional
-            Where the sensors are learned; see `Oscillation.of_the_array`.
+            Where the sensors are learned; see `Oscillation.compute_array_terms`.
         """
 
 
@@ -137,7 +137,7 @@ class PoseEstimatorBase:
     """A `PoseEstimator` that learns nothing: a subclass needs `locate` alone.
 
     What it is told by ``with_sensors`` and the like makes a new one by the constructor; a subclass that takes other
-    arguments, or keeps more, overrides `rebuilt`.
+    arguments, or keeps more, overrides `rebuild`.
 
     Examples
     --------
@@ -167,21 +167,21 @@ class PoseEstimatorBase:
 
     def with_sensors(self, sensors: SensorArray) -> Self:
         """Return the same estimator for sensors as they were learned."""
-        return self.rebuilt(sensors, self.device, self.noise, self.transients)
+        return self.rebuild(sensors, self.device, self.noise, self.transients)
 
     def with_device(self, device: Device) -> Self:
         """Return the same estimator for a device as it was learned."""
-        return self.rebuilt(self.sensors, device, self.noise, self.transients)
+        return self.rebuild(self.sensors, device, self.noise, self.transients)
 
     def with_noise(self, noise: NoiseModel) -> Self:
         """Return the same estimator under another noise model."""
-        return self.rebuilt(self.sensors, self.device, noise, self.transients)
+        return self.rebuild(self.sensors, self.device, noise, self.transients)
 
     def with_transients(self, transients: tuple[float, ...]) -> Self:
         """Return the same estimator for excitation coils whose decay was learned, time constants in s."""
-        return self.rebuilt(self.sensors, self.device, self.noise, transients)
+        return self.rebuild(self.sensors, self.device, self.noise, transients)
 
-    def rebuilt(
+    def rebuild(
         self, sensors: SensorArray, device: Device, noise: NoiseModel | None, transients: tuple[float, ...]
     ) -> Self:
         """Make an estimator like this one from what it is told."""

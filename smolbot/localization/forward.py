@@ -12,7 +12,7 @@ MU0_OVER_4PI = 1e-7
 """In T·m/A."""
 
 
-def dipole_field(positions: FloatArray, moment: FloatArray) -> FloatArray:
+def compute_dipole_field(positions: FloatArray, moment: FloatArray) -> FloatArray:
     """Compute the magnetic flux density of a point dipole at the origin.
 
         B(r) = mu_0 / (4 pi |r|^3) * (3 n (n . m) - m),   n = r / |r|        (Eq. S5)
@@ -30,7 +30,7 @@ def dipole_field(positions: FloatArray, moment: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> b = dipole_field(np.array([[0, 0, 0.01], [0, 0, 0.02]]), np.array([0, 0, 1e-3]))
+    >>> b = compute_dipole_field(np.array([[0, 0, 0.01], [0, 0, 0.02]]), np.array([0, 0, 1e-3]))
     >>> print((b[:, 2] * 1e6).round(3))  # µT: twice as far, one eighth
     [200.  25.]
     """
@@ -41,7 +41,7 @@ def dipole_field(positions: FloatArray, moment: FloatArray) -> FloatArray:
     return field
 
 
-def envelope(device: Device, time: FloatArray) -> FloatArray:
+def compute_envelope(device: Device, time: FloatArray) -> FloatArray:
     """Compute the envelope D(t) of the free oscillation.
 
         D(t) = 1 - eta t      (linear, Eq. S3)
@@ -63,7 +63,7 @@ def envelope(device: Device, time: FloatArray) -> FloatArray:
     return np.exp(-device.damping * time)
 
 
-def deflection(device: Device, time: FloatArray, amplitude: float, phase: float) -> FloatArray:
+def compute_deflection(device: Device, time: FloatArray, amplitude: float, phase: float) -> FloatArray:
     """Compute the deflection angle of the free oscillation.
 
         theta(t) = A D(t) cos(2 pi f t + phi)        (Eq. S2)
@@ -81,10 +81,10 @@ def deflection(device: Device, time: FloatArray, amplitude: float, phase: float)
     -------
     ndarray, shape (n,), in rad
     """
-    return amplitude * envelope(device, time) * np.cos(2.0 * np.pi * device.frequency * time + phase)
+    return amplitude * compute_envelope(device, time) * np.cos(2.0 * np.pi * device.frequency * time + phase)
 
 
-def sensor_field(
+def compute_sensor_field(
     sensors: SensorArray, device: Device, position: FloatArray, orientation: FloatArray, theta: FloatArray
 ) -> FloatArray:
     """Compute the field along each sensor's axis for given deflections, constant part included (Eqs. S5 to S8).
@@ -109,5 +109,5 @@ def sensor_field(
     mx, my, mz = device.moment * device.moment_in_body
     swung = np.stack([cosine * mx + sine * mz, zero + my, cosine * mz - sine * mx], axis=-1)  # Eqs. S8, S19
     moment = swung @ rotation.T
-    field = dipole_field(sensors.positions[:, None, :] - magnet[None], moment[None])
+    field = compute_dipole_field(sensors.positions[:, None, :] - magnet[None], moment[None])
     return np.einsum("snk,sk->sn", field, sensors.responses)

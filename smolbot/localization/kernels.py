@@ -52,7 +52,7 @@ _TINY = 1e-30
 
 
 @njit(cache=True, error_model="python", fastmath=True)
-def series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes):
+def compute_series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes):
     """Compute the power series in the deflection of each channel, and its derivatives for position and rotation.
 
     Parameters
@@ -125,7 +125,7 @@ def series(positions, axes, moment, l0, angles, powers, position, rotation, valu
 
 
 @njit(cache=True, error_model="python", fastmath=True)
-def model(
+def evaluate_model(
     matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
 ):
     """Fill the model's output and its Jacobian.
@@ -163,7 +163,7 @@ def model(
     n_powers = angles.shape[0]
     values = np.empty((n_channels, n_powers))
     slopes = np.empty((n_channels, n_powers, 6))
-    series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes)
+    compute_series(positions, axes, moment, l0, angles, powers, position, rotation, values, slopes)
     size = np.empty(n_powers)
     size[0] = 1.0
     for k in range(1, n_powers):
@@ -210,7 +210,7 @@ def model(
         first = last
 
 
-def _solver(n):
+def _make_solver(n):
     """Make a solver of n equations: a size known at compile time makes a fit some per cent faster."""
 
     @njit(cache=True, error_model="numpy")
@@ -243,7 +243,7 @@ def _solver(n):
     return solve_posdef
 
 
-_solve_six, _solve_eight = _solver(6), _solver(8)
+_solve_six, _solve_eight = _make_solver(6), _make_solver(8)
 
 
 @njit(cache=True, error_model="numpy")
@@ -277,7 +277,7 @@ def rotate(rotation, e):
 
 
 @njit(cache=True, error_model="python", fastmath=True)
-def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
+def fill_normal_equations(data, out, jacobian, amplitude, amplitude_prior, normal, gradient):
     """Fill J^T J and J^T r, the prior of the amplitude included (Eq. S20).
 
     Parameters
@@ -287,7 +287,7 @@ def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
     jacobian : ndarray, shape (8, n_out)
     amplitude : float
         As a fraction of the reference angle.
-    belief : ndarray, shape (2,)
+    amplitude_prior : ndarray, shape (2,)
         Prior of the amplitude: its mean and the inverse of its variance (0 without a prior).
     normal : ndarray, shape (8, 8)
         Filled.
@@ -318,16 +318,16 @@ def normal_equations(data, out, jacobian, amplitude, belief, normal, gradient):
                 total += jacobian[a, i] * jacobian[b, i]
             normal[a, b] = total
             normal[b, a] = total
-    off = belief[0] - amplitude
-    normal[7, 7] += belief[1]
-    gradient[7] += belief[1] * off
-    return sse + belief[1] * off * off, sse
+    off = amplitude_prior[0] - amplitude
+    normal[7, 7] += amplitude_prior[1]
+    gradient[7] += amplitude_prior[1] * off
+    return sse + amplitude_prior[1] * off * off, sse
 
 
 @njit(cache=True, error_model="numpy")
 def fit(
     data, matrix, labels, positions, axes, moment, l0, angles, powers,
-    position, rotation, phase, amplitude, amplitude_max, belief, iterations, tolerance,
+    position, rotation, phase, amplitude, amplitude_max, amplitude_prior, iterations, tolerance,
 ):  # fmt: skip
     """Fit pose, phase and amplitude from one start by the Levenberg-Marquardt method.
 
@@ -357,7 +357,7 @@ def fit(
         Start, as a fraction of the reference angle.
     amplitude_max : float
         Upper bound, as a fraction of the reference angle.
-    belief : ndarray, shape (2,)
+    amplitude_prior : ndarray, shape (2,)
         Prior of the amplitude: its mean and the inverse of its variance (0 without a prior).
     iterations : int
         Largest number of accepted steps.
@@ -382,10 +382,10 @@ def fit(
     normal = np.zeros((N_PARAMETERS, N_PARAMETERS))
     gradient = np.zeros(N_PARAMETERS)
     position, rotation = position.copy(), rotation.copy()
-    model(
+    evaluate_model(
         matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, phase, amplitude, out, jacobian
     )
-    cost, sse = normal_equations(data, out, jacobian, amplitude, belief, normal, gradient)
+    cost, sse = fill_normal_equations(data, out, jacobian, amplitude, amplitude_prior, normal, gradient)
     damping = _FIRST_DAMPING
     converged = False
     trial_normal, trial_gradient = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
@@ -418,12 +418,12 @@ def fit(
             new_rotation = rotate(rotation, step[3:6])
             new_phase = phase + step[6]
             new_amplitude = min(max(amplitude + step[7], _MIN_AMPLITUDE * amplitude_max), amplitude_max)
-            model(
+            evaluate_model(
                 matrix, labels, positions, axes, moment, l0, angles, powers,
                 new_position, new_rotation, new_phase, new_amplitude, out, jacobian,
             )  # fmt: skip
-            new_cost, new_sse = normal_equations(
-                data, out, jacobian, new_amplitude, belief, trial_normal, trial_gradient
+            new_cost, new_sse = fill_normal_equations(
+                data, out, jacobian, new_amplitude, amplitude_prior, trial_normal, trial_gradient
             )
             if new_cost < cost:
                 gain = (cost - new_cost) / cost
@@ -447,7 +447,9 @@ def fit(
 
 
 @njit(cache=True, error_model="numpy")
-def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, guess):
+def estimate_phase_and_amplitude(
+    data, matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, guess
+):
     """Compute the phase and amplitude that fit the data best at a fixed pose; exact for small amplitudes.
 
     Parameters
@@ -480,7 +482,9 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
     n_out = data.shape[0]
     first = np.zeros(n_out)
     jacobian = np.zeros((N_PARAMETERS, n_out))
-    model(matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian)
+    evaluate_model(
+        matrix, labels, positions, axes, moment, l0, angles, powers, position, rotation, 0.0, guess, first, jacobian
+    )
     aa, ab, bb, ay, by = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n_out):
         second = -jacobian[6, i]  # first harmonic, a quarter of a period later
@@ -497,7 +501,7 @@ def linear_start(data, matrix, labels, positions, axes, moment, l0, angles, powe
 
 
 @njit(cache=True, error_model="numpy")
-def covariance(normal, variance):
+def compute_covariance(normal, variance):
     """Compute the covariance of position, rotation, phase and amplitude.
 
     Parameters
@@ -537,7 +541,7 @@ def covariance(normal, variance):
 
 
 @njit(cache=True, error_model="numpy")
-def moving(field):
+def find_varying_channels(field):
     """Find the channels whose samples are finite and not constant.
 
     Parameters
@@ -561,7 +565,7 @@ def moving(field):
 
 
 @njit(cache=True, error_model="python", fastmath=True)
-def tapped(field, first, weights):
+def apply_taps(field, first, weights):
     """Compute weighted sums of raw samples, each channel less its own first sample.
 
     The first sample is subtracted so that a large constant costs no precision.
@@ -591,7 +595,7 @@ def tapped(field, first, weights):
 
 
 @njit(cache=True, error_model="python", fastmath=True)
-def mixed(mixing, samples):
+def mix_channels(mixing, samples):
     """Multiply two matrices without the threads of a linear algebra library.
 
     Parameters
@@ -622,7 +626,7 @@ def mixed(mixing, samples):
 
 
 @njit(cache=True, error_model="numpy")
-def grid_moments(gram, right, positions, axes, grid, moments):
+def fit_grid_moments(gram, right, positions, axes, grid, moments):
     """Fit an oscillating moment at each grid position.
 
     Parameters

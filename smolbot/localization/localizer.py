@@ -10,22 +10,22 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import nearer_twin, quaternion_from_axes, quaternion_from_matrix
+from smolbot.core.rotations import choose_nearer_orientation, quaternion_from_axes, quaternion_from_matrix
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
-from smolbot.localization.array.terms import ArrayTerms, array_terms
+from smolbot.localization.ambiguity import MIN_ODDS, choose_fit, compute_residual_variance, count_degrees_of_freedom
+from smolbot.localization.array.terms import ArrayTerms, compute_array_terms
 from smolbot.localization.basis import REFERENCE_ANGLE
-from smolbot.localization.cold_start import SearchVolume, best_fits
+from smolbot.localization.cold_start import SearchVolume, find_best_fits
 from smolbot.localization.estimator import PoseEstimatorBase
-from smolbot.localization.forward import deflection, sensor_field
-from smolbot.localization.noise.excitation_transients import AUDIBLE
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
+from smolbot.localization.noise.excitation_transients import NEGLIGIBLE_AFTER
 from smolbot.localization.noise.model import NoiseModel
-from smolbot.localization.noise.residuals import energies
+from smolbot.localization.noise.residuals import compute_energies
 from smolbot.localization.noise.whitening import prepare_whitened
 from smolbot.localization.problem import Fit, Problem, prepare_paper
-from smolbot.localization.segments import SharedAmplitude, anchor, cut
-from smolbot.localization.twins import MIN_ODDS, choose, freedom, mean_square
+from smolbot.localization.segments import SharedAmplitude, cut_segments, find_anchor
 
 Estimator = Literal["whitened", "paper"]
 
@@ -35,14 +35,14 @@ MIN_R_SQUARED = 0.7
 MIN_AMPLITUDE = 0.05
 """Share of the stop below which a swing is no better than the mains line next to it."""
 
-TREND_FROM = (6.0, 10.0)
+TREND_HALF_PERIODS = (6.0, 10.0)
 """Half-periods from which a slope, and a slope and a curve, are left free in every channel: each costs at most 1.5 %
 of the bound there. Tools that move past, or a device that moves, make them; a constant alone would not do."""
 
-LEAST_TREND = 1
+FALLBACK_TREND = 1
 """Degree up to which a short window is freed where it would else not be understood."""
 
-MISFIT = 3.0
+MAX_MISFIT = 3.0
 """Variance of whitened residuals above which something else than noise is heard."""
 
 MAX_SIGMA = (3e-3, 0.2)
@@ -75,7 +75,7 @@ class Swing:
     _variance: float
 
     @classmethod
-    def of(cls, problem: Problem, fit: Fit, variance: float, spread: FloatArray | None) -> Swing:
+    def from_fit(cls, problem: Problem, fit: Fit, variance: float, spread: FloatArray | None) -> Swing:
         """Make the swing of a fit.
 
         Parameters
@@ -99,17 +99,17 @@ class Swing:
     @property
     def misfit(self) -> float:
         """Variance of the residuals: about 1 for whitened data if only noise is left."""
-        return mean_square(self._problem, self._fit)
+        return compute_residual_variance(self._problem, self._fit)
 
-    def energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
+    def compute_energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
         """What is left in each channel, and what `noise` foretells, each (n_sensors,) in units of the noise.
 
         None of a fit that knows no noise.
         """
         model = self._problem.model
-        return energies(model, self._fit, recording, noise) if model.white else None
+        return compute_energies(model, self._fit, recording, noise) if model.white else None
 
-    def of_the_array(self, frames: FloatArray) -> ArrayTerms | None:
+    def compute_array_terms(self, frames: FloatArray) -> ArrayTerms | None:
         """Compute the recording's information on the sensors.
 
         Parameters
@@ -122,9 +122,9 @@ class Swing:
         ArrayTerms or None
             None where there is none.
         """
-        return array_terms(self._problem, self._fit, frames)
+        return compute_array_terms(self._problem, self._fit, frames)
 
-    def resonance(self) -> tuple[FloatArray, FloatArray]:
+    def estimate_resonance_error(self) -> tuple[FloatArray, FloatArray]:
         """Estimate the error of the assumed frequency and damping.
 
         Returns
@@ -133,7 +133,7 @@ class Swing:
             Estimated minus assumed frequency and damping.
         covariance : ndarray, shape (2, 2)
         """
-        return self._problem.resonance(self._fit, self._variance)
+        return self._problem.estimate_resonance_error(self._fit, self._variance)
 
 
 class Localizer(PoseEstimatorBase):
@@ -192,7 +192,7 @@ class Localizer(PoseEstimatorBase):
         if estimator == "paper":
             self.learns = frozenset()  # type: ignore[misc]  # of the class for all that are named in missions
 
-    def rebuilt(
+    def rebuild(
         self, sensors: SensorArray, device: Device, noise: NoiseModel | None, transients: tuple[float, ...]
     ) -> Localizer:
         """Make a localizer like this one from what it is told."""
@@ -204,13 +204,13 @@ class Localizer(PoseEstimatorBase):
         orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
         samples = round(half_periods * sample_rate / (2.0 * device.frequency))
         time_ = ring_down + np.arange(samples) / sample_rate
-        theta = deflection(device, time_, 0.5 * device.theta_max, 0.3)
+        theta = compute_deflection(device, time_, 0.5 * device.theta_max, 0.3)
         middle = 0.5 * np.add(self.volume.low, self.volume.high)
-        heard = sensor_field(self.sensors, device, middle, orientation, theta)
+        heard = compute_sensor_field(self.sensors, device, middle, orientation, theta)
         recording = Recording(heard, sample_rate, ring_down)
         _, swing = self.locate_swing(recording, self.locate(recording))
         if frames is not None:
-            swing.of_the_array(frames)
+            swing.compute_array_terms(frames)
 
     def locate(self, recording: Recording, prior: Pose | None = None) -> Pose:
         """Estimate the pose at the middle of a recording, from all of its samples.
@@ -255,20 +255,20 @@ class Localizer(PoseEstimatorBase):
             See `locate`.
         """
         first = self.free_trend(recording)
-        pose, swing = self._locate_with(recording, prior, first)
-        if self.estimator == "whitened" and first < LEAST_TREND and swing.misfit > MISFIT:
-            other = self._locate_with(recording, prior, first + 1)
+        pose, swing = self._locate_with_trend(recording, prior, first)
+        if self.estimator == "whitened" and first < FALLBACK_TREND and swing.misfit > MAX_MISFIT:
+            other = self._locate_with_trend(recording, prior, first + 1)
             if other[1].misfit < 0.5 * swing.misfit:
                 return other
         return pose, swing
 
-    def _locate_with(self, recording: Recording, prior: Pose | None, trend: int) -> tuple[Pose, Swing]:
+    def _locate_with_trend(self, recording: Recording, prior: Pose | None, trend: int) -> tuple[Pose, Swing]:
         problem = self.prepare(recording, trend)
         if prior is None:
-            found = best_fits(problem, self.volume)
+            found = find_best_fits(problem, self.volume)
         else:
-            found = self._from_prior(problem, np.asarray(prior.position), prior.rotation)
-        return self._pose(problem, found, recording, prior)
+            found = self._fit_from_prior(problem, np.asarray(prior.position), prior.rotation)
+        return self._make_pose(problem, found, recording, prior)
 
     def free_trend(self, recording: Recording) -> int:
         """Choose the degree of the polynomial that is left free in every channel: the highest at a negligible cost.
@@ -282,7 +282,7 @@ class Localizer(PoseEstimatorBase):
         int
         """
         half_periods = 2.0 * self.device.frequency * recording.duration
-        return int(np.searchsorted(TREND_FROM, half_periods + 0.01)) if self.estimator == "whitened" else 0
+        return int(np.searchsorted(TREND_HALF_PERIODS, half_periods + 0.01)) if self.estimator == "whitened" else 0
 
     def locate_segments(self, recording: Recording, half_periods: int, prior: Pose | None = None) -> tuple[Pose, ...]:
         """Estimate poses of consecutive segments of one recording (superfast mode).
@@ -311,16 +311,16 @@ class Localizer(PoseEstimatorBase):
         InputError
             See `locate`; and if the recording is shorter than a segment.
         """
-        shared = SharedAmplitude.of(self.device)
+        shared = SharedAmplitude.from_device(self.device)
         poses: list[Pose] = []
         told = prior
-        for segment in cut(recording, self.device, half_periods):
-            shared = shared.at(self.device, segment.time_since_drive)
+        for segment in cut_segments(recording, self.device, half_periods):
+            shared = shared.predict(self.device, segment.time_since_drive)
             pose, swing, share = self._locate_segment(segment, prior, shared, stale=prior is told)
             poses.append(pose)
             if pose.trusted:
-                shared = shared.narrowed(swing.amplitude / share, float(np.sqrt(swing.covariance[6, 6])) / share)
-            if pose.trusted or (prior is not None and _near_enough(pose, prior)):
+                shared = shared.update(swing.amplitude / share, float(np.sqrt(swing.covariance[6, 6])) / share)
+            if pose.trusted or (prior is not None and _is_near_prior(pose, prior)):
                 prior = pose
         return tuple(poses)
 
@@ -332,24 +332,24 @@ class Localizer(PoseEstimatorBase):
         `stale`: the prior is from before this recording; a fit from it that explains little is started cold as
         well.
         """
-        ringing = AUDIBLE * max(self.transients, default=0.0)
-        anchored, share = anchor(self.device, segment.time_since_drive, ringing)
+        ringing = NEGLIGIBLE_AFTER * max(self.transients, default=0.0)
+        anchored, share = find_anchor(self.device, segment.time_since_drive, ringing)
         heard = replace(segment, time_since_drive=anchored)
         outcomes: list[tuple[float, Pose, Swing]] = []
         lowest = self.free_trend(segment)
-        for trend in range(lowest, max(lowest, LEAST_TREND if self.estimator == "whitened" else 0) + 1):
+        for trend in range(lowest, max(lowest, FALLBACK_TREND if self.estimator == "whitened" else 0) + 1):
             problem = self.prepare(heard, trend)
-            problem = Problem(replace(problem.model, device=shared.scaled(self.device, share)), problem.data)
+            problem = Problem(replace(problem.model, device=shared.scale_device(self.device, share)), problem.data)
             if prior is None:
-                found = best_fits(problem, self.volume)
+                found = find_best_fits(problem, self.volume)
             elif stale:
-                found = self._from_prior(problem, np.asarray(prior.position), prior.rotation)
+                found = self._fit_from_prior(problem, np.asarray(prior.position), prior.rotation)
             else:
-                phase, amplitude = problem.phase_and_amplitude(prior.position, prior.rotation)
+                phase, amplitude = problem.estimate_phase_and_amplitude(prior.position, prior.rotation)
                 found = [problem.fit(prior.position, prior.rotation, phase, amplitude)]
-            pose, swing = self._pose(problem, found, segment, prior, steady=True)
+            pose, swing = self._make_pose(problem, found, segment, prior, steady=True)
             outcomes.append((swing.misfit, pose, swing))
-            if swing.misfit < MISFIT:
+            if swing.misfit < MAX_MISFIT:
                 break
         best = outcomes[-1] if outcomes[-1][0] < 0.5 * outcomes[0][0] else outcomes[0]
         return best[1], best[2], share
@@ -361,7 +361,7 @@ class Localizer(PoseEstimatorBase):
         ----------
         recording : Recording
         trend : int
-            Degree of the polynomial that is free in every channel; see `whitened_model`.
+            Degree of the polynomial that is free in every channel; see `make_whitened_model`.
 
         Returns
         -------
@@ -376,31 +376,33 @@ class Localizer(PoseEstimatorBase):
             return prepare_paper(recording, self.sensors, self.device)
         return prepare_whitened(recording, self.sensors, self.device, self.noise, trend, self.transients)
 
-    def _from_prior(self, problem: Problem, position: FloatArray, rotation: FloatArray) -> list[Fit]:
+    def _fit_from_prior(self, problem: Problem, position: FloatArray, rotation: FloatArray) -> list[Fit]:
         """Fit from a known pose; phase and amplitude start from a linear solve at that pose."""
-        phase, amplitude = problem.phase_and_amplitude(position, rotation)
+        phase, amplitude = problem.estimate_phase_and_amplitude(position, rotation)
         first = problem.fit(position, rotation, phase, amplitude)
         if first.sse > 0.3 * problem.total_sum_of_squares:
-            return sorted([first, *best_fits(problem, self.volume)], key=lambda t: t.sse)
+            return sorted([first, *find_best_fits(problem, self.volume)], key=lambda t: t.sse)
         return [first]
 
-    def _pose(
+    def _make_pose(
         self, problem: Problem, found: list[Fit], recording: Recording, prior: Pose | None, *, steady: bool = False
     ) -> tuple[Pose, Swing]:
         """Make a pose of the best fit; the 180° ambiguity is resolved by the least turn since the prior.
 
         A `steady` device is recorded again and again, so its turn about the moment needs to be known only roughly.
         """
-        best, flip_margin, odds = choose(problem, found, self.device, prior)
-        variance = _inflated(problem, best) if problem.model.white else mean_square(problem, best)
-        spread = kernels.covariance(best.normal, variance)
+        best, flip_margin, odds = choose_fit(problem, found, self.device, prior)
+        variance = (
+            _estimate_variance(problem, best) if problem.model.white else compute_residual_variance(problem, best)
+        )
+        spread = kernels.compute_covariance(best.normal, variance)
         usable = math.isfinite(spread[0, 0]) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
         total = problem.total_sum_of_squares
         r_squared = 1.0 - best.sse / total if total > 0 else 0.0
-        known = usable and self._knows(spread, best, steady) and (prior is not None or odds > MIN_ODDS)
+        known = usable and self._is_determined(spread, best, steady) and (prior is not None or odds > MIN_ODDS)
         orientation = quaternion_from_matrix(best.rotation)
         if self.device.along_cantilever:
-            orientation = nearer_twin(orientation, None if prior is None else prior.orientation)
+            orientation = choose_nearer_orientation(orientation, None if prior is None else prior.orientation)
         pose = Pose(
             time=recording.middle,
             position=best.position,
@@ -408,16 +410,16 @@ class Localizer(PoseEstimatorBase):
             covariance=spread[:6, :6] if usable else np.diag([1e-2] * 3 + [10.0] * 3),
             r_squared=float(r_squared),
             flip_margin=flip_margin,
-            trusted=bool(best.converged and known and self._inside(best) and r_squared >= MIN_R_SQUARED),
+            trusted=bool(best.converged and known and self._is_inside_volume(best) and r_squared >= MIN_R_SQUARED),
         )
-        return pose, Swing.of(problem, best, variance, spread if usable else None)
+        return pose, Swing.from_fit(problem, best, variance, spread if usable else None)
 
-    def _knows(self, spread: FloatArray, fit: Fit, steady: bool) -> bool:
+    def _is_determined(self, spread: FloatArray, fit: Fit, steady: bool) -> bool:
         """Return whether a fit of covariance `spread` determines position and direction well enough to act on."""
         placed = max(spread[0, 0], spread[1, 1], spread[2, 2]) < MAX_SIGMA[0] ** 2
-        return bool(placed) and self._knows_direction(spread[3:6, 3:6], fit, steady)
+        return bool(placed) and self._is_direction_determined(spread[3:6, 3:6], fit, steady)
 
-    def _knows_direction(self, turn: FloatArray, fit: Fit, steady: bool) -> bool:
+    def _is_direction_determined(self, turn: FloatArray, fit: Fit, steady: bool) -> bool:
         """Return whether rotations of covariance `turn` are known well enough."""
         if not steady:
             return bool(max(turn[0, 0], turn[1, 1], turn[2, 2]) < MAX_SIGMA[1] ** 2)
@@ -426,7 +428,7 @@ class Localizer(PoseEstimatorBase):
         left = across @ turn @ across
         return bool(np.sqrt(np.diag(left).max()) < MAX_SIGMA[1] and moment @ turn @ moment < MAX_ROLL**2)
 
-    def _inside(self, fit: Fit) -> bool:
+    def _is_inside_volume(self, fit: Fit) -> bool:
         bounds = zip(self.volume.low, fit.position, self.volume.high, strict=True)
         return all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
 
@@ -440,13 +442,13 @@ class Paper(Localizer):
         super().__init__(sensors, device, estimator="paper", volume=volume)
 
 
-def _near_enough(pose: Pose, prior: Pose) -> bool:
+def _is_near_prior(pose: Pose, prior: Pose) -> bool:
     """Return whether a pose that is too uncertain to act on may still start the next fit."""
     vague = float(np.sqrt(np.diag(pose.covariance)[:3].max()))
     return vague < MAX_SIGMA[0] and float(np.linalg.norm(pose.position - prior.position)) < 2.0 * MAX_SIGMA[0]
 
 
-def _inflated(problem: Problem, fit: Fit) -> float:
+def _estimate_variance(problem: Problem, fit: Fit) -> float:
     """Estimate the variance of whitened residuals: one, unless they are significantly larger."""
-    variance = mean_square(problem, fit)
-    return variance if variance > 1.0 + 4.0 * math.sqrt(2.0 / freedom(problem)) else 1.0
+    variance = compute_residual_variance(problem, fit)
+    return variance if variance > 1.0 + 4.0 * math.sqrt(2.0 / count_degrees_of_freedom(problem)) else 1.0

@@ -16,8 +16,8 @@ from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import basis as time_functions
 from smolbot.localization import kernels as compiled
-from smolbot.localization.chain import Taps, difference_matrix, taps
-from smolbot.localization.forward import envelope
+from smolbot.localization.chain import Taps, compute_taps, make_difference_matrix
+from smolbot.localization.forward import compute_envelope
 
 _kernels: Any = compiled  # a compiled function's type does not cover its arguments
 
@@ -88,7 +88,7 @@ class LinearModel:
     white : bool
         True where the data vector's noise is white and of unit variance.
     common : LinearModel, optional
-        The part that is the same for every array; see `of_all_arrays`.
+        The part that is the same for every array; see `array_independent`.
     """
 
     device: Device
@@ -111,7 +111,7 @@ class LinearModel:
         return AMPLITUDE_SLACK * self.device.theta_max / time_functions.REFERENCE_ANGLE
 
     @property
-    def of_all_arrays(self) -> LinearModel:
+    def array_independent(self) -> LinearModel:
         """One object for all models that differ only in positions, axes, gains, moment and l0."""
         return self.common or self
 
@@ -123,7 +123,7 @@ class LinearModel:
         return np.ascontiguousarray((by_channel @ time).T)
 
     @cached_property
-    def belief(self) -> FloatArray:
+    def amplitude_prior(self) -> FloatArray:
         """Prior of the amplitude: mean and inverse variance (0, so no prior, where the noise is not scaled)."""
         scale = time_functions.REFERENCE_ANGLE
         mean, std = self.device.amplitude_prior
@@ -134,16 +134,16 @@ class LinearModel:
         """First arguments of every kernel of the fit."""
         return (
             np.ascontiguousarray(self.matrix.transpose(1, 2, 0)),
-            time_functions.labels(),
+            time_functions.list_labels(),
             self.positions,
             self.axes,
             self.device.moment * self.device.moment_in_body,
             self.device.l0,
-            time_functions.nodes() * time_functions.REFERENCE_ANGLE,
-            time_functions.power_matrix(),
+            time_functions.compute_nodes() * time_functions.REFERENCE_ANGLE,
+            time_functions.compute_power_matrix(),
         )
 
-    def vector(self, field: FloatArray) -> FloatArray:
+    def compute_data_vector(self, field: FloatArray) -> FloatArray:
         """Compute the data vector of raw samples.
 
         Parameters
@@ -157,7 +157,7 @@ class LinearModel:
         tapped = _kernels.tapped(field, self.chain.first, self.chain.weights)
         return _kernels.mixed(self.mixing, tapped if self.separable else tapped.reshape(-1, 1))
 
-    def response(
+    def compute_response(
         self,
         position: FloatArray,
         rotation: FloatArray,
@@ -193,7 +193,7 @@ class LinearModel:
 
 
 @lru_cache(maxsize=64)
-def paper_model(
+def make_paper_model(
     sensors: SensorArray, device: Device, usable: bytes, n_samples: int, sample_rate: float, since: float
 ) -> LinearModel:
     """Make the paper's chain for recordings of one kind; cached for similar recordings.
@@ -214,9 +214,11 @@ def paper_model(
     LinearModel
     """
     used = np.frombuffer(usable, dtype=np.bool_)
-    mixing = difference_matrix(sensors.axes[used], sensors.positions[used])
-    chain = taps(n_samples, sample_rate, device.frequency)
-    functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, sensors.bandwidth)
+    mixing = make_difference_matrix(sensors.axes[used], sensors.positions[used])
+    chain = compute_taps(n_samples, sample_rate, device.frequency)
+    functions, changes = time_functions.compute_functions_and_slopes(
+        device, chain, sample_rate, since, sensors.bandwidth
+    )
 
     def through(functions: FloatArray) -> FloatArray:
         answers = np.einsum("qj,fi->qifj", mixing, functions)
@@ -287,10 +289,10 @@ class Problem:
         Fit
         """
         start = (np.array(position), np.array(rotation, order="C"), float(phase), float(amplitude))
-        limits = (self.model.amplitude_max, self.model.belief, iterations, tolerance)
+        limits = (self.model.amplitude_max, self.model.amplitude_prior, iterations, tolerance)
         return Fit(*_kernels.fit(self.data, *self.model.constants, *start, *limits))
 
-    def resonance(self, fit: Fit, variance: float) -> tuple[FloatArray, FloatArray]:
+    def estimate_resonance_error(self, fit: Fit, variance: float) -> tuple[FloatArray, FloatArray]:
         """Estimate the error of the device's frequency and damping.
 
         One Gauss-Newton step from a finished fit, with pose, phase and amplitude left free.
@@ -311,8 +313,8 @@ class Problem:
         # what a change of frequency or damping does to the samples, less what the eight parameters explain
         model = self.model
         place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
-        out, jacobian = model.response(*place)
-        change = np.stack([model.response(*place, matrix=slope)[0] for slope in model.slopes], axis=1)
+        out, jacobian = model.compute_response(*place)
+        change = np.stack([model.compute_response(*place, matrix=slope)[0] for slope in model.slopes], axis=1)
         residual = self.data - out
         solve = np.linalg.solve(fit.normal, jacobian.T @ change)
         free = change - jacobian @ solve
@@ -323,7 +325,7 @@ class Problem:
         uncertainty = np.asarray(variance * inverse, dtype=np.float64)
         return inverse @ (free.T @ residual), uncertainty
 
-    def phase_and_amplitude(self, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
+    def estimate_phase_and_amplitude(self, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
         """Estimate phase and amplitude at a fixed pose by a linear solve.
 
         Parameters
@@ -348,14 +350,14 @@ MIN_OUTPUTS = 6
 """Fewest differences, or channels, that determine the eight unknowns of a fit."""
 
 
-LEAST_RATE = 10.0
+MIN_SAMPLES_PER_PERIOD = 10.0
 """Samples per period of the device below which its oscillation is not resolved."""
 
-FADED = 1e-6
+MIN_ENVELOPE = 1e-6
 """Share of the amplitude below which an oscillation is not measurable."""
 
 
-def usable_channels(recording: Recording, sensors: SensorArray, device: Device) -> BoolArray:
+def find_usable_channels(recording: Recording, sensors: SensorArray, device: Device) -> BoolArray:
     """Find the channels that take part: not saturated, finite, and not constant.
 
     Parameters
@@ -381,13 +383,13 @@ def usable_channels(recording: Recording, sensors: SensorArray, device: Device) 
             "A pose needs a recording after a drive, with time_since_drive of at least 0 s; "
             f"got {recording.time_since_drive} s."
         )
-    if recording.sample_rate < LEAST_RATE * device.frequency:
+    if recording.sample_rate < MIN_SAMPLES_PER_PERIOD * device.frequency:
         raise InputError(
             f"The recording has {recording.sample_rate:g} samples per second; a device of {device.frequency:g} Hz "
-            f"needs at least {LEAST_RATE * device.frequency:g}. Is the rate in Hz?"
+            f"needs at least {MIN_SAMPLES_PER_PERIOD * device.frequency:g}. Is the rate in Hz?"
         )
     since = recording.time_since_drive
-    if not float(envelope(device, np.array([since]))[0]) > FADED:
+    if not float(compute_envelope(device, np.array([since]))[0]) > MIN_ENVELOPE:
         raise InputError(
             f"The oscillation has decayed {1e3 * since:g} ms after the drive (damping {device.damping:g} 1/s, "
             f"{device.damping_model}). Is the time in ms?"
@@ -396,7 +398,7 @@ def usable_channels(recording: Recording, sensors: SensorArray, device: Device) 
     return moving & ~recording.saturated
 
 
-def require_enough(count: int, what: str, usable: BoolArray) -> None:
+def check_enough(count: int, what: str, usable: BoolArray) -> None:
     """Raise an error that names the channels left out, if too few remain.
 
     Parameters
@@ -439,9 +441,9 @@ def prepare_paper(recording: Recording, sensors: SensorArray, device: Device) ->
         If channels do not match the sensors, too few of them can be used, the recording holds no
         half-period, or no drive preceded it.
     """
-    usable = usable_channels(recording, sensors, device)
-    require_enough(int(usable.sum()), "channels", usable)
-    model = paper_model(
+    usable = find_usable_channels(recording, sensors, device)
+    check_enough(int(usable.sum()), "channels", usable)
+    model = make_paper_model(
         sensors,
         device,
         usable.tobytes(),
@@ -449,6 +451,6 @@ def prepare_paper(recording: Recording, sensors: SensorArray, device: Device) ->
         recording.sample_rate,
         recording.time_since_drive,
     )
-    require_enough(len(model.mixing), "same-axis differences", usable)
+    check_enough(len(model.mixing), "same-axis differences", usable)
     field = recording.field if usable.all() else np.ascontiguousarray(recording.field[usable])
-    return Problem(model, model.vector(field))
+    return Problem(model, model.compute_data_vector(field))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 from smolbot.core.sensing import Device, Recording
 from smolbot.errors import InputError
-from smolbot.localization.chain import whole_half_periods
+from smolbot.localization.chain import count_half_periods
 
-STEP = 0.95
+MODEL_SPACING = 0.95
 """Ratio of amplitudes between neighbouring models of a linear damping."""
 
-LEAST = 1e-3
+MIN_AMPLITUDE_SHARE = 1e-3
 """Share of the amplitude below which an oscillation has ended, and no new model is built."""
 
 DAMPING_ERROR = 0.05
@@ -22,7 +22,7 @@ DAMPING_ERROR = 0.05
 AMPLITUDE_FLOOR = 0.002
 """Smallest relative standard deviation of an amplitude: sensors are not exactly where they should be."""
 
-GATE = 4.0
+MAX_SIGMAS = 4.0
 """Standard deviations above which an amplitude is rejected; the standard deviation is widened instead."""
 
 WIDENING = 2.0
@@ -32,7 +32,7 @@ ROUNDED_SAMPLES = 1e-6
 """Share of a sample that is rounding."""
 
 
-def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Recording]:
+def cut_segments(recording: Recording, device: Device, half_periods: int) -> Iterator[Recording]:
     """Cut a recording into consecutive segments of equal length, as many as it holds.
 
     Parameters
@@ -52,7 +52,7 @@ def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Rec
         If the recording holds no segment, or `half_periods` is not positive.
     """
     n, rate = recording.field.shape[1], recording.sample_rate
-    total = whole_half_periods(n, rate, device.frequency)
+    total = count_half_periods(n, rate, device.frequency)
     if not 1 <= half_periods <= total:
         raise InputError(f"half_periods must lie within 1 to {total}, what the recording holds; got {half_periods}.")
     length = half_periods * rate / (2.0 * device.frequency)
@@ -68,7 +68,7 @@ def cut(recording: Recording, device: Device, half_periods: int) -> Iterator[Rec
         )
 
 
-def remaining(device: Device, time: float) -> float:
+def compute_remaining_share(device: Device, time: float) -> float:
     """Compute the share of the amplitude that is left after a time.
 
     Parameters
@@ -83,11 +83,11 @@ def remaining(device: Device, time: float) -> float:
         At least `LEAST`.
     """
     if device.damping_model == "linear":
-        return max(1.0 - device.damping * time, LEAST)
-    return max(math.exp(-device.damping * time), LEAST)
+        return max(1.0 - device.damping * time, MIN_AMPLITUDE_SHARE)
+    return max(math.exp(-device.damping * time), MIN_AMPLITUDE_SHARE)
 
 
-def anchor(device: Device, time: float, earliest: float = 0.0) -> tuple[float, float]:
+def find_anchor(device: Device, time: float, earliest: float = 0.0) -> tuple[float, float]:
     """Find the time after the drive whose model serves a segment, so that few models are needed.
 
     Under exponential damping a shift in time is a change of amplitude and phase, so that one model serves
@@ -110,10 +110,12 @@ def anchor(device: Device, time: float, earliest: float = 0.0) -> tuple[float, f
     """
     if time < earliest:
         return time, 1.0
-    left = remaining(device, time)
+    left = compute_remaining_share(device, time)
     if device.damping_model == "exponential" or device.damping == 0.0:
-        return earliest, left / remaining(device, earliest)
-    step = min(STEP ** round(math.log(left) / math.log(STEP)), remaining(device, earliest))
+        return earliest, left / compute_remaining_share(device, earliest)
+    step = min(
+        MODEL_SPACING ** round(math.log(left) / math.log(MODEL_SPACING)), compute_remaining_share(device, earliest)
+    )
     return (1.0 - step) / device.damping, left / step
 
 
@@ -133,7 +135,7 @@ class SharedAmplitude:
     time: float
 
     @classmethod
-    def of(cls, device: Device) -> SharedAmplitude:
+    def from_device(cls, device: Device) -> SharedAmplitude:
         """Make the prior estimate from a device.
 
         Parameters
@@ -146,7 +148,7 @@ class SharedAmplitude:
         """
         return cls(*device.amplitude_prior, 0.0)
 
-    def at(self, device: Device, time: float) -> SharedAmplitude:
+    def predict(self, device: Device, time: float) -> SharedAmplitude:
         """Predict the estimate at a later time, with the uncertainty that an error of the damping adds.
 
         Parameters
@@ -162,7 +164,7 @@ class SharedAmplitude:
         loss = DAMPING_ERROR * device.damping * self.mean
         return replace(self, std=math.hypot(self.std, loss * math.sqrt(max(time - self.time, 0.0))), time=time)
 
-    def narrowed(self, amplitude: float, std: float) -> SharedAmplitude:
+    def update(self, amplitude: float, std: float) -> SharedAmplitude:
         """Update with a segment whose fit included this estimate as a prior.
 
         Parameters
@@ -176,11 +178,11 @@ class SharedAmplitude:
         """
         if not math.isfinite(std):
             return self
-        if abs(amplitude - self.mean) > GATE * self.std:
+        if abs(amplitude - self.mean) > MAX_SIGMAS * self.std:
             return replace(self, std=WIDENING * self.std)
         return replace(self, mean=amplitude, std=max(std, AMPLITUDE_FLOOR * amplitude))
 
-    def scaled(self, device: Device, share: float) -> Device:
+    def scale_device(self, device: Device, share: float) -> Device:
         """Scale the amplitudes of a device, for a model that starts later in the oscillation.
 
         Parameters

@@ -21,7 +21,7 @@ NO_DIRECTION = 1e-12
 """Length of a mean of unit vectors below which it has no direction."""
 
 
-def sum_squared_error(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
+def compute_sum_squared_error(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
     """Compute the sum squared error.
 
         SSE = sum (d - f)²        (Eq. S20)
@@ -36,14 +36,14 @@ def sum_squared_error(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
 
     Examples
     --------
-    >>> sum_squared_error([1.0, 2.0, 4.0], [1.0, 2.0, 3.0])
+    >>> compute_sum_squared_error([1.0, 2.0, 4.0], [1.0, 2.0, 3.0])
     1.0
     """
-    d, f = _pair(measured, fitted)
+    d, f = _as_dataset_pair(measured, fitted)
     return float(np.sum((d - f) ** 2))
 
 
-def total_sum_of_squares(measured: npt.ArrayLike) -> float:
+def compute_total_sum_of_squares(measured: npt.ArrayLike) -> float:
     """Compute the total sum of squares over all values as one dataset.
 
         TSS = sum (d - mean d)²        (Eqs. S21, S22)
@@ -56,11 +56,11 @@ def total_sum_of_squares(measured: npt.ArrayLike) -> float:
     -------
     float, in the squared unit of the data
     """
-    d = _datasets(measured, "measured")
+    d = _as_datasets(measured, "measured")
     return float(np.sum((d - d.mean()) ** 2))
 
 
-def coefficient_of_determination(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
+def compute_r_squared(measured: npt.ArrayLike, fitted: npt.ArrayLike) -> float:
     """Compute the coefficient of determination.
 
         R² = 1 - SSE / TSS        (Eq. S23)
@@ -81,16 +81,16 @@ def coefficient_of_determination(measured: npt.ArrayLike, fitted: npt.ArrayLike)
 
     Examples
     --------
-    >>> coefficient_of_determination([1.0, 2.0, 3.0], [1.0, 2.0, 2.0])
+    >>> compute_r_squared([1.0, 2.0, 3.0], [1.0, 2.0, 2.0])
     0.5
     """
-    total = total_sum_of_squares(measured)
+    total = compute_total_sum_of_squares(measured)
     if total == 0.0:
         raise InputError("R² needs measured values that differ from each other; all of them are the same.")
-    return 1.0 - sum_squared_error(measured, fitted) / total
+    return 1.0 - compute_sum_squared_error(measured, fitted) / total
 
 
-def differential_mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+def compute_differential_mae(measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     """Compute the mean absolute error of differences from a reference position.
 
         MAE_diff = 1/(kn) sum |d - (f + mean d_ref)|        (Eq. S25)
@@ -109,14 +109,14 @@ def differential_mean_absolute_error(measured: npt.ArrayLike, truth: npt.ArrayLi
 
     Examples
     --------
-    >>> differential_mean_absolute_error([11.0, 12.5], [1.0, 2.0], [9.0, 11.0])
+    >>> compute_differential_mae([11.0, 12.5], [1.0, 2.0], [9.0, 11.0])
     0.25
     """
-    d, f = _pair(measured, truth)
-    return float(np.mean(np.abs(d - (f + _datasets(reference, "reference").mean()))))
+    d, f = _as_dataset_pair(measured, truth)
+    return float(np.mean(np.abs(d - (f + _as_datasets(reference, "reference").mean()))))
 
 
-def standard_deviation(measured: npt.ArrayLike) -> float:
+def compute_standard_deviation(measured: npt.ArrayLike) -> float:
     """Compute the standard deviation about each dataset's own mean.
 
         sigma = sqrt(1/(kn - 1) sum_j sum_i (mean d_j - d_ij)²)        (Eq. S26)
@@ -136,16 +136,16 @@ def standard_deviation(measured: npt.ArrayLike) -> float:
 
     Examples
     --------
-    >>> round(standard_deviation([[0.0, 10.0], [2.0, 12.0]]), 4)  # two datasets that scatter alike
+    >>> round(compute_standard_deviation([[0.0, 10.0], [2.0, 12.0]]), 4)  # two datasets that scatter alike
     1.1547
     """
-    d = _datasets(measured, "measured")
+    d = _as_datasets(measured, "measured")
     if d.size < 2:
         raise InputError(f"A standard deviation needs at least two values; got {d.size}.")
     return float(np.sqrt(np.sum((d - d.mean(axis=0)) ** 2) / (d.size - 1)))
 
 
-def circular_mean(angles: npt.ArrayLike) -> float:
+def compute_circular_mean(angles: npt.ArrayLike) -> float:
     """Compute the mean direction over all values as one dataset.
 
         mean = arg(sum exp(i d))        (Eq. S30)
@@ -166,18 +166,16 @@ def circular_mean(angles: npt.ArrayLike) -> float:
 
     Examples
     --------
-    >>> round(float(np.degrees(circular_mean(np.radians([350.0, 10.0, 30.0])))), 9)
+    >>> round(float(np.degrees(compute_circular_mean(np.radians([350.0, 10.0, 30.0])))), 9)
     10.0
     """
-    total = np.sum(np.exp(1j * _datasets(angles, "angles"))) / np.size(angles)
+    total = np.sum(np.exp(1j * _as_datasets(angles, "angles"))) / np.size(angles)
     if abs(total) < NO_DIRECTION:
         raise InputError("These directions cancel each other; they have no mean.")
     return float(np.angle(total))
 
 
-def differential_circular_mean_absolute_error(
-    measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike
-) -> float:
+def compute_differential_circular_mae(measured: npt.ArrayLike, truth: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     """Compute the mean absolute error of turns from a reference direction.
 
         MAE = arg(sum exp(i |w(d - (f + mean d_ref))|)),   w: wrapped to (-pi, pi]        (Eq. S27)
@@ -198,16 +196,16 @@ def differential_circular_mean_absolute_error(
     Examples
     --------
     >>> turns = np.radians([1.0, 91.0, 179.0, 271.0])
-    >>> error = differential_circular_mean_absolute_error(turns, np.radians([0, 90, 180, 270]), [0.0])
+    >>> error = compute_differential_circular_mae(turns, np.radians([0, 90, 180, 270]), [0.0])
     >>> round(float(np.degrees(error)), 9)
     1.0
     """
-    d, f = _pair(measured, truth)
-    off = wrapped(d - (f + circular_mean(reference)))
+    d, f = _as_dataset_pair(measured, truth)
+    off = wrap_angles(d - (f + compute_circular_mean(reference)))
     return float(np.angle(np.sum(np.exp(1j * np.abs(off)))))
 
 
-def circular_standard_deviation(angles: npt.ArrayLike) -> float:
+def compute_circular_standard_deviation(angles: npt.ArrayLike) -> float:
     """Compute the standard deviation of directions about each dataset's own circular mean.
 
         sigma = sqrt(-2 ln R),   R = 1/(kn) |sum_j sum_i exp(i (mean d_j - d_ij))|        (Eqs. S28, S29)
@@ -223,16 +221,16 @@ def circular_standard_deviation(angles: npt.ArrayLike) -> float:
 
     Examples
     --------
-    >>> round(float(np.degrees(circular_standard_deviation(np.radians([358.0, 0.0, 2.0])))), 3)
+    >>> round(float(np.degrees(compute_circular_standard_deviation(np.radians([358.0, 0.0, 2.0])))), 3)
     1.633
     """
-    d = _datasets(angles, "angles")
-    means = np.array([circular_mean(column) for column in d.T])
+    d = _as_datasets(angles, "angles")
+    means = np.array([compute_circular_mean(column) for column in d.T])
     length = min(float(np.abs(np.mean(np.exp(1j * (means - d))))), 1.0)
     return float(np.sqrt(-2.0 * np.log(length))) if length > 0.0 else np.inf
 
 
-def wrapped(angles: npt.ArrayLike) -> FloatArray:
+def wrap_angles(angles: npt.ArrayLike) -> FloatArray:
     """Wrap angles to (-pi, pi].
 
     Parameters
@@ -247,7 +245,7 @@ def wrapped(angles: npt.ArrayLike) -> FloatArray:
     return turned
 
 
-def _datasets(values: npt.ArrayLike, name: str) -> FloatArray:
+def _as_datasets(values: npt.ArrayLike, name: str) -> FloatArray:
     """Convert values to a finite array (k, n) of at least one value."""
     try:
         array = np.asarray(values, dtype=np.float64)
@@ -261,9 +259,9 @@ def _datasets(values: npt.ArrayLike, name: str) -> FloatArray:
     return array.reshape(len(array), -1) if array.ndim else array.reshape(1, 1)
 
 
-def _pair(measured: npt.ArrayLike, truth: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _as_dataset_pair(measured: npt.ArrayLike, truth: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Convert both to (k, n); one dataset of truth serves all datasets of measured values."""
-    d, f = _datasets(measured, "measured"), _datasets(truth, "truth")
+    d, f = _as_datasets(measured, "measured"), _as_datasets(truth, "truth")
     if len(f) != len(d) or f.shape[1] not in (1, d.shape[1]):
         raise InputError(f"measured has shape {d.shape} and truth {f.shape}; they must match, or truth be (k,).")
     return d, f

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import nearer_twin
+from smolbot.core.rotations import choose_nearer_orientation
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
@@ -18,24 +18,24 @@ from smolbot.localization.noise.model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)
-class SightedSwing:
+class SyntheticSwing:
     """Amplitude of the oscillation in rad, and its covariance (7, 7) with the pose; see `Oscillation`."""
 
     amplitude: float
     covariance: FloatArray
 
-    def resonance(self) -> None:
+    def estimate_resonance_error(self) -> None:
         """Nothing is known of it."""
 
-    def of_the_array(self, frames: FloatArray) -> None:
+    def compute_array_terms(self, frames: FloatArray) -> None:
         """Nothing is known of it."""
 
-    def energies(self, recording: Recording, noise: NoiseModel) -> None:
+    def compute_energies(self, recording: Recording, noise: NoiseModel) -> None:
         """Nothing is known of them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class SyntheticFit:
     """Simulated outcome of a fit, before the checks that decide whether it is trusted.
 
     Attributes
@@ -60,22 +60,22 @@ class Fitted:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting(Recording):
+class SyntheticRecording(Recording):
     """A recording without samples: it holds the fit that a localizer would have found.
 
     Attributes
     ----------
     time : float, in s
         Middle of the window, on the rig's clock.
-    fitted : Fitted or None
+    fit : Fitted or None
         None where nothing was driven.
     """
 
     time: float = 0.0
-    fitted: Fitted | None = None
+    fit: SyntheticFit | None = None
 
 
-class Sightings(PoseEstimatorBase):
+class SyntheticLocalizer(PoseEstimatorBase):
     """Takes `Localizer`'s place where a rig hands out sightings. It holds no truth: all it knows is in a sighting.
 
     Parameters
@@ -96,7 +96,7 @@ class Sightings(PoseEstimatorBase):
         super().__init__(sensors, device, volume)
         self.transients = transients
 
-    def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, SightedSwing]:
+    def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, SyntheticSwing]:
         """Return pose and oscillation of a simulated fix, checked by the rules of `Localizer`.
 
         Depends on its arguments alone.
@@ -104,7 +104,7 @@ class Sightings(PoseEstimatorBase):
         Parameters
         ----------
         recording : Recording
-            A `Sighting`.
+            A `SyntheticRecording`.
         prior : Pose, optional
             Of the two orientations that give the same signal, the one nearer to it is returned.
 
@@ -118,23 +118,23 @@ class Sightings(PoseEstimatorBase):
         InputError
             Where nothing was measured, as with a recording that has too few usable channels.
         """
-        if not isinstance(recording, Sighting) or recording.fitted is None:
+        if not isinstance(recording, SyntheticRecording) or recording.fit is None:
             raise InputError("This recording holds no pose: nothing was driven before it.")
-        fitted = recording.fitted
+        fitted = recording.fit
         if not math.isfinite(fitted.covariance[0, 0]):
             raise InputError("This recording holds no pose: too little of a swing was heard.")
-        orientation = nearer_twin(fitted.orientation, None if prior is None else prior.orientation)
+        orientation = choose_nearer_orientation(fitted.orientation, None if prior is None else prior.orientation)
         pose = Pose(
             recording.time,
             fitted.position,
             orientation,
             fitted.covariance[:6, :6],
             fitted.r_squared,
-            trusted=self._believable(fitted),
+            trusted=self._is_trusted(fitted),
         )
-        return pose, SightedSwing(fitted.amplitude, fitted.covariance)
+        return pose, SyntheticSwing(fitted.amplitude, fitted.covariance)
 
-    def _believable(self, fitted: Fitted) -> bool:
+    def _is_trusted(self, fitted: SyntheticFit) -> bool:
         variances = fitted.covariance.diagonal()
         certain = variances[:3].max() < MAX_SIGMA[0] ** 2 and variances[3:6].max() < MAX_SIGMA[1] ** 2
         loud = fitted.amplitude > MIN_AMPLITUDE * 1.1 * self.device.theta_max
@@ -144,10 +144,10 @@ class Sightings(PoseEstimatorBase):
 
 
 @runtime_checkable
-class SightingRig(Protocol):
+class SyntheticPoseRig(Protocol):
     """A rig that simulates no signals, but pose fixes with the errors that a localizer would have."""
 
-    def sightings(self, localizer: PoseEstimator) -> PoseEstimator:
+    def make_synthetic_localizer(self, localizer: PoseEstimator) -> PoseEstimator:
         """What takes the place of `localizer`; from now on the rig errs as that one would.
 
         Raises

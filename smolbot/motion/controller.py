@@ -11,7 +11,7 @@ from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Excite, Listen, Mechanical, RingDown, Rotate
-from smolbot.errors import InputError, did_you_mean
+from smolbot.errors import InputError, suggest_name
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths.curve import Curve
@@ -195,7 +195,7 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Reach:
+class ForceProfile:
     """Force of a controller along a path, computed from the field table and the model parameters.
 
     Attributes
@@ -291,7 +291,7 @@ class RobotKinds(Protocol):
 class ForceForecast(Protocol):
     """A controller of a robot that coils pull, which can tell the force that it would exert along a path."""
 
-    def reach(self, path: Curve) -> Reach:
+    def reach(self, path: Curve) -> ForceProfile:
         """Compute the force along a path, which `preview` shows.
 
         Parameters
@@ -365,7 +365,7 @@ def complete_gains(
         For every unknown gain, and every one outside its range; or if the first of the two `rising` gains exceeds
         the second.
     """
-    faults = [gain_fault(known, name, value, law) for name, value in given.items()]
+    faults = [find_gain_fault(known, name, value, law) for name, value in given.items()]
     found = [fault for fault in faults if fault]
     if found:
         raise InputError(" ".join(found))
@@ -377,7 +377,7 @@ def complete_gains(
     return values
 
 
-def gain_fault(known: Mapping[str, Gain], name: str, value: Any, law: str) -> str | None:
+def find_gain_fault(known: Mapping[str, Gain], name: str, value: Any, law: str) -> str | None:
     """Explain what is wrong with one gain of a controller.
 
     Parameters
@@ -394,7 +394,7 @@ def gain_fault(known: Mapping[str, Gain], name: str, value: Any, law: str) -> st
         None if the gain is valid.
     """
     if name not in known:
-        return f"unknown gain of {law}; known gains: {', '.join(known)}.{did_you_mean(name, known)}"
+        return f"unknown gain of {law}; known gains: {', '.join(known)}.{suggest_name(name, known)}"
     gain = known[name]
     if not gain.low <= value <= gain.high:
         return f"must lie within {gain.low:g} to {gain.high:g}; got {value:g}."

@@ -7,20 +7,20 @@ import math
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.motion.kernels import moved, strayed
+from smolbot.motion.kernels import compute_displacement, propagate_turn_variance
 from smolbot.motion.robot import Robot
 
-STEP = 2e-3
+MAX_STEP = 2e-3
 """Longest step of the integration, in s; alignment takes tens of ms."""
 
-COARSE = 6e-3
+MAX_COARSE_STEP = 6e-3
 """Step, in s, with which a turn is followed whose size alone is asked for."""
 
 COIL_ERROR = 0.03
 """Share of a coil's field by which it may differ from its table: 2 % of gain, some tenths of a mm of place."""
 
 
-def body_of(robot: Robot) -> FloatArray:
+def pack_robot(robot: Robot) -> FloatArray:
     """Pack a robot's parameters for the compiled kernels.
 
     Parameters
@@ -77,19 +77,21 @@ def advance(
     heading : float, in rad
         At the end of the window.
     """
-    steps = max(math.ceil(duration / STEP), 1)
-    x, y, after = moved(body_of(robot), field, gradient, currents, float(heading), float(duration), steps)
+    steps = max(math.ceil(duration / MAX_STEP), 1)
+    x, y, after = compute_displacement(
+        pack_robot(robot), field, gradient, currents, float(heading), float(duration), steps
+    )
     return np.array([x, y]), after
 
 
-def stray_turn(
+def compute_turn_variance(
     robot: Robot,
     field: FloatArray,
     gradient: FloatArray,
     currents: FloatArray,
     heading: float,
     duration: float,
-    variance: float,
+    heading_variance: float,
 ) -> float:
     """Compute the variance of a window's turn that errors of the coils' fields and of the heading add.
 
@@ -107,13 +109,13 @@ def stray_turn(
     heading : float, in rad
         Of the cantilever in the horizontal plane, from x toward y.
     duration : float, in s
-    variance : float, in rad²
+    heading_variance : float, in rad²
         Of the heading.
 
     Returns
     -------
     float, in rad²
     """
-    steps = max(math.ceil(duration / COARSE), 1)
-    given = float(heading), float(duration), steps, COIL_ERROR, float(variance)
-    return float(strayed(body_of(robot), field, gradient, currents, *given))
+    steps = max(math.ceil(duration / MAX_COARSE_STEP), 1)
+    given = float(heading), float(duration), steps, COIL_ERROR, float(heading_variance)
+    return float(propagate_turn_variance(pack_robot(robot), field, gradient, currents, *given))

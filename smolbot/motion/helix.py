@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import matrix_from_quaternion, multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.shots import MoveMagnet, Rotate, Window
-from smolbot.motion import helixkernels as kernels
-from smolbot.motion.robot import magnet_inertia
+from smolbot.motion import helix_kernels as kernels
+from smolbot.motion.robot import compute_magnet_inertia
 
 MEAN_OF_ELLIPSE = 1.5420
 """Mean over a turn of ``sqrt(4 cos² + sin²)``: the field of a dipole beside its axis, in units of its weakest."""
 
-BEARING = 7.0
+BEARING_CAPACITY_FACTOR = 7.0
 """Yield stresses that a gel bears on the projected area of a cylinder pushed across its axis."""
 
 
@@ -147,11 +147,11 @@ class Helix:
         return cls(
             advance=pitch * (1.0 - slip),
             moment=moment,
-            stiffness=magnet_inertia(moment, l0) * (2.0 * np.pi * frequency) ** 2,
+            stiffness=compute_magnet_inertia(moment, l0) * (2.0 * np.pi * frequency) ** 2,
             theta_max=theta_max,
             spin_yield=yield_stress * np.pi * radius**2 * (2.0 * length + 4.0 / 3.0 * radius),
-            tilt_yield=yield_stress * BEARING * diameter * length**2 / 4.0,
-            across_yield=yield_stress * BEARING * diameter * length,
+            tilt_yield=yield_stress * BEARING_CAPACITY_FACTOR * diameter * length**2 / 4.0,
+            across_yield=yield_stress * BEARING_CAPACITY_FACTOR * diameter * length,
             viscous_rate=yield_stress / (2.0 * viscosity),
             center_ahead=center_ahead,
             magnet_ahead=l0,
@@ -203,7 +203,7 @@ class Helix:
 
     @cached_property
     def body(self) -> FloatArray:
-        """Parameters (18,) in the order of `smolbot.motion.helixkernels`."""
+        """Parameters (18,) in the order of `smolbot.motion.helix_kernels`."""
         weakest = self.moment * self.field / MEAN_OF_ELLIPSE
         return np.array(
             [self.advance, self.center_ahead, self.magnet_ahead - self.center_ahead, *self.magnet, weakest,
@@ -236,7 +236,7 @@ class Helix:
             state[: kernels.Z] = self.magnet[:2]
             before = state[kernels.HEADING]
             state[kernels.COURSE] = np.nan
-            state = kernels.screw_on(self.body, self.factors, state, before + tilt, 1.0, 1.0, frequency)
+            state = kernels.advance_screw(self.body, self.factors, state, before + tilt, 1.0, 1.0, frequency)
         return float(state[kernels.HEADING] - before)
 
     def tightest(self, frequency: float, tilt: float) -> float:
@@ -280,24 +280,26 @@ class Helix:
         turned : float, in rad
             Sum of the absolute turns of the robot's axis.
         """
-        state = state_of(position, orientation)
+        state = make_state(position, orientation)
         heading, pitch, turns, turned = state[kernels.HEADING], state[kernels.PITCH], 0.0, 0.0
         for window in windows:
             if isinstance(window, MoveMagnet):
                 state[kernels.COURSE] = np.nan  # the axis is free while the magnet is away
             elif isinstance(window, Rotate):
                 before = state[kernels.HEADING]
-                course, sense = course_of(window, before)
-                state = kernels.screw_on(self.body, self.factors, state, course, sense, window.turns, window.frequency)
+                course, sense = compute_course(window, before)
+                state = kernels.advance_screw(
+                    self.body, self.factors, state, course, sense, window.turns, window.frequency
+                )
                 turns += window.turns
                 turned += abs(state[kernels.HEADING] - before)
         left = np.array([-math.sin(heading), math.cos(heading), 0.0])
         tipped = quaternion_from_rotation_vector((pitch - state[kernels.PITCH]) * left)
         yawed = quaternion_from_rotation_vector(np.array([0.0, 0.0, state[kernels.HEADING] - heading]))
-        return state[:3].copy(), quaternion_product(yawed, quaternion_product(tipped, orientation)), turns, turned
+        return state[:3].copy(), multiply_quaternions(yawed, multiply_quaternions(tipped, orientation)), turns, turned
 
 
-def state_of(position: FloatArray, orientation: FloatArray) -> FloatArray:
+def make_state(position: FloatArray, orientation: FloatArray) -> FloatArray:
     """Convert a pose to a state of the kernels, with the magnet's axis free.
 
     Parameters
@@ -309,14 +311,14 @@ def state_of(position: FloatArray, orientation: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (6,)
-        As described in `smolbot.motion.helixkernels`.
+        As described in `smolbot.motion.helix_kernels`.
     """
     ahead = matrix_from_quaternion(orientation)[:, 2]
     heading, pitch = math.atan2(ahead[1], ahead[0]), math.asin(min(max(ahead[2], -1.0), 1.0))
     return np.array([*position, heading, pitch, np.nan])
 
 
-def course_of(window: Rotate, heading: float) -> tuple[float, float]:
+def compute_course(window: Rotate, heading: float) -> tuple[float, float]:
     """Compute the course of the magnet's axis, and whether it drives the robot forward or back.
 
     The robot turns against the magnet, so a magnet's axis that points back drives it forward.
@@ -340,7 +342,7 @@ def course_of(window: Rotate, heading: float) -> tuple[float, float]:
     return course + math.pi, -1.0
 
 
-def rotation(course: float, sense: float, frequency: float, turns: float) -> Rotate:
+def make_rotate_window(course: float, sense: float, frequency: float, turns: float) -> Rotate:
     """Make the window that drives the robot along a line.
 
     Parameters

@@ -15,18 +15,18 @@ import numpy as np
 from numba import njit
 
 MOMENT, DRAG, ROTATIONAL_DRAG, STIFFNESS, STOP, MAGNET, CENTER = range(7)
-BODY = 7
+BODY_SIZE = 7
 # Weights of a plan, per mm or rad: distance from the path, arc length that is missing, heading, push at the tail,
 # currents, weakness of the field; the field (T) below which it is called weak, and the angle beyond which the cost of a
 # wrong heading grows linearly
-NEAR, FORWARD, HEADING, TAIL, HEAT, FIRM, WEAK, HUBER = range(8)
-WEIGHTS = 8
-RESIDUALS = 8  # for each window
-BACK, AHEAD = 1e-3, 2e-3  # how far, in m, from where it was, a robot is looked for
+PATH_DISTANCE, MISSING_PROGRESS, HEADING, TAIL_PUSH, CURRENT_COST, FIELD_WEAKNESS, WEAK_FIELD, HUBER_ANGLE = range(8)
+WEIGHT_COUNT = 8
+RESIDUALS_PER_WINDOW = 8  # for each window
+SEARCH_BACK, SEARCH_AHEAD = 1e-3, 2e-3  # how far, in m, from where it was, a robot is looked for
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def wrapped(angle):
+def wrap_angle(angle):
     """Wrap an angle to within half a turn of zero.
 
     Parameters
@@ -42,14 +42,14 @@ def wrapped(angle):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def deflection(off, torque, stiffness, theta_max):
+def compute_deflection(field_angle, torque, stiffness, theta_max):
     """Compute the angle by which the magnet bends toward a field, up to the stop.
 
         k d = m B sin(off - d)
 
     Parameters
     ----------
-    off : float, in rad
+    field_angle : float, in rad
         Angle from the housing to the field.
     torque : float, in N·m
         Moment times flux density.
@@ -63,8 +63,8 @@ def deflection(off, torque, stiffness, theta_max):
     """
     d = 0.0
     for _ in range(8):
-        value = stiffness * d - torque * math.sin(off - d)
-        step = value / (stiffness + torque * abs(math.cos(off - d)) + 1e-30)
+        value = stiffness * d - torque * math.sin(field_angle - d)
+        step = value / (stiffness + torque * abs(math.cos(field_angle - d)) + 1e-30)
         d -= step
         if abs(step) < 1e-4:
             break
@@ -72,7 +72,7 @@ def deflection(off, torque, stiffness, theta_max):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def roll(body, field, gradient, x, y, heading, duration, steps):
+def simulate_window(body, field, gradient, x, y, heading, duration, steps):
     """Simulate one window of constant currents.
 
     Parameters
@@ -102,11 +102,11 @@ def roll(body, field, gradient, x, y, heading, duration, steps):
         Distance by which the robot was pushed tail first.
     """
     none = np.empty((0, 0))
-    return _rolled(body, field, gradient, x, y, heading, duration, steps, none, none, none.shape[1])
+    return _simulate_with_derivatives(body, field, gradient, x, y, heading, duration, steps, none, none, none.shape[1])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def moved(body, b, g, currents, heading, duration, steps):
+def compute_displacement(body, b, g, currents, heading, duration, steps):
     """Compute displacement and heading after one window of coil currents; see `smolbot.motion.gradient.advance`.
 
     Parameters
@@ -137,12 +137,14 @@ def moved(body, b, g, currents, heading, duration, steps):
             gradient[i, 0] += currents[c] * g[c, i, 0]
             gradient[i, 1] += currents[c] * g[c, i, 1]
     none = np.empty((0, 0))
-    x, y, after, _, _, _ = _rolled(body, field, gradient, 0.0, 0.0, heading, duration, steps, none, none, none.shape[1])
+    x, y, after, _, _, _ = _simulate_with_derivatives(
+        body, field, gradient, 0.0, 0.0, heading, duration, steps, none, none, none.shape[1]
+    )
     return x, y, after
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def strayed(body, b, g, currents, heading, duration, steps, share, variance):
+def propagate_turn_variance(body, b, g, currents, heading, duration, steps, field_error, variance):
     """Compute the variance of a window's turn, for coil fields with a relative error each and an uncertain heading.
 
     A robot that points almost against the field may turn either way: the direction depends on errors smaller than
@@ -161,7 +163,7 @@ def strayed(body, b, g, currents, heading, duration, steps, share, variance):
     duration : float, in s
     steps : int
         Integration steps.
-    share : float
+    field_error : float
         Relative error of each coil's field.
     variance : float, in rad²
         Of the heading.
@@ -176,16 +178,16 @@ def strayed(body, b, g, currents, heading, duration, steps, share, variance):
             total[i] += currents[c] * b[c, i]
             apart += (currents[c] * b[c, i]) ** 2
     size = math.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2)
-    aside, doubt = math.atan2(share * math.sqrt(apart), size), math.sqrt(max(variance, 0.0))
+    aside, doubt = math.atan2(field_error * math.sqrt(apart), size), math.sqrt(max(variance, 0.0))
     nudge = max(aside, doubt)
-    low = moved(body, b, g, currents, heading - nudge, duration, steps)[2] + nudge
-    high = moved(body, b, g, currents, heading + nudge, duration, steps)[2] - nudge
+    low = compute_displacement(body, b, g, currents, heading - nudge, duration, steps)[2] + nudge
+    high = compute_displacement(body, b, g, currents, heading + nudge, duration, steps)[2] - nudge
     slope = (high - low) / (2.0 * nudge)  # of the turn for the heading; the field's direction counts the other way
     return (slope * aside) ** 2 + max((1.0 + slope) ** 2 - 1.0, 0.0) * variance
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _bend(sine, cosine, torque, stiffness, stop, bent):
+def _solve_deflection(sine, cosine, torque, stiffness, stop, bent):
     """Compute the deflection toward a field whose angle from the housing has a sine, not below 0, and a cosine.
 
     Newton's method from a guess `bent`, between nothing and the stop; see `deflection`. Between 0 and `stop`,
@@ -205,7 +207,7 @@ def _bend(sine, cosine, torque, stiffness, stop, bent):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count):
+def _simulate_with_derivatives(body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count):
     """Simulate one window as `roll` does, with the derivatives of all results by the first `count` variables.
 
     Angles are kept as unit vectors, (c, s) for the housing, so that a step takes an exponential and square roots
@@ -249,7 +251,7 @@ def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slope
         sine, cosine = c * wy - s * wx, c * wx + s * wy  # of the angle from the housing to the field
         side = 1.0 if sine >= 0.0 else -1.0
         sine = abs(sine)
-        bent = 0.0 if rigid else _bend(sine, cosine, torque, stiffness, stop, guess)
+        bent = 0.0 if rigid else _solve_deflection(sine, cosine, torque, stiffness, stop, guess)
         guess = bent
         free = not rigid and 0.0 < bent < stop
         cb, sb = math.cos(bent), math.sin(bent)
@@ -315,7 +317,7 @@ def _rolled(body, field, gradient, x, y, heading, duration, steps, inputs, slope
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def nearest(points, arc, first, last, guess, x, y, back=BACK, ahead=AHEAD):
+def find_nearest(points, arc, first, last, guess, x, y, back=SEARCH_BACK, ahead=SEARCH_AHEAD):
     """Find the nearest place on one leg of a path.
 
     Only the part from `back` before to `ahead` beyond the arc length `guess` is searched.
@@ -342,12 +344,12 @@ def nearest(points, arc, first, last, guess, x, y, back=BACK, ahead=AHEAD):
     across : float, in m
         Offset of the point across the leg, positive to its left.
     """
-    s, along, across, _ = _nearest(points, arc, first, last, guess, x, y, back, ahead)
+    s, along, across, _ = _find_nearest_segment(points, arc, first, last, guess, x, y, back, ahead)
     return s, along, across
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _nearest(points, arc, first, last, guess, x, y, back, ahead):
+def _find_nearest_segment(points, arc, first, last, guess, x, y, back, ahead):
     """Find the nearest place as `nearest` does, and the segment that it is on."""
     low, high = first, last
     while low < last - 1 and arc[low + 1] < guess - back:
@@ -370,7 +372,7 @@ def _nearest(points, arc, first, last, guess, x, y, back, ahead):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _place_on_leg(points, i, offsets, dx, dy):
+def _differentiate_place(points, i, offsets, dx, dy):
     """Compute the change of `nearest`'s offsets across and along, and arc length, as the point moves (dx, dy)."""
     x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     length = math.sqrt(x * x + y * y)
@@ -381,7 +383,9 @@ def _place_on_leg(points, i, offsets, dx, dy):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, work):
+def _compute_residuals(
+    currents, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, work
+):
     """Fill the residuals of a plan of one or more windows, and the states at their ends; return the cost.
 
     The cost is the sum of their squares, J of `controllers.predictive`. Of each window, in mm: half the distance across
@@ -389,7 +393,7 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
     of the field; after those of all windows, each coil's share of its highest current.
 
     `work`: Jacobian (total, windows * n_coils) of the residuals, or (0, 0) where it is not wanted; and room for
-    the derivatives of the coils' field (6, ...) and of the state (7, ...), as `_rolled` takes them.
+    the derivatives of the coils' field (6, ...) and of the state (7, ...), as `_simulate_with_derivatives` takes them.
     """
     points, arc, compass, spacing = route
     first, last, guess, stride, ahead, near = leg
@@ -422,7 +426,7 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
         by = field[1] + gradient[1, 0] * (x + ch) + gradient[1, 1] * (y + sh)
         # c^2 max(0, 1 - |B| / B_least)^2: where the coils nearly cancel, a robot goes where their errors send it
         strength = math.sqrt(bx * bx + by * by)
-        out[row + 7] = weights[FIRM] * max(1.0 - strength / weights[WEAK], 0.0)
+        out[row + 7] = weights[FIELD_WEAKNESS] * max(1.0 - strength / weights[WEAK_FIELD], 0.0)
         if out[row + 7] > 0.0 and strength > 0.0:
             for j in range(count):
                 dx, dy = slopes[0, j] - sh * slopes[2, j], slopes[1, j] + ch * slopes[2, j]
@@ -430,24 +434,24 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
                 dby = inputs[1, j] + inputs[4, j] * (x + ch) + inputs[5, j] * (y + sh)
                 dbx += gradient[0, 0] * dx + gradient[0, 1] * dy
                 dby += gradient[1, 0] * dx + gradient[1, 1] * dy
-                jacobian[row + 7, j] = -weights[FIRM] / weights[WEAK] * (bx * dbx + by * dby) / strength
-        x, y, heading, mx, my, tail = _rolled(
+                jacobian[row + 7, j] = -weights[FIELD_WEAKNESS] / weights[WEAK_FIELD] * (bx * dbx + by * dby) / strength
+        x, y, heading, mx, my, tail = _simulate_with_derivatives(
             body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count
         )
         x, y = x + drift[0] * duration, y + drift[1] * duration
         # n^2 d^2 / 4 half way
-        s, along, across, i = _nearest(points, arc, first, last, guess, mx, my, BACK, AHEAD)
-        half = 0.5e3 * weights[NEAR]
+        s, along, across, i = _find_nearest_segment(points, arc, first, last, guess, mx, my, SEARCH_BACK, SEARCH_AHEAD)
+        half = 0.5e3 * weights[PATH_DISTANCE]
         out[row], out[row + 1] = half * across, half * along
         for j in range(count):
-            beside, beyond, _ = _place_on_leg(points, i, along, slopes[3, j], slopes[4, j])
+            beside, beyond, _ = _differentiate_place(points, i, along, slopes[3, j], slopes[4, j])
             jacobian[row, j], jacobian[row + 1, j] = half * beside, half * beyond
         # n^2 d^2 and f^2 (s* - s)^2 at the end
-        s, along, across, i = _nearest(points, arc, first, last, guess, x, y, BACK, AHEAD)
-        full = 1e3 * weights[NEAR]
+        s, along, across, i = _find_nearest_segment(points, arc, first, last, guess, x, y, SEARCH_BACK, SEARCH_AHEAD)
+        full = 1e3 * weights[PATH_DISTANCE]
         out[row + 2], out[row + 3] = full * across, full * along
         goal = min(goal + stride, arc[last])
-        out[row + 4] = 1e3 * weights[FORWARD] * (goal - s - along)
+        out[row + 4] = 1e3 * weights[MISSING_PROGRESS] * (goal - s - along)
         # h^2 rho(psi - psi_path), the path's heading interpolated a little ahead
         on, moves = s + ahead, 1.0
         if s < arc[last] - near and on > arc[last]:
@@ -456,29 +460,29 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
         if not 0.0 <= at <= compass.shape[0] - 1.001:
             at, moves = min(max(at, 0.0), compass.shape[0] - 1.001), 0.0
         k = int(at)
-        bend = wrapped(compass[k + 1] - compass[k])
-        off = wrapped(heading - compass[k] - (at - k) * bend)
-        knee, size = weights[HUBER], abs(off)
+        bend = wrap_angle(compass[k + 1] - compass[k])
+        off = wrap_angle(heading - compass[k] - (at - k) * bend)
+        knee, size = weights[HUBER_ANGLE], abs(off)
         out[row + 5] = weights[HEADING] * (size if size < knee else math.sqrt(knee * (2.0 * size - knee)))
         steep = weights[HEADING] * (1.0 if size < knee else knee / math.sqrt(knee * (2.0 * size - knee)))
         steep = -steep if off < 0.0 else steep
         # p^2 tail^2
-        out[row + 6] = 1e3 * weights[TAIL] * tail
+        out[row + 6] = 1e3 * weights[TAIL_PUSH] * tail
         for j in range(count):
-            beside, beyond, further = _place_on_leg(points, i, along, slopes[0, j], slopes[1, j])
+            beside, beyond, further = _differentiate_place(points, i, along, slopes[0, j], slopes[1, j])
             jacobian[row + 2, j], jacobian[row + 3, j] = full * beside, full * beyond
-            jacobian[row + 4, j] = -1e3 * weights[FORWARD] * (further + beyond)
+            jacobian[row + 4, j] = -1e3 * weights[MISSING_PROGRESS] * (further + beyond)
             jacobian[row + 5, j] = steep * (slopes[2, j] - moves * further * bend / spacing)
-            jacobian[row + 6, j] = 1e3 * weights[TAIL] * slopes[5, j]
-        row += RESIDUALS
+            jacobian[row + 6, j] = 1e3 * weights[TAIL_PUSH] * slopes[5, j]
+        row += RESIDUALS_PER_WINDOW
         ends[w, 0], ends[w, 1], ends[w, 2] = x, y, heading
         x, y = x + drift[0] * rest, y + drift[1] * rest
     # q^2 (I / I_max)^2
     for w in range(windows):
         for c in range(n):
-            out[row] = weights[HEAT] * currents[w, c] / high[c]
+            out[row] = weights[CURRENT_COST] * currents[w, c] / high[c]
             if told:
-                jacobian[row, w * n + c] = weights[HEAT] / high[c]
+                jacobian[row, w * n + c] = weights[CURRENT_COST] / high[c]
             row += 1
     for i in range(row):
         cost += out[i] * out[i]
@@ -486,7 +490,7 @@ def _residuals(currents, b, g, high, body, state, drift, rest, duration, steps, 
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _boxed_step(hessian, slope, z, low, high, step):
+def _solve_bounded_step(hessian, slope, z, low, high, step):
     """Minimize the quadratic model within the bounds, one current after the other."""
     n = z.shape[0]
     step[:] = 0.0
@@ -505,7 +509,9 @@ def _boxed_step(hessian, slope, z, low, high, step):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg, weights, starts, count, rounds):
+def plan_currents(
+    b, g, low, high, body, state, drift, rest, duration, steps, route, leg, weights, starts, count, rounds
+):
     """Plan currents of the next window, or of the next two, that keep to the path and move the robot forward.
 
     All starts are evaluated, and the best `count` of them are improved by Gauss-Newton steps within the bounds.
@@ -550,7 +556,7 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
     """
     m, windows, n = starts.shape
     size = windows * n
-    total = windows * RESIDUALS + size
+    total = windows * RESIDUALS_PER_WINDOW + size
     out, step, slope = np.empty(total), np.empty(size), np.empty(size)
     jacobian, hessian, none = np.empty((total, size)), np.empty((size, size)), np.empty((0, 0))
     inputs, slopes, field, gradient = np.empty((6, size)), np.empty((7, size)), np.empty(2), np.empty((2, 2))
@@ -561,7 +567,7 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
         lows[i], highs[i] = low[i % n], high[i % n]
     costs = np.empty(m)
     for k in range(m):
-        costs[k] = _residuals(
+        costs[k] = _compute_residuals(
             starts[k], b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough
         )
     best, chosen = 1e300, starts[0].copy()
@@ -574,16 +580,18 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
         costs[k] = 1e300
         flat = z.reshape(size)
         for _round in range(rounds):
-            _residuals(z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, full)
-            _normal_equations(jacobian, out, hessian, slope)
+            _compute_residuals(
+                z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, full
+            )
+            _fill_normal_equations(jacobian, out, hessian, slope)
             better, new = False, cost
             for _try in range(3):
                 for i in range(size):
                     hessian[i, i] += damping
-                _boxed_step(hessian, slope, flat, lows, highs, step)
+                _solve_bounded_step(hessian, slope, flat, lows, highs, step)
                 for i in range(size):
                     flat[i] += step[i]
-                new = _residuals(
+                new = _compute_residuals(
                     z, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough
                 )
                 if new < cost:
@@ -601,12 +609,14 @@ def plan(b, g, low, high, body, state, drift, rest, duration, steps, route, leg,
         if cost < best:
             best = cost
             chosen = z
-    _residuals(chosen, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough)
+    _compute_residuals(
+        chosen, b, g, high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, rough
+    )
     return best, chosen, ends
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _normal_equations(jacobian, out, hessian, slope):
+def _fill_normal_equations(jacobian, out, hessian, slope):
     """Fill J^T J and J^T r."""
     total, size = jacobian.shape
     slope[:] = 0.0

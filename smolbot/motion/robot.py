@@ -16,7 +16,7 @@ MAGNET_DENSITY = 7500.0
 _MU0 = 4e-7 * np.pi
 
 
-def magnet_inertia(moment: float, l0: float) -> float:
+def compute_magnet_inertia(moment: float, l0: float) -> float:
     """Compute the inertia of a magnet about a rotation centre at a distance: I = m_magnet l0².
 
     The mass follows from the moment: m_magnet = rho mu_0 moment / B_r, with remanence B_r and density rho.
@@ -103,7 +103,7 @@ class Robot:
             moment=moment,
             drag=6.0 * np.pi * viscosity * radius,
             rotational_drag=8.0 * np.pi * viscosity * radius**3,
-            stiffness=magnet_inertia(moment, l0) * (2.0 * np.pi * frequency) ** 2,
+            stiffness=compute_magnet_inertia(moment, l0) * (2.0 * np.pi * frequency) ** 2,
             theta_max=theta_max,
             magnet_ahead=l0,
             center_ahead=center_ahead,

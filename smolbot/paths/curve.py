@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.core.arrays import FloatArray, as_floats, freeze
 from smolbot.core.text_table import read_table
 from smolbot.errors import InputError
-from smolbot.paths.corners import CORNER
+from smolbot.paths.corners import MIN_CORNER_ANGLE
 from smolbot.paths.speed_profile import SpeedProfile
 
 MIN_STEP = 1e-9
@@ -50,7 +50,7 @@ class Curve:
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if np.any(steps < MIN_STEP):
             raise InputError(f"Path points {int(np.argmin(steps))} and {int(np.argmin(steps)) + 1} coincide.")
-        object.__setattr__(self, "points", frozen(points))
+        object.__setattr__(self, "points", freeze(points))
 
     @cached_property
     def arc(self) -> FloatArray:
@@ -92,7 +92,7 @@ class Curve:
         steps = np.diff(self.points, axis=0)[index]
         return steps / np.linalg.norm(steps, axis=1, keepdims=True)
 
-    def sampled(self, spacing: float, corner: float = CORNER) -> FloatArray:
+    def sampled(self, spacing: float, corner: float = MIN_CORNER_ANGLE) -> FloatArray:
         """Sample arc lengths along the path that include the start, every corner and the end.
 
         Parameters
@@ -162,9 +162,9 @@ def read_csv(path: Path) -> FloatArray:
         try:
             x, y = (float(cell) for cell in row.cells)
         except ValueError:
-            raise row.fault(f"each row must be two numbers, x and y in mm; got {row.text!r}.") from None
+            raise row.make_error(f"each row must be two numbers, x and y in mm; got {row.text!r}.") from None
         if not np.isfinite([x, y]).all():
-            raise row.fault(f"x and y must be finite; got {row.text!r}.")
+            raise row.make_error(f"x and y must be finite; got {row.text!r}.")
         rows.append((x, y))
     if len(rows) < 2:
         raise InputError(f"{path}: a path needs at least two points; found {len(rows)}.")

@@ -15,7 +15,7 @@ ROUNDING = 1e-9
 """Slack on an arc length, in the unit of the points."""
 
 
-def arc_of(points: FloatArray) -> FloatArray:
+def compute_arc_lengths(points: FloatArray) -> FloatArray:
     """Compute the arc length at each point of a polyline.
 
     Parameters
@@ -29,7 +29,7 @@ def arc_of(points: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def place_at(points: FloatArray, s: FloatArray | float) -> FloatArray:
+def interpolate_polyline(points: FloatArray, s: FloatArray | float) -> FloatArray:
     """Interpolate points of a polyline at given arc lengths.
 
     Parameters
@@ -41,17 +41,17 @@ def place_at(points: FloatArray, s: FloatArray | float) -> FloatArray:
     -------
     ndarray, shape (..., d)
     """
-    arc = arc_of(points)
+    arc = compute_arc_lengths(points)
     return np.stack([np.interp(s, arc, points[:, k]) for k in range(points.shape[1])], axis=-1)
 
 
-def nearest_place(points: FloatArray, to: FloatArray) -> tuple[float, float]:
+def find_nearest_place(points: FloatArray, point: FloatArray) -> tuple[float, float]:
     """Find the place on a polyline that is nearest to a point.
 
     Parameters
     ----------
     points : ndarray, shape (n, d)
-    to : ndarray, shape (d,)
+    point : ndarray, shape (d,)
 
     Returns
     -------
@@ -61,13 +61,13 @@ def nearest_place(points: FloatArray, to: FloatArray) -> tuple[float, float]:
         From the point to it.
     """
     start, step = points[:-1], np.diff(points, axis=0)
-    share = np.clip(np.sum((to - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
-    away = np.linalg.norm(start + share[:, None] * step - to, axis=1)
+    share = np.clip(np.sum((point - start) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
+    away = np.linalg.norm(start + share[:, None] * step - point, axis=1)
     best = int(np.argmin(away))
-    return float(arc_of(points)[best] + share[best] * np.linalg.norm(step[best])), float(away[best])
+    return float(compute_arc_lengths(points)[best] + share[best] * np.linalg.norm(step[best])), float(away[best])
 
 
-def crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
+def find_crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
     """Find every place where two plane polylines cross.
 
     Parameters
@@ -81,7 +81,7 @@ def crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
 
     Examples
     --------
-    >>> crossings(np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.0, -2.0], [1.0, 2.0]]))
+    >>> find_crossings(np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.0, -2.0], [1.0, 2.0]]))
     [(1.0, 2.0)]
     """
     da, db = np.diff(a, axis=0), np.diff(b, axis=0)
@@ -91,7 +91,7 @@ def crossings(a: FloatArray, b: FloatArray) -> list[tuple[float, float]]:
         t = (apart[..., 0] * db[None, :, 1] - apart[..., 1] * db[None, :, 0]) / cross
         u = (apart[..., 0] * da[:, None, 1] - apart[..., 1] * da[:, None, 0]) / cross
     meet = (np.abs(cross) > PARALLEL) & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
-    along_a, along_b = arc_of(a), arc_of(b)
+    along_a, along_b = compute_arc_lengths(a), compute_arc_lengths(b)
     return [
         (
             float(along_a[i] + t[i, j] * (along_a[i + 1] - along_a[i])),
@@ -114,12 +114,12 @@ def split_at(points: FloatArray, places: list[float]) -> list[FloatArray]:
     -------
     list of ndarray, each of shape (m, d)
     """
-    arc = arc_of(points)
+    arc = compute_arc_lengths(points)
     bounds = [0.0, *places, float(arc[-1])]
     parts = []
     for low, high in pairwise(bounds):
         inner = points[(arc > low + ROUNDING) & (arc < high - ROUNDING)]
-        parts.append(np.vstack([place_at(points, low), inner, place_at(points, high)]))
+        parts.append(np.vstack([interpolate_polyline(points, low), inner, interpolate_polyline(points, high)]))
     return parts
 
 
@@ -147,16 +147,16 @@ def is_straight(points: FloatArray, slack: float = 1e-6) -> bool:
     return bool(np.all(beside <= slack * length) and np.all(np.diff(along) >= 0.0))
 
 
-def even_samples(points: FloatArray, turn: float, most: int = 720) -> FloatArray:
+def resample_evenly(points: FloatArray, max_turn: float, max_segments: int = 720) -> FloatArray:
     """Resample a smooth polyline at even distances.
 
     Parameters
     ----------
     points : ndarray, shape (n, d)
-    turn : float, in rad
+    max_turn : float, in rad
         Largest turn at any point.
-    most : int
-        Largest number of segments; it wins over `turn`.
+    max_segments : int
+        Largest number of segments; it wins over `max_turn`.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def even_samples(points: FloatArray, turn: float, most: int = 720) -> FloatArray
 
     if is_straight(points):
         return points[[0, -1]]
-    arc = arc_of(points)
+    arc = compute_arc_lengths(points)
     loop = "periodic" if np.array_equal(points[0], points[-1]) else "not-a-knot"
     spline = CubicSpline(arc, points, bc_type=loop)
     fine = np.linspace(0.0, arc[-1], 4 * len(points))
@@ -175,6 +175,6 @@ def even_samples(points: FloatArray, turn: float, most: int = 720) -> FloatArray
     speed = np.linalg.norm(first, axis=1)
     beside = second - np.sum(second * first, axis=1, keepdims=True) / speed[:, None] ** 2 * first
     tightest = float(np.max(np.linalg.norm(beside, axis=1) / speed**2))
-    count = int(np.clip(np.ceil(arc[-1] * tightest / turn), 4, most))
-    smooth = arc_of(spline(fine))
+    count = int(np.clip(np.ceil(arc[-1] * tightest / max_turn), 4, max_segments))
+    smooth = compute_arc_lengths(spline(fine))
     return np.asarray(spline(np.interp(np.linspace(0.0, smooth[-1], count + 1), smooth, fine)))

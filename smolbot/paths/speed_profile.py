@@ -8,18 +8,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray, as_floats, frozen
+from smolbot.core.arrays import FloatArray, as_floats, freeze
 from smolbot.errors import InputError
-from smolbot.paths.corners import corner_indices, curvature
-from smolbot.paths.polylines import arc_of
+from smolbot.paths.corners import compute_curvature, find_corners
+from smolbot.paths.polylines import compute_arc_lengths
 
 CORNER_RADIUS = 0.25e-3
 """Radius, in m, of the bend for which a corner that is kept counts: no robot follows a corner closer."""
 
-FINEST = 0.1e-3
+SPEED_SPACING = 0.1e-3
 """Spacing, in m, of the points at which the speed is computed."""
 
-BEND_CHORD = 1e-3
+MAX_BEND_CHORD = 1e-3
 """Length, in m, above which a segment is straight; shorter ones may be chords of a bend."""
 
 MIN_CURVATURE = 1e-12
@@ -54,8 +54,8 @@ class SpeedProfile:
             )
         if np.any(speed <= 0.0):
             raise InputError(f"A speed must be greater than 0 m/s; got {speed.min():g}.")
-        object.__setattr__(self, "arc", frozen(arc))
-        object.__setattr__(self, "speed", frozen(speed))
+        object.__setattr__(self, "arc", freeze(arc))
+        object.__setattr__(self, "speed", freeze(speed))
 
     @cached_property
     def times(self) -> FloatArray:
@@ -97,7 +97,7 @@ class SpeedProfile:
         return float(np.interp(np.interp(s, self.arc, self.times) + time, self.times, self.arc))
 
 
-def speed_profile(
+def compute_speed_profile(
     points: FloatArray, speed: float, lateral: float | None = None, acceleration: float | None = None
 ) -> SpeedProfile:
     """Compute the fastest speed profile within limits on speed, centripetal acceleration and change of speed.
@@ -121,17 +121,17 @@ def speed_profile(
     SpeedProfile
         Constant speed without `lateral`.
     """
-    arc = arc_of(points)
+    arc = compute_arc_lengths(points)
     if lateral is None:
         return SpeedProfile(arc[[0, -1]], np.full(2, speed))
-    bend = curvature(points)
-    bend[corner_indices(points)] = 1.0 / CORNER_RADIUS
+    bend = compute_curvature(points)
+    bend[find_corners(points)] = 1.0 / CORNER_RADIUS
     at_vertex = np.minimum(speed**2, lateral / np.maximum(bend, MIN_CURVATURE))
     places, squares = [arc[:1]], [at_vertex[:1]]
     for (low, high), (before, after) in zip(pairwise(arc), pairwise(at_vertex), strict=True):
-        count = max(int(np.ceil((high - low) / FINEST)), 1)
+        count = max(int(np.ceil((high - low) / SPEED_SPACING)), 1)
         inner = np.linspace(low, high, count + 1)[1:]
-        chord = high - low < BEND_CHORD
+        chord = high - low < MAX_BEND_CHORD
         places.append(inner)
         squares.append(np.append(np.full(count - 1, max(before, after) if chord else speed**2), after))
     s, square = np.concatenate(places), np.concatenate(squares)

@@ -14,10 +14,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TextIO
 
-from smolbot.core.blas_threads import kernel
+from smolbot.core.blas_threads import describe_blas
 from smolbot.core.version import __version__
-from smolbot.errors import InputError, writing
-from smolbot.runs.trace import Moment, row
+from smolbot.errors import InputError, report_write_errors
+from smolbot.runs.trace import Moment, make_cycle_row
 
 SUMMARY, PROVENANCE, CYCLES, PICTURE = "summary.json", "provenance.json", "cycles.csv", "path.png"
 """Files of a run folder, besides those that the run started from and its record."""
@@ -75,11 +75,11 @@ class RunFolder:
         InputError
             If the folder cannot be written.
         """
-        with writing(self.path, "the run folder", "made"):
+        with report_write_errors(self.path, "the run folder", "made"):
             self.path.mkdir(parents=True, exist_ok=True)
             for name, content in contents.items():
-                write_whole(self.path / name, content)
-            write_whole(self.path / PROVENANCE, json_bytes(provenance))
+                write_atomically(self.path / name, content)
+            write_atomically(self.path / PROVENANCE, encode_json(provenance))
 
     def record(self, moment: Moment) -> None:
         """Append one cycle to ``cycles.csv``; a write error ends that table, not the run.
@@ -90,7 +90,7 @@ class RunFolder:
         """
         try:
             if self.error is None:
-                self._append(row(self.rows, moment))
+                self._append(make_cycle_row(self.rows, moment))
         except OSError as error:
             self.error = f"{CYCLES}: {error.strerror or error}"
             _LOG.warning("%s/%s", self.path, self.error)
@@ -116,10 +116,10 @@ class RunFolder:
         if self._file is not None:
             with contextlib.suppress(OSError):  # of what could not be flushed, which is known
                 self._file.close()
-        write_whole(self.path / SUMMARY, json_bytes(summary))
+        write_atomically(self.path / SUMMARY, encode_json(summary))
 
 
-def dated(name: str) -> Path:
+def make_dated_path(name: str) -> Path:
     """Build a folder path below ``runs/`` from a name and the current time.
 
     Parameters
@@ -133,7 +133,7 @@ def dated(name: str) -> Path:
     return Path("runs") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that it is complete or absent, however the process ends.
 
     Parameters
@@ -146,7 +146,7 @@ def write_whole(path: Path, content: bytes) -> None:
     part.replace(path)
 
 
-def json_bytes(data: Any) -> bytes:
+def encode_json(data: Any) -> bytes:
     """Encode data as every JSON file of a run folder is encoded.
 
     Parameters
@@ -161,7 +161,7 @@ def json_bytes(data: Any) -> bytes:
     return (json.dumps(data, indent=2, default=str) + "\n").encode()
 
 
-def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
+def collect_provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any]) -> dict[str, Any]:
     """Collect the provenance of a run: version, commit, seed, settings, sampled mismatches, packages.
 
     Parameters
@@ -178,18 +178,18 @@ def provenance(seed: int, settings: Mapping[str, str], world: Mapping[str, Any])
     """
     return {
         "smolbot": __version__,
-        "commit": _commit(),
+        "commit": _find_commit(),
         "seed": seed,
         "settings": dict(settings),
         "world": dict(world),
         "python": platform.python_version(),
-        "platform": platform.system(),
-        "linear_algebra": kernel(),
-        "packages": packages(),
+        "platform": platform.to_state_space(),
+        "linear_algebra": describe_blas(),
+        "packages": find_package_versions(),
     }
 
 
-def packages() -> dict[str, str]:
+def find_package_versions() -> dict[str, str]:
     """Find the versions of the packages that affect the figures.
 
     Returns
@@ -206,7 +206,7 @@ def packages() -> dict[str, str]:
     return found
 
 
-def _commit() -> str | None:
+def _find_commit() -> str | None:
     """Return the commit of the running source tree; None outside a git checkout."""
     home = Path(__file__).parents[2]
     if not (home / ".git").exists():

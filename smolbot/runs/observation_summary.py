@@ -8,9 +8,9 @@ import numpy as np
 
 from smolbot.config.observation import Observation
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import mean_rotation, rotation_error
-from smolbot.runs.run import Run, trusted_poses
-from smolbot.runs.summary import against_truth, common_figures
+from smolbot.core.rotations import compute_mean_rotation, compute_rotation_error
+from smolbot.runs.run import Run, get_trusted_poses
+from smolbot.runs.summary import compute_common_figures, compute_errors
 from smolbot.runs.trace import Moment, Trace
 
 
@@ -32,21 +32,21 @@ def summarise_observation(mission: Observation, run: Run, trace: Trace) -> dict[
     dict
         Units are in the keys.
     """
-    out = common_figures(mission, run)
+    out = compute_common_figures(mission, run)
     measuring = mission.sections.observe.measurements is not None
-    moments = measurements(trace) if measuring else trace.moments
-    out |= against_truth(mission, moments)
+    moments = find_measurements(trace) if measuring else trace.moments
+    out |= compute_errors(mission, moments)
     if measuring:
         out.pop("tracked_error_mm", None)
-        out |= scatter([m.cycle.pose for m in moments if m.cycle.pose is not None])
+        out |= compute_scatter([m.cycle.pose for m in moments if m.cycle.pose is not None])
         out["shots_per_measurement"] = len(run.cycles) / max(len(moments), 1)
     else:
-        out |= watching(run)
-    out["verdict"], out["verdict_reasons"] = observation_verdict(mission, run, out)
+        out |= compute_pose_rate(run)
+    out["verdict"], out["verdict_reasons"] = evaluate_observation(mission, run, out)
     return out
 
 
-def measurements(trace: Trace) -> list[Moment]:
+def find_measurements(trace: Trace) -> list[Moment]:
     """Find the cycles that count as measurements: those after a search, with a trusted pose.
 
     Parameters
@@ -60,7 +60,7 @@ def measurements(trace: Trace) -> list[Moment]:
     return [m for m in trace.moments if m.cycle.shot.mode == "hold" and m.cycle.trusted is not None]
 
 
-def watching(run: Run) -> dict[str, Any]:
+def compute_pose_rate(run: Run) -> dict[str, Any]:
     """Compute the pose rate of a tracked device and the gaps between its trusted poses.
 
     A gap is a series of shots without a trusted pose, after the first trusted pose.
@@ -79,7 +79,7 @@ def watching(run: Run) -> dict[str, Any]:
         return {"pose_rate_hz": 0.0, "gaps": {"count": 0, "shots": 0, "longest_s": 0.0}}
     first = seen.index(True)
     cycles = run.cycles[first:]
-    times = [pose.time for pose in trusted_poses(cycles)]
+    times = [pose.time for pose in get_trusted_poses(cycles)]
     lost = [i for i in range(first, len(seen)) if not seen[i]]
     begun = [i for i in lost if seen[i - 1]]
     watched = cycles[-1].shot.end - cycles[0].shot.start
@@ -91,7 +91,7 @@ def watching(run: Run) -> dict[str, Any]:
     return {"pose_rate_hz": sum(seen) / watched, "gaps": gaps}
 
 
-def scatter(poses: list[Pose]) -> dict[str, Any]:
+def compute_scatter(poses: list[Pose]) -> dict[str, Any]:
     """Compute mean and standard deviation (n - 1 in the denominator) of independent poses.
 
     Parameters
@@ -107,8 +107,8 @@ def scatter(poses: list[Pose]) -> dict[str, Any]:
     if len(poses) < 2:
         return {"measurements": len(poses)}
     places = np.array([p.position for p in poses])
-    mean = mean_rotation(np.array([p.orientation for p in poses]))
-    turns = np.array([rotation_error(p.orientation, mean) for p in poses])
+    mean = compute_mean_rotation(np.array([p.orientation for p in poses]))
+    turns = np.array([compute_rotation_error(p.orientation, mean) for p in poses])
     out: dict[str, Any] = {
         "measurements": len(poses),
         "mean_mm": [float(v) for v in 1e3 * places.mean(axis=0)],
@@ -121,7 +121,7 @@ def scatter(poses: list[Pose]) -> dict[str, Any]:
     return out
 
 
-def observation_verdict(mission: Observation, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
+def evaluate_observation(mission: Observation, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
     """Evaluate an observation against the limits of its mission file.
 
     Parameters

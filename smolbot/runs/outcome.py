@@ -14,7 +14,7 @@ from smolbot.runs.summary import summarise
 from smolbot.runs.trace import Trace
 
 
-def sum_up(mission: AnyMission, run: Run, trace: Trace, seed: int, drawn: Mapping[str, Any]) -> dict[str, Any]:
+def summarise_run(mission: AnyMission, run: Run, trace: Trace, seed: int, world: Mapping[str, Any]) -> dict[str, Any]:
     """Compute the figures of merit of a run.
 
     Parameters
@@ -23,7 +23,7 @@ def sum_up(mission: AnyMission, run: Run, trace: Trace, seed: int, drawn: Mappin
     run : Run
     trace : Trace
     seed : int
-    drawn : mapping
+    world : mapping
         What the world reports of itself, such as sampled mismatches.
 
     Returns
@@ -36,13 +36,13 @@ def sum_up(mission: AnyMission, run: Run, trace: Trace, seed: int, drawn: Mappin
     else:
         figures = summarise(mission, run, trace)
     figures["seed"] = seed
-    figures["ideal"] = bool(drawn.get("ideal", False))
-    figures["plant"] = str(drawn.get("plant", "full"))
+    figures["ideal"] = bool(world.get("ideal", False))
+    figures["plant"] = str(world.get("plant", "full"))
     figures["run"] = run.folder
     return figures
 
 
-def draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
+def draw_run_picture(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
     """Draw the picture of a run, as a file that is complete or absent.
 
     Parameters
@@ -55,7 +55,7 @@ def draw(mission: AnyMission, run: Run, trace: Trace, path: Path) -> None:
     """
     part = path.with_name(f"{path.stem}.part{path.suffix}")
     if isinstance(mission, Observation):
-        from smolbot.runs.pictures.observation import draw_observation
+        from smolbot.runs.pictures.observation_run import draw_observation
 
         draw_observation(mission, run, trace, part)
     else:

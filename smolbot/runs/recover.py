@@ -12,14 +12,14 @@ from typing import Any
 
 from smolbot.config.load import AnyMission
 from smolbot.errors import InputError, SmolbotError
-from smolbot.runs.folder import CYCLES, PICTURE, PROVENANCE, SUMMARY, json_bytes, write_whole
-from smolbot.runs.outcome import draw, sum_up
+from smolbot.runs.folder import CYCLES, PICTURE, PROVENANCE, SUMMARY, encode_json, write_atomically
+from smolbot.runs.outcome import draw_run_picture, summarise_run
 from smolbot.runs.recording import run_pb2 as pb
-from smolbot.runs.recording.reader import RecordedRun, read_run, record_path
-from smolbot.runs.recording.recorder import RECORD, McapFile, end_message, lock
+from smolbot.runs.recording.reader import RecordedRun, find_record, read_run
+from smolbot.runs.recording.recorder import RECORD, McapFile, lock, make_end_message
 from smolbot.runs.recording.scan import Scan
 from smolbot.runs.run import Run
-from smolbot.runs.trace import Trace, row
+from smolbot.runs.trace import Trace, make_cycle_row
 
 TORN = "run.torn.mcap"
 """What a record is kept as that was written anew."""
@@ -39,22 +39,22 @@ class Recovery:
         Where the old record is kept, if it was rewritten.
     written : list of str
         Files that were written into the folder.
-    unread : int
+    cycles_not_recorded : int
         Cycles that ``cycles.csv`` has and the record does not.
-    unwritten : str
+    reason_not_written : str
         Why summary and picture could not be made; empty if they could.
     """
 
     found: RecordedRun
     torn: Path | None = None
     written: list[str] = field(default_factory=list)
-    unread: int = 0
-    unwritten: str = ""
+    cycles_not_recorded: int = 0
+    reason_not_written: str = ""
 
     @property
     def needed(self) -> bool:
         """Whether there was anything to recover."""
-        return bool(self.torn or self.written or self.unwritten)
+        return bool(self.torn or self.written or self.reason_not_written)
 
 
 def recover(run: str | Path) -> Recovery:
@@ -78,14 +78,14 @@ def recover(run: str | Path) -> Recovery:
     InputError
         If it is no record, its run still goes on, or a file cannot be written.
     """
-    path = _record(run)
+    path = _find_record(run)
     if path.name == TORN and path.with_name(RECORD).exists():
         raise InputError(f"{path}: {RECORD} stands beside it; recover that one, or the folder.")
-    _refuse_living(path)
+    _check_not_running(path)
     done = Recovery(read_run(path))
     try:
         target = path.with_name(RECORD) if path.name == TORN else path
-        if not done.found.whole or path != target:
+        if not done.found.complete or path != target:
             done.torn = _rewrite(done.found, target)
         if target.name == RECORD:
             _complete(done, target)
@@ -94,15 +94,15 @@ def recover(run: str | Path) -> Recovery:
     return done
 
 
-def _record(run: str | Path) -> Path:
+def _find_record(run: str | Path) -> Path:
     """Return the path of the record, or of the torn one that an interrupted recovery left."""
     folder = Path(run)
     if folder.is_dir() and not (folder / RECORD).exists() and (folder / TORN).is_file():
         return folder / TORN
-    return record_path(run)
+    return find_record(run)
 
 
-def _refuse_living(path: Path) -> None:
+def _check_not_running(path: Path) -> None:
     try:
         with path.open("rb") as file:
             free = lock(file)
@@ -117,24 +117,24 @@ def _rewrite(found: RecordedRun, target: Path) -> Path:
     part = target.with_name(f"{target.name}.part")
     part.unlink(missing_ok=True)
     scan, file, last = Scan(found.path), McapFile(part), 0
-    for number, message in enumerate(scan.messages()):
+    for number, message in enumerate(scan.read_messages()):
         if message.topic is not None:
             file.append(message.topic, message.time, message.data)
             last = max(last, message.time)
         if number % _FLUSH_EVERY == 0:
             file.flush()
-    told = pb.Recovered(lost_bytes=_lost(found), ended=found.end is not None)
+    told = pb.Recovered(lost_bytes=_count_lost_bytes(found), ended=found.end is not None)
     file.append("/run/recovered", last, told.SerializeToString())
     if found.end is None:
-        file.append("/run/end", last, end_message(found.run()).SerializeToString())
+        file.append("/run/end", last, make_end_message(found.run()).SerializeToString())
     file.close()
     again = read_run(part)
-    if not again.whole or len(again.moments) != len(found.moments) or len(again.played) != len(found.played):
+    if not again.complete or len(again.moments) != len(found.moments) or len(again.played) != len(found.played):
         raise InputError(f"{part}: does not hold what was read of {found.path}; that one was left as it is.")
     if found.path != target:  # the old one is out of the way already
         part.replace(target)
         return found.path
-    kept = _free_name(target)
+    kept = _find_free_name(target)
     if not kept.exists():
         try:
             os.link(target, kept)  # so that there is no moment without a record
@@ -144,7 +144,7 @@ def _rewrite(found: RecordedRun, target: Path) -> Path:
     return kept
 
 
-def _free_name(target: Path) -> Path:
+def _find_free_name(target: Path) -> Path:
     kept, number = target.with_name(f"{target.stem}.torn{target.suffix}"), 2
     while kept.exists() and not kept.samefile(target):  # the same: another recovery was cut short just here
         kept, number = target.with_name(f"{target.stem}.torn-{number}{target.suffix}"), number + 1
@@ -154,48 +154,52 @@ def _free_name(target: Path) -> Path:
 def _complete(done: Recovery, target: Path) -> None:
     """Make the missing files of the folder."""
     found, folder = done.found, target.parent
-    contents = {**found.begin.files, PROVENANCE: json_bytes(found.provenance)}
+    contents = {**found.begin.files, PROVENANCE: encode_json(found.provenance)}
     for name, content in contents.items():
         if not (folder / name).is_file():
-            write_whole(folder / name, content)
+            write_atomically(folder / name, content)
             done.written.append(name)
     if found.moments and not (folder / CYCLES).is_file():
         write_cycles(folder / CYCLES, found)
         done.written.append(CYCLES)
-    done.unread = max(_rows(folder / CYCLES) - len(found.moments), 0)
+    done.cycles_not_recorded = max(_count_rows(folder / CYCLES) - len(found.moments), 0)
     lacks = [name for name, sound in ((SUMMARY, _is_json), (PICTURE, _is_png)) if not sound(folder / name)]
     if not lacks:
         return
     try:
         mission = found.mission()
     except SmolbotError as error:  # e.g. one whose plug-in is not installed here
-        done.unwritten = f"{', '.join(lacks)} cannot be made, since the mission cannot be loaded: {error}"
+        done.reason_not_written = f"{', '.join(lacks)} cannot be made, since the mission cannot be loaded: {error}"
         return
     run, trace = found.run(), found.trace()
     run.folder = str(folder)
-    run.summary = _figures(done, mission, run, trace)
+    run.summary = _compute_figures(done, mission, run, trace)
     if SUMMARY in lacks:
-        write_whole(folder / SUMMARY, json_bytes(run.summary))
+        write_atomically(folder / SUMMARY, encode_json(run.summary))
     if PICTURE in lacks:
-        draw(mission, run, trace, folder / PICTURE)
+        draw_run_picture(mission, run, trace, folder / PICTURE)
     done.written += lacks
 
 
-def _figures(done: Recovery, mission: AnyMission, run: Run, trace: Trace) -> dict[str, Any]:
+def _compute_figures(done: Recovery, mission: AnyMission, run: Run, trace: Trace) -> dict[str, Any]:
     """Compute the figures of a run from its record, with what is lost of it."""
     found = done.found
-    figures = sum_up(mission, run, trace, int(found.provenance["seed"]), found.provenance["world"])
+    figures = summarise_run(mission, run, trace, int(found.provenance["seed"]), found.provenance["world"])
     figures["recording"] = {
         "dropped": found.dropped,
         "error": None,
-        "recovered": {"last_s": run.duration, "lost_bytes": _lost(found), "cycles_not_recorded": done.unread},
+        "recovered": {
+            "last_s": run.duration,
+            "lost_bytes": _count_lost_bytes(found),
+            "cycles_not_recorded": done.cycles_not_recorded,
+        },
     }
     return figures
 
 
-def _lost(found: RecordedRun) -> int:
+def _count_lost_bytes(found: RecordedRun) -> int:
     """Return the number of unreadable bytes, of this record and of the one that it was rewritten from."""
-    return found.lost + (found.recovered.lost_bytes if found.recovered is not None else 0)
+    return found.lost_bytes + (found.recovered.lost_bytes if found.recovered is not None else 0)
 
 
 def write_cycles(path: Path, found: RecordedRun) -> None:
@@ -207,7 +211,7 @@ def write_cycles(path: Path, found: RecordedRun) -> None:
     found : RecordedRun
     """
     part = path.with_name(f"{path.name}.part")
-    rows = [row(number, moment) for number, moment in zip(found.number_of_cycle, found.moments, strict=True)]
+    rows = [make_cycle_row(number, moment) for number, moment in zip(found.number_of_cycle, found.moments, strict=True)]
     with part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
@@ -215,7 +219,7 @@ def write_cycles(path: Path, found: RecordedRun) -> None:
     part.replace(path)
 
 
-def _rows(path: Path) -> int:
+def _count_rows(path: Path) -> int:
     if not path.is_file():
         return 0
     with path.open(newline="", encoding="utf-8", errors="replace") as file:

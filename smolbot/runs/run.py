@@ -69,7 +69,7 @@ class Event:
     detail: dict[str, object] = field(default_factory=dict)
 
 
-def trusted_poses(cycles: Iterable[CycleRecord]) -> list[Pose]:
+def get_trusted_poses(cycles: Iterable[CycleRecord]) -> list[Pose]:
     """Return the trusted poses of some cycles, in order.
 
     Parameters
@@ -149,13 +149,13 @@ class Listener(Protocol):
         """
 
 
-class Tape(Protocol):
+class RecorderSink(Protocol):
     """A recorder sink: it is notified of every played shot and every event, such as the recorder or a live page.
 
     It is called in the loop's thread and must neither wait nor raise.
     """
 
-    def played(self, shot: Shot, recording: Recording | None, ended: float) -> None:
+    def record_shot(self, shot: Shot, recording: Recording | None, ended: float) -> None:
         """Record a played shot.
 
         Parameters
@@ -167,7 +167,7 @@ class Tape(Protocol):
             When the shot ended, on the rig's clock.
         """
 
-    def happened(self, event: Event) -> None:
+    def record_event(self, event: Event) -> None:
         """Record an event.
 
         Parameters

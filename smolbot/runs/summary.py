@@ -11,10 +11,10 @@ from smolbot.config.mission import Mission
 from smolbot.config.mission_base import MissionBase
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import nearer_twin, rotation_error
+from smolbot.core.rotations import choose_nearer_orientation, compute_rotation_error
 from smolbot.core.shots import Actuate, Rotate
-from smolbot.runs.run import Run, trusted_poses
-from smolbot.runs.trace import Moment, Trace, compared
+from smolbot.runs.run import Run, get_trusted_poses
+from smolbot.runs.trace import Moment, Trace, pair_with_truth
 
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
@@ -36,22 +36,22 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     dict
         Units are in the keys.
     """
-    out = common_figures(mission, run)
-    out["coil_energy_j"] = coil_energy(mission, run)
+    out = compute_common_figures(mission, run)
+    out["coil_energy_j"] = compute_coil_energy(mission, run)
     out["path_length_mm"] = mission.path.length * 1e3
     out["progress_mm"] = max((c.command.progress for c in run.cycles), default=0.0) * 1e3
-    out["path_time_s"] = path_time(trace)
-    out |= against_truth(mission, trace.moments)
+    out["path_time_s"] = compute_path_time(trace)
+    out |= compute_errors(mission, trace.moments)
     if mission.robot.kind == "helical":
-        out |= _screwed(run) | _axis_errors(mission, trace)
-    distance = tracking_distance(mission, trace.following)
+        out |= _count_turns(run) | _compute_axis_errors(mission, trace)
+    distance = compute_tracking_distance(mission, trace.following)
     if distance.size:
-        out["tracking_error_mm"] = statistics(distance * 1e3, "mean", "rms", "p95", "max")
-    out["verdict"], out["verdict_reasons"] = verdict(mission, run, out)
+        out["tracking_error_mm"] = compute_statistics(distance * 1e3, "mean", "rms", "p95", "max")
+    out["verdict"], out["verdict_reasons"] = evaluate_run(mission, run, out)
     return out
 
 
-def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
+def compute_common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
     """Compute the figures that steering missions and observations have in common.
 
     Parameters
@@ -68,7 +68,7 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
     played = sum(c.shot.duration for c in cycles)
     duration = run.duration
     cycling = duration - run.begun
-    poses = trusted_poses(cycles)
+    poses = get_trusted_poses(cycles)
     return {
         "mission": mission.name,
         "rig": mission.rig.name,
@@ -79,8 +79,8 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
         "loop_rate_hz": len(cycles) / cycling if cycling > 0 else 0.0,
         "timeline_limit_hz": len(cycles) / played if played else 0.0,
         "turnaround_ms": mission.rig.turnaround * 1e3,
-        "compute_ms": _compute(run),
-        "r_squared_median": _finite(np.median([p.r_squared for p in poses]) if poses else None),
+        "compute_ms": _summarise_compute_time(run),
+        "r_squared_median": _as_finite(np.median([p.r_squared for p in poses]) if poses else None),
         "poses_untrusted": sum(c.trusted is None for c in cycles if c.shot.listen is not None),
         **run.safety,
         "recovered": run.recovered,
@@ -90,7 +90,7 @@ def common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
     }
 
 
-def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
+def evaluate_run(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
     """Evaluate a run against the limits of its mission file.
 
     Parameters
@@ -116,7 +116,7 @@ def verdict(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, l
     return ("passed" if not reasons else "failed"), reasons
 
 
-def label_of(figures: Mapping[str, Any]) -> str:
+def format_label(figures: Mapping[str, Any]) -> str:
     """Format the label to show beside figures: mismatches switched off, or a reduced plant.
 
     Parameters
@@ -131,7 +131,7 @@ def label_of(figures: Mapping[str, Any]) -> str:
 
     Examples
     --------
-    >>> label_of({"ideal": False, "plant": "reduced"})
+    >>> format_label({"ideal": False, "plant": "reduced"})
     ' (reduced plant: pose noise in place of signals)'
     """
     parts = ["ideal: all mismatches off"] if figures.get("ideal") else []
@@ -140,7 +140,7 @@ def label_of(figures: Mapping[str, Any]) -> str:
     return f" ({'; '.join(parts)})" if parts else ""
 
 
-def coil_energy(mission: Mission, run: Run) -> float:
+def compute_coil_energy(mission: Mission, run: Run) -> float:
     """Compute the heat in the actuation coils from the commanded currents.
 
         E = sum R I² t
@@ -165,7 +165,7 @@ def coil_energy(mission: Mission, run: Run) -> float:
     )
 
 
-def path_time(trace: Trace) -> float | None:
+def compute_path_time(trace: Trace) -> float | None:
     """Compute the time from the path's start to its end, or as far as it was followed.
 
     Parameters
@@ -181,7 +181,7 @@ def path_time(trace: Trace) -> float | None:
     return following[-1].cycle.shot.end - following[0].cycle.shot.end if following else None
 
 
-def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:
+def compute_errors(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:
     """Compute the errors of trusted poses against the ground truth.
 
     Parameters
@@ -195,23 +195,23 @@ def against_truth(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]
         Units are in the keys; empty if no ground truth is known.
     """
     along = mission.robot.device.along_cantilever
-    known = compared(moments)
+    known = pair_with_truth(moments)
     tracked = [(m.cycle.tracked, m.truth) for m in moments if m.cycle.shot.listen is not None]
     out: dict[str, Any] = {}
     if known:
         errors = np.array([pose.position - truth.position for pose, truth in known])
-        angles = np.array([orientation_error(pose, truth, along) for pose, truth in known])
-        out["localization_error_mm"] = statistics(np.linalg.norm(errors, axis=1) * 1e3, "mean", "std", "p95")
+        angles = np.array([compute_orientation_error(pose, truth, along) for pose, truth in known])
+        out["localization_error_mm"] = compute_statistics(np.linalg.norm(errors, axis=1) * 1e3, "mean", "std", "p95")
         out["localization_bias_mm"] = [float(v) for v in errors.mean(axis=0) * 1e3]
         out["localization_scatter_mm"] = [float(v) for v in errors.std(axis=0) * 1e3]
-        out["orientation_error_deg"] = statistics(np.degrees(angles), "mean", "p95")
+        out["orientation_error_deg"] = compute_statistics(np.degrees(angles), "mean", "p95")
         out["flips"] = int(np.sum(angles > np.radians(90.0)))
         believed = np.array([p.position - t.position for p, t in tracked if p is not None and t is not None])
-        out["tracked_error_mm"] = statistics(np.linalg.norm(believed, axis=1) * 1e3, "mean", "std", "p95")
+        out["tracked_error_mm"] = compute_statistics(np.linalg.norm(believed, axis=1) * 1e3, "mean", "std", "p95")
     return out
 
 
-def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
+def compute_tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
     """Compute the distance of the true robot to the path, at pose times and shot ends.
 
     Parameters
@@ -229,7 +229,7 @@ def tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:
     return mission.path.project(truths)[1]
 
 
-def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
+def compute_orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
     """Compute the angle between two orientations.
 
     Parameters
@@ -243,11 +243,11 @@ def orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -> float:
     -------
     float, in rad
     """
-    estimate = nearer_twin(pose.orientation, truth.orientation) if along_cantilever else pose.orientation
-    return float(np.linalg.norm(rotation_error(estimate, truth.orientation)))
+    estimate = choose_nearer_orientation(pose.orientation, truth.orientation) if along_cantilever else pose.orientation
+    return float(np.linalg.norm(compute_rotation_error(estimate, truth.orientation)))
 
 
-def _screwed(run: Run) -> dict[str, Any]:
+def _count_turns(run: Run) -> dict[str, Any]:
     """Count turns of the magnet, pauses and step-outs."""
     turned = [[w for w in c.shot.windows if isinstance(w, Rotate)] for c in run.cycles]
     return {
@@ -257,7 +257,7 @@ def _screwed(run: Run) -> dict[str, Any]:
     }
 
 
-def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
+def _compute_axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
     """Compute angles between estimated and true propulsion axis, of every pose and as tracked when a pause ends.
 
     ``axis_to_path_deg`` is the horizontal angle between the true axis and the path when a pause ends. It differs
@@ -265,12 +265,12 @@ def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
     """
     ends = [m for m in trace.moments if m.cycle.command.mechanical and m.cycle.tracked and m.truth]
     out = {}
-    located = [axis_angle(pose, truth) for pose, truth in compared(trace.moments)]
+    located = [compute_axis_angle(pose, truth) for pose, truth in pair_with_truth(trace.moments)]
     if located:
-        out["axis_error_deg"] = statistics(np.degrees(located), "mean", "rms", "p95", "max")
+        out["axis_error_deg"] = compute_statistics(np.degrees(located), "mean", "rms", "p95", "max")
     if ends:
-        tracked = [axis_angle(m.cycle.tracked, m.truth) for m in ends if m.cycle.tracked and m.truth]
-        out["axis_error_tracked_deg"] = statistics(np.degrees(tracked), "mean", "rms", "p95", "max")
+        tracked = [compute_axis_angle(m.cycle.tracked, m.truth) for m in ends if m.cycle.tracked and m.truth]
+        out["axis_error_tracked_deg"] = compute_statistics(np.degrees(tracked), "mean", "rms", "p95", "max")
         truths = [m.truth for m in ends if m.truth and m.cycle.command.phase == "follow"]
         if truths:
             arc, _ = mission.path.project(np.array([t.position for t in truths]))
@@ -278,11 +278,11 @@ def _axis_errors(mission: Mission, trace: Trace) -> dict[str, Any]:
             axes = np.array([t.body_axis("z")[:2] for t in truths])
             axes /= np.linalg.norm(axes, axis=1, keepdims=True)
             angles = np.degrees(np.arccos(np.clip(np.sum(along * axes, axis=1), -1.0, 1.0)))
-            out["axis_to_path_deg"] = statistics(angles, "mean", "p95")
+            out["axis_to_path_deg"] = compute_statistics(angles, "mean", "p95")
     return out
 
 
-def axis_angle(pose: Pose, truth: Pose) -> float:
+def compute_axis_angle(pose: Pose, truth: Pose) -> float:
     """Compute the angle between the propulsion axes (body z) of two poses.
 
     Parameters
@@ -296,14 +296,14 @@ def axis_angle(pose: Pose, truth: Pose) -> float:
     return float(np.arccos(np.clip(pose.body_axis("z") @ truth.body_axis("z"), -1.0, 1.0)))
 
 
-def _compute(run: Run) -> dict[str, float | None]:
+def _summarise_compute_time(run: Run) -> dict[str, float | None]:
     times = np.array([c.compute for c in run.cycles]) * 1e3
     if not times.size:
         return {"median": None, "p99": None}
     return {"median": float(np.median(times)), "p99": float(np.percentile(times, 99))}
 
 
-def statistics(values: FloatArray, *names: str) -> dict[str, float]:
+def compute_statistics(values: FloatArray, *names: str) -> dict[str, float]:
     """Compute some of mean, std, rms, p95 and max.
 
     Parameters
@@ -327,5 +327,5 @@ def statistics(values: FloatArray, *names: str) -> dict[str, float]:
     return {name: float(functions[name](values)) for name in names}
 
 
-def _finite(value: Any) -> float | None:
+def _as_finite(value: Any) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)

@@ -12,12 +12,12 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rig import Witness
 from smolbot.core.shots import Actuate
-from smolbot.runs.run import CycleRecord, trusted_poses
+from smolbot.runs.run import CycleRecord, get_trusted_poses
 
 WAY_STEP = 0.2
 """Seconds between two places on a robot's way while nothing listens."""
 
-RESTING = 1e-5
+MAX_REST_STEP = 1e-5
 """A robot that moves less than this (m) in a step rests."""
 
 
@@ -48,7 +48,7 @@ class Moment:
         return np.vstack([self.way, np.array(known).reshape(-1, 3)])
 
 
-def located(moments: Iterable[Moment]) -> list[Pose]:
+def get_located_poses(moments: Iterable[Moment]) -> list[Pose]:
     """Return the trusted poses of some cycles, in order.
 
     Parameters
@@ -59,10 +59,10 @@ def located(moments: Iterable[Moment]) -> list[Pose]:
     -------
     list of Pose
     """
-    return trusted_poses(m.cycle for m in moments)
+    return get_trusted_poses(m.cycle for m in moments)
 
 
-def compared(moments: Iterable[Moment]) -> list[tuple[Pose, Pose]]:
+def pair_with_truth(moments: Iterable[Moment]) -> list[tuple[Pose, Pose]]:
     """Pair the trusted poses of some cycles with the ground truth at their times.
 
     Parameters
@@ -109,23 +109,25 @@ class Trace:
             end = self._witness.truth(min(record.shot.end, record.ended))
             truth = self._witness.truth(record.pose.time) if record.pose is not None else end
             if record.shot.listen is None:
-                way = self._way(self._witness, record.shot.start, record.ended)
+                way = self._sample_way(self._witness, record.shot.start, record.ended)
         self.moments.append(Moment(record, truth, end, way))
 
     @staticmethod
-    def _way(witness: Witness, start: float, end: float) -> FloatArray:
+    def _sample_way(witness: Witness, start: float, end: float) -> FloatArray:
         """Return positions at equal time steps, without those at which the robot rested."""
         times = np.arange(start, end, WAY_STEP)
         places = np.array([witness.truth(float(time)).position for time in times]).reshape(-1, 3)
         if len(places) < 2:
             return places
-        moved = np.linalg.norm(np.diff(places, axis=0), axis=1) > RESTING
+        moved = np.linalg.norm(np.diff(places, axis=0), axis=1) > MAX_REST_STEP
         return places[1:][moved]
 
     @property
     def following(self) -> list[Moment]:
         """The cycles whose command came after the path's start was reached."""
-        begun = next((i for i, m in enumerate(self.moments) if m.cycle.command.phase == "follow" and _begun(m)), None)
+        begun = next(
+            (i for i, m in enumerate(self.moments) if m.cycle.command.phase == "follow" and _has_begun(m)), None
+        )
         return [] if begun is None else self.moments[begun:]
 
     def currents(self, n_coils: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -163,11 +165,11 @@ class Trace:
         return np.vstack([np.zeros((0, 3)), *(m.positions for m in self.moments)])
 
 
-def _begun(moment: Moment) -> bool:
+def _has_begun(moment: Moment) -> bool:
     return moment.cycle.command.window is not None or moment.cycle.command.done
 
 
-def row(number: int, moment: Moment) -> dict[str, Any]:
+def make_cycle_row(number: int, moment: Moment) -> dict[str, Any]:
     """Build one row of ``cycles.csv``.
 
     Parameters

@@ -13,20 +13,20 @@ from scipy.optimize import least_squares, minimize
 from controllers import ForceAllocator
 from controllers.predictive import Predictive
 from sim.batch.executors import open_executor
-from sim.batch.flights import Plant, fly_seeds, warm_rates
-from sim.measure.plant_speed import plant_loads
+from sim.batch.flights import PlantModel, compute_warm_rates, fly_seeds
+from sim.measure.plant_speed import measure_plant_loads
 from sim.reduced.plant import ReducedPlant
 from sim.reduced.rig import open_reduced
 from sim.tank.settings import TankSettings
 from sim.tank.world import TankWorld
 from smolbot.config.document import validate
-from smolbot.config.mission import load_mission
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.config.mission import load_steering_mission
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.shots import Rest
 from smolbot.flight.preview.gradient import _Rollout
 from smolbot.flight.session import fly
-from smolbot.localization.chain import filtered
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.chain import apply_filters
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.localizer import Localizer
 
 RATE = 50_000.0
@@ -52,7 +52,7 @@ def numpy_fit(sensors, device, recording, prior):
 
     def chain(field):
         return np.concatenate(
-            [filtered(field[g[1:]] - field[g[0]], RATE)[:, points].ravel() for g in groups if len(g) > 1]
+            [apply_filters(field[g[1:]] - field[g[0]], RATE)[:, points].ravel() for g in groups if len(g) > 1]
         )
 
     data = chain(recording.field)
@@ -60,9 +60,9 @@ def numpy_fit(sensors, device, recording, prior):
 
     def residual(x):
         move = x * scale
-        q = quaternion_product(quaternion_from_rotation_vector(move[3:6]), prior.orientation)
-        theta = deflection(device, time_, 0.7 * device.theta_max + move[7], 0.4 + move[6])
-        return (chain(sensor_field(sensors, device, prior.position + move[:3], q, theta)) - data) * 1e5
+        q = multiply_quaternions(quaternion_from_rotation_vector(move[3:6]), prior.orientation)
+        theta = compute_deflection(device, time_, 0.7 * device.theta_max + move[7], 0.4 + move[6])
+        return (chain(compute_sensor_field(sensors, device, prior.position + move[:3], q, theta)) - data) * 1e5
 
     return least_squares(residual, np.zeros(8), method="lm")
 
@@ -93,7 +93,7 @@ def test_locate_against_the_same_fit_by_numpy_and_scipy(benchmark, array, along_
 
 @pytest.mark.benchmark(group="ratios")
 def test_real_time_factor_of_the_tank_and_the_share_of_localization(benchmark):
-    short = load_mission("line", settings={"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]"})
+    short = load_steering_mission("line", settings={"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]"})
     fly(short, 1)
     run = benchmark.pedantic(fly, (short, 2), rounds=1, iterations=1)
     computing = sum(c.compute for c in run.cycles)
@@ -106,7 +106,7 @@ def test_real_time_factor_of_the_tank_and_the_share_of_localization(benchmark):
 
 @pytest.mark.benchmark(group="ratios")
 def test_an_allocation_against_one_start_of_slsqp(benchmark):
-    setup = load_mission("line").setup()
+    setup = load_steering_mission("line").setup()
     allocator = ForceAllocator(setup.table, 8.0, setup.robot.moment, least_field=1e-3)
     here, way = np.array([4e-3, 2e-3, 0.06]), np.array([0.6, 0.8, 0.0])
     b, g = setup.table.field(here[None])[:, 0], setup.table.gradient(here[None])[:, 0]
@@ -132,7 +132,7 @@ def test_an_allocation_against_one_start_of_slsqp(benchmark):
 
 @pytest.mark.benchmark(group="ratios")
 def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
-    mission = load_mission("r_path")
+    mission = load_steering_mission("r_path")
     law = Predictive(mission.setup(), {})
     times = []
     real = law.command
@@ -156,8 +156,8 @@ def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
 @pytest.mark.benchmark(group="ratios")
 def test_reduced_plant_against_the_full_tank_and_the_loop_around_it(benchmark):
     """By processor time, since other programs share the machine."""
-    mission = load_mission("line")
-    run = fly(mission, 1, opener=open_reduced)
+    mission = load_steering_mission("line")
+    run = fly(mission, 1, open_rig=open_reduced)
     shots = [c.shot for c in run.cycles]
     rigs = {"full": lambda: TankWorld.open(mission.rig, mission.robot, mission.start, 1),
             "reduced": lambda: open_reduced(mission, 1)}  # fmt: skip
@@ -165,7 +165,7 @@ def test_reduced_plant_against_the_full_tank_and_the_loop_around_it(benchmark):
     for name, opened in rigs.items():
         with closing(opened()) as rig:
             if name == "reduced":
-                rig.sightings(Localizer(rig.sensors, mission.robot.device))
+                rig.make_synthetic_localizer(Localizer(rig.sensors, mission.robot.device))
             rig.play(shots[0])
             begin, clock = time.process_time(), rig.now()
             for shot in shots:
@@ -194,9 +194,9 @@ def test_flights_a_minute_of_the_reduced_plant_with_one_process_and_with_two(ben
 
     def rates(jobs, first):
         with open_executor(jobs) as executor:
-            done = list(fly_seeds(executor, "r_path", None, {}, list(range(first, first + count)), Plant.REDUCED))
+            done = list(fly_seeds(executor, "r_path", None, {}, list(range(first, first + count)), PlantModel.REDUCED))
         assert all(f.summary["status"] == "completed" for f in done)
-        return warm_rates(done)
+        return compute_warm_rates(done)
 
     benchmark.pedantic(rates, (1, 1), rounds=1, iterations=1)
     pairs = [(rates(1, 10 * k), rates(2, 10 * k)) for k in range(1, rounds + 1)]
@@ -212,6 +212,6 @@ def test_flights_a_minute_of_the_reduced_plant_with_one_process_and_with_two(ben
 @pytest.mark.benchmark(group="ratios")
 @pytest.mark.parametrize(("rig", "robot"), [("tank", "gradient"), ("gel", "helical")])
 def test_share_of_a_processor_that_the_plant_of_the_twin_takes(benchmark, rig, robot):
-    loads = benchmark.pedantic(plant_loads, (rig, robot), rounds=1, iterations=1)
+    loads = benchmark.pedantic(measure_plant_loads, (rig, robot), rounds=1, iterations=1)
     for state, share in loads.items():
         print(f"\nplant of the twin, {rig}, {state}: {100 * share:.1f} % of a processor", end="")

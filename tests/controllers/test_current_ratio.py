@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controllers.current_ratio import CurrentRatio, aligned_force, best_pair, pair_shares
+from controllers.current_ratio import CurrentRatio, compute_aligned_force, compute_pair_shares, find_best_pair
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Shot
@@ -73,7 +73,7 @@ def test_currents_never_break_a_limit_and_the_supply_is_never_reversed(place, wa
 
 @given(st.floats(0.0, 1.0))
 def test_the_stronger_coil_of_a_pair_has_the_full_current_and_their_ratio_is_lambda(ratio):
-    share_j, share_k = pair_shares(ratio)
+    share_j, share_k = compute_pair_shares(ratio)
     assert max(share_j, share_k) == pytest.approx(1.0)
     assert min(share_j, share_k) >= 0.0
     assert share_j / (share_j + share_k) == pytest.approx(ratio, abs=1e-12)
@@ -83,7 +83,7 @@ def test_the_coil_that_needs_less_gets_less():
     """Printed upside down, Eqs. S14 and S15 would give the other coil less."""
     fields = np.array([[2.0, 0.0], [-2.0, 0.0], [0.0, 2.0], [0.0, -2.0]])
     shallow = np.array([np.cos(0.2), np.sin(0.2)])
-    pair = best_pair(fields, shallow)
+    pair = find_best_pair(fields, shallow)
     assert (pair.j, pair.k) == (0, 2)
     assert pair.share_j == 1.0
     assert pair.share_k == pytest.approx(np.tan(0.2))
@@ -103,7 +103,7 @@ def test_of_all_pairs_the_strongest_that_points_along_is_taken():
         fields = rng.normal(size=(4, 2))
         angle = rng.uniform(-np.pi, np.pi)
         way = np.array([np.cos(angle), np.sin(angle)])
-        pair = best_pair(fields, way)
+        pair = find_best_pair(fields, way)
         reach = []  # by brute force: currents in [0, 1] of each two coils whose field has no part across
         for j in range(4):
             for k in range(j + 1, 4):
@@ -118,7 +118,7 @@ def test_of_all_pairs_the_strongest_that_points_along_is_taken():
 
 
 def test_no_pair_means_no_current():
-    assert best_pair(np.array([[1.0, 0.0], [1.0, 0.1]]), np.array([-1.0, 0.0])) is None
+    assert find_best_pair(np.array([[1.0, 0.0], [1.0, 0.1]]), np.array([-1.0, 0.0])) is None
 
 
 @pytest.mark.parametrize("distance", [1.0, 1.5, 2.5, 2.9])
@@ -199,10 +199,10 @@ def test_gains_beyond_their_range_or_unknown_are_refused_all_at_once():
 
 
 def force_error(place_mm, way):
-    pair = best_pair(known().table.field(np.array([[*place_mm, 60.0]]) * 1e-3)[:, 0, :2], way)
+    pair = find_best_pair(known().table.field(np.array([[*place_mm, 60.0]]) * 1e-3)[:, 0, :2], way)
     currents = np.zeros(4)
     currents[pair.j], currents[pair.k] = 8 * pair.share_j, 8 * pair.share_k
-    pull = aligned_force(known().table, currents, np.array([*place_mm, 60.0]) * 1e-3, known().robot.moment)[:2]
+    pull = compute_aligned_force(known().table, currents, np.array([*place_mm, 60.0]) * 1e-3, known().robot.moment)[:2]
     return np.degrees(np.arccos(np.clip(pull @ way / np.linalg.norm(pull), -1, 1)))
 
 
@@ -213,7 +213,7 @@ def test_force_is_the_gradient_of_the_energy_of_an_aligned_moment():
         return np.linalg.norm(np.einsum("c,ck->k", currents, known().table.field(p[None])[:, 0]))
 
     numeric = [(strength(place + h * e) - strength(place - h * e)) / (2 * h) for e in np.eye(3)]
-    force = aligned_force(known().table, currents, place, 0.89e-3)
+    force = compute_aligned_force(known().table, currents, place, 0.89e-3)
     assert force == pytest.approx(0.89e-3 * np.array(numeric), rel=1e-4, abs=1e-9)
 
 

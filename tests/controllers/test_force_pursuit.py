@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.current_ratio import aligned_force
+from controllers.current_ratio import compute_aligned_force
 from controllers.force_pursuit import ForcePursuit
-from smolbot.config.mission import load_mission
-from smolbot.config.plugins import load
+from smolbot.config.mission import load_steering_mission
+from smolbot.config.plugins import load_plugin
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Shot
@@ -38,7 +38,7 @@ def straight(start, end):
 
 
 def test_it_is_installed_under_its_name():
-    assert load("controllers", "force_pursuit") is ForcePursuit
+    assert load_plugin("controllers", "force_pursuit") is ForcePursuit
 
 
 @settings(max_examples=40)
@@ -51,9 +51,9 @@ def test_the_true_force_points_to_the_goal_and_no_limit_is_broken(radius, around
     command = law.command(pose(*here, heading))
     assert command.phase == "approach"
     assert known().limits.faults(Shot((command.window,))) == []
-    force = aligned_force(known().table, np.array(command.window.currents), pose(*here).position, known().robot.moment)[
-        :2
-    ]
+    force = compute_aligned_force(
+        known().table, np.array(command.window.currents), pose(*here).position, known().robot.moment
+    )[:2]
     assert np.degrees(np.arccos(np.clip(force @ way / np.linalg.norm(force), -1, 1))) < 3.2
     assert np.linalg.norm(force) < 121e-6
 
@@ -63,7 +63,7 @@ def test_near_its_goal_it_pulls_no_harder_than_brings_it_there():
     law.reset(straight((0, 0), (0.5, 0)), pose(0, 0))
     law.command(pose(0.0, 0.0))
     command = law.command(pose(0.35, 0.0))
-    force = aligned_force(
+    force = compute_aligned_force(
         known().table, np.array(command.window.currents), pose(0.35, 0).position, known().robot.moment
     )
     assert np.linalg.norm(force) * 0.06 / known().robot.drag == pytest.approx(0.15e-3, rel=0.02)
@@ -93,10 +93,10 @@ def test_where_no_currents_pull_head_first_it_says_so_and_tail_first_goes_on():
 
 
 def test_it_would_finish_the_letter_on_which_the_paper_s_law_stalls():
-    seen = preview(load_mission("r_small", settings=LARGE))
+    seen = preview(load_steering_mission("r_small", settings=LARGE))
     assert seen.go
-    assert load_mission("r_small", settings=LARGE).path.project(seen.trail[25:])[1].max() < 1.0e-3
-    stalled = preview(load_mission("r_small", settings={**LARGE, "controller.law": "current_ratio"}))
+    assert load_steering_mission("r_small", settings=LARGE).path.project(seen.trail[25:])[1].max() < 1.0e-3
+    stalled = preview(load_steering_mission("r_small", settings={**LARGE, "controller.law": "current_ratio"}))
     assert not stalled.go
     assert seen.reach.force.min() > 20e-6
     assert np.degrees(seen.reach.direction_error.max()) < 3.2

@@ -13,7 +13,7 @@ from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.core.shots import Listen, MoveMagnet, Rotate, Shot
 from smolbot.errors import InputError
 from smolbot.flight.pilots import Follower
-from smolbot.motion import helixkernels as kernels
+from smolbot.motion import helix_kernels as kernels
 from smolbot.motion.controller import Command
 from smolbot.paths.curve import Curve
 from tests.conftest import mission_of
@@ -155,9 +155,11 @@ def test_what_it_learns_of_the_helix_comes_from_the_way_it_went():
             state[kernels.COURSE] = np.nan
             for window in command.mechanical[1:-1]:
                 course = np.arctan2(-window.axis[1], -window.axis[0])
-                state = kernels.screw_on(setup().helix.body, truth, state, course, 1.0, window.turns, window.frequency)
+                state = kernels.advance_screw(
+                    setup().helix.body, truth, state, course, 1.0, window.turns, window.frequency
+                )
             state[kernels.PITCH] = 0.0  # the poses that it is told are level
-    learned = controller.screwing.factors
+    learned = controller.model.factors
     assert learned[0] == pytest.approx(truth[0], rel=0.03)
     assert learned[1] == pytest.approx(truth[1], rel=0.2)
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers.adaptation import Adaptation
-from controllers.compass import Compass
+from controllers.heading_planner import HeadingPlanner
 from controllers.predictive import Predictive
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Shot
@@ -64,9 +64,9 @@ class Plant:
         self.trail.append(self.place.copy())
 
     def fly(self, law, path, most=900):
-        law.reset(path, self.seen())
+        law.reset(path, self.detected())
         for _ in range(most):
-            command = law.command(self.seen())
+            command = law.command(self.detected())
             if command.done:
                 return command
             self.play(command)
@@ -82,7 +82,7 @@ def distances(path, trail):
 
 
 def test_it_is_installed_under_its_name_and_flies_the_large_letter():
-    assert load("controllers", "predictive") is Predictive
+    assert load_plugin("controllers", "predictive") is Predictive
     assert mission_of("r_path").law == "predictive"
 
 
@@ -134,20 +134,22 @@ def test_at_a_corner_it_turns_before_it_pulls(turn_deg):
 def test_it_pulls_head_first_unless_told_otherwise():
     """Up to a little in turns, where the field that turns the robot also pulls at it."""
     from smolbot.motion import kernels
-    from smolbot.motion.gradient import body_of
+    from smolbot.motion.gradient import pack_robot
 
     def tail_share(**gains):
         plant = Plant((-8e-3, -12e-3), np.pi / 2)
         law, pushed, moved = Predictive(known(), gains), 0.0, 0.0
-        law.reset(mission_of("r_path").path, plant.seen())
+        law.reset(mission_of("r_path").path, plant.detected())
         for _ in range(500):
-            command = law.command(plant.seen())
+            command = law.command(plant.detected())
             if command.done:
                 break
             b, g = known().table.field_and_gradient(plant.place[None])
             currents = np.array(command.window.currents)
             field, slope = currents @ b[:, 0, :2], np.einsum("c,cij->ij", currents, g[:, 0, :2, :2])
-            out = kernels.roll(body_of(plant.robot), field, slope, 0.0, 0.0, plant.heading, command.window.duration, 40)
+            out = kernels.simulate_window(
+                pack_robot(plant.robot), field, slope, 0.0, 0.0, plant.heading, command.window.duration, 40
+            )
             pushed, moved = pushed + out[5], moved + np.hypot(out[0], out[1])
             plant.play(command)
         return pushed / moved
@@ -220,7 +222,7 @@ def test_where_hardly_anything_pulls_head_first_it_says_so_and_does_not_stop():
 def test_planned_headings_pull_along_the_path_and_are_not_the_path_s_own():
     points = np.column_stack([np.full(41, -8e-3), np.linspace(-5e-3, 5e-3, 41), np.full(41, Z)])
     ways = np.tile([0.0, 1.0], (41, 1))
-    compass = Compass(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 0.15)
+    compass = HeadingPlanner(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 0.15)
     headings = compass.headings(points, ways, 2.5e-4)
     assert np.all(np.cos(headings - np.pi / 2) >= 0.0)
     assert np.abs(np.diff(headings)).max() < np.radians(11)
@@ -230,7 +232,7 @@ def test_planned_headings_pull_along_the_path_and_are_not_the_path_s_own():
 def test_headings_follow_from_where_the_robot_points_if_a_turn_is_dear():
     points = np.column_stack([np.linspace(-1e-3, 1e-3, 9), np.zeros(9), np.full(9, Z)])
     ways = np.tile([1.0, 0.0], (9, 1))
-    dear = Compass(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 2.0)
+    dear = HeadingPlanner(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 2.0)
     for start in (-0.4, 0.4):
         assert np.sign(np.sin(dear.headings(points, ways, 2.5e-4, start)[0])) == np.sign(start)
 

@@ -135,12 +135,12 @@ def machine() -> dict[str, str]:
     import llvmlite.binding as llvm
     from numba.core import config
 
-    from smolbot.core.blas_threads import kernel
+    from smolbot.core.blas_threads import describe_blas
 
     cpu = config.CPU_NAME or llvm.get_host_cpu_name()
     packages = ("numpy", "scipy", "numba", "llvmlite", "pybullet")
     libc = " ".join(platform.libc_ver())
-    return {"cpu": cpu, "linear_algebra": kernel(), "libc": libc, **{name: version(name) for name in packages}}
+    return {"cpu": cpu, "linear_algebra": describe_blas(), "libc": libc, **{name: version(name) for name in packages}}
 
 
 def save(path: Path, answers: Any) -> None:

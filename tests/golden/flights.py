@@ -48,22 +48,22 @@ class _AskedScheduler(Scheduler):
 
     def __init__(self, real: Scheduler, played: Scheduler, field: Callable[..., Any]) -> None:
         self.__dict__.update(vars(real))
-        self._played = played
+        self._play_checked = played
         self._excitation_field = field
         self.planned: list[Shot] = []
 
     def next(self, command: Command, tracker: Any) -> Shot:
         self.planned.append(super().next(command, tracker))
-        return self._played.next(command, tracker)
+        return self._play_checked.next(command, tracker)
 
-    def quiet_shots(self, duration: float) -> Iterator[Shot]:
-        return self._both(super().quiet_shots(duration), self._played.quiet_shots(duration))
+    def make_noise_shots(self, duration: float) -> Iterator[Shot]:
+        return self._both(super().make_noise_shots(duration), self._play_checked.make_noise_shots(duration))
 
-    def probe_shots(self) -> Iterator[Shot]:
-        return self._both(super().probe_shots(), self._played.probe_shots())
+    def make_probe_shots(self) -> Iterator[Shot]:
+        return self._both(super().make_probe_shots(), self._play_checked.make_probe_shots())
 
-    def tail_shots(self, coil: int) -> Iterator[Shot]:
-        return self._both(super().tail_shots(coil), self._played.tail_shots(coil))
+    def make_tail_shots(self, coil: int) -> Iterator[Shot]:
+        return self._both(super().make_tail_shots(coil), self._play_checked.make_tail_shots(coil))
 
     def _both(self, planned: Iterator[Shot], played: Iterator[Shot]) -> Iterator[Shot]:
         for plan, shot in zip(planned, played, strict=False):
@@ -76,12 +76,12 @@ class _AskedPilot:
 
     def __init__(self, real: Pilot, played: Pilot) -> None:
         self._real = real
-        self._played = played
+        self._play_checked = played
         self.answers: list[Command] = []
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
         self.answers.append(self._real.command(self._as_asked(shot), tracker))
-        return self._played.command(shot, tracker)
+        return self._play_checked.command(shot, tracker)
 
     def _as_asked(self, shot: Shot) -> Shot:
         """The shot with what was asked last, where it differs from what was played by no more than another machine's
@@ -122,9 +122,9 @@ def replayed_record(record: RecordedRun, settings: dict[str, str]) -> Any:
 def _parts(mission: AnyMission, record: RecordedRun) -> _Parts:
     """Scheduler and pilot as the flight had them, made from the mission's files."""
     from smolbot.flight.assembly import make_loop
-    from smolbot.flight.playback import PlayedRig
+    from smolbot.flight.playback import ReplayRig
 
-    loop: Loop = make_loop(PlayedRig(record, mission.rig.sensors, mission.rig.limits), mission)
+    loop: Loop = make_loop(ReplayRig(record, mission.rig.sensors, mission.rig.limits), mission)
     return _Parts(loop.scheduler, loop.pilot)
 
 
@@ -137,7 +137,7 @@ def _open(mission: AnyMission, seed: int) -> Any:
     from smolbot.config.observation import Observation
     from smolbot.core.operator import SilentOperator
 
-    place = mission.start if isinstance(mission, Observation) else mission.put_down
+    place = mission.start if isinstance(mission, Observation) else mission.start_placement
     world = load_world(mission.rig.world, mission.rig.document)
     return world.open(mission.rig, mission.robot, place, seed, gui=False, operator=SilentOperator())
 

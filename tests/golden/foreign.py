@@ -137,9 +137,9 @@ def keys(signals: dict[str, Any]) -> list[str]:
 
 def locate_all(estimator: str) -> dict[str, Any]:
     """Every window located from nothing, and from a pose 2 mm and 5 degrees away."""
-    from smolbot.core.blas_threads import one_thread
+    from smolbot.core.blas_threads import limit_to_one_thread
     from smolbot.core.pose import Pose
-    from smolbot.core.rotations import quaternion_from_matrix, quaternion_from_rotation_vector, quaternion_product
+    from smolbot.core.rotations import multiply_quaternions, quaternion_from_matrix, quaternion_from_rotation_vector
     from smolbot.core.sensing import Recording, SensorArray
     from smolbot.localization.localizer import Localizer
     from smolbot.localization.noise.model import NoiseModel
@@ -147,7 +147,7 @@ def locate_all(estimator: str) -> dict[str, Any]:
     signals = read()
     sensors = SensorArray(signals["places"], signals["axes"], bandwidth=1000.0)
     step, rate = float(signals["step"]), float(signals["rate"])
-    with one_thread():
+    with limit_to_one_thread():
         noise = NoiseModel.learn([Recording(signals["quiet"] * step, rate, 0.0)])
     poses: dict[str, Any] = {}
     for key in keys(signals):
@@ -155,9 +155,9 @@ def locate_all(estimator: str) -> dict[str, Any]:
         recording = Recording(signals[f"{key}_heard"] * step, rate, 0.02, clock=float(signals[f"{key}_clock"]))
         localizer = Localizer(sensors, device, noise, estimator)  # type: ignore[arg-type]
         off = quaternion_from_rotation_vector(np.radians([3.0, -4.0, 0.0]))
-        near = quaternion_product(off, quaternion_from_matrix(signals[f"{key}_turn"]))
+        near = multiply_quaternions(off, quaternion_from_matrix(signals[f"{key}_turn"]))
         prior = Pose(recording.middle, signals[f"{key}_position"] + [1.2e-3, -1.2e-3, 1e-3], near, 1e-6 * np.eye(6))
-        with one_thread():
+        with limit_to_one_thread():
             poses[key] = {"cold": localizer.locate(recording), "near": localizer.locate(recording, prior)}
     return poses
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lookup_tables import build, cache, cached_table
-from lookup_tables.cache import default_cache_dir, table_key
+from lookup_tables.cache import compute_table_key, get_default_cache_dir
 
 AXES = (np.linspace(-0.002, 0.002, 3), np.linspace(-0.002, 0.002, 3), np.array([0.0]))
 
@@ -36,9 +36,13 @@ def test_the_second_call_reads_what_the_first_built(coils, tmp_path, builds):
 
 
 def test_whatever_changes_the_field_changes_the_key(coils):
-    keys = {table_key(coils, *AXES), table_key(coils[::-1], *AXES), table_key(coils, AXES[0], AXES[1], AXES[2] + 1e-6)}
+    keys = {
+        compute_table_key(coils, *AXES),
+        compute_table_key(coils[::-1], *AXES),
+        compute_table_key(coils, AXES[0], AXES[1], AXES[2] + 1e-6),
+    }
     for change in ({"name": "a"}, {"center": (0, 0, 0.06)}, {"axis": (0, 0, 1)}, {"turns": 201}, {"length": 0.021}):
-        keys.add(table_key([replace(coils[0], **change), *coils[1:]], *AXES))
+        keys.add(compute_table_key([replace(coils[0], **change), *coils[1:]], *AXES))
     assert len(keys) == 8
 
 
@@ -73,7 +77,7 @@ def room_for_two(coils, tmp_path, monkeypatch):
 
     table(0)
     (file,) = tmp_path.iterdir()
-    monkeypatch.setattr(cache, "LARGEST", round(2.5 * file.stat().st_size))
+    monkeypatch.setattr(cache, "MAX_CACHE_BYTES", round(2.5 * file.stat().st_size))
     os.utime(file, (1.0, 1.0))
     return table
 
@@ -84,7 +88,7 @@ def test_the_table_that_was_longest_of_no_use_makes_room(room_for_two, tmp_path,
     os.utime(second, (2.0, 2.0))
     room_for_two(0)  # used once more
     room_for_two(2)
-    assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= cache.LARGEST
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= cache.MAX_CACHE_BYTES
     assert not second.exists()
     room_for_two(0)
     assert len(builds) == 2
@@ -93,7 +97,7 @@ def test_the_table_that_was_longest_of_no_use_makes_room(room_for_two, tmp_path,
 def test_only_fields_make_room_and_what_nobody_writes_any_more(room_for_two, tmp_path):
     now = time.time()
     for name, age in (("heat.json", 2e6), (".table-a.npz", 1.0), (".table-b.npz", 2e6), ("tank-coil-a.npy", 2e6)):
-        (tmp_path / name).write_bytes(bytes(cache.LARGEST))
+        (tmp_path / name).write_bytes(bytes(cache.MAX_CACHE_BYTES))
         os.utime(tmp_path / name, (now - age, now - age))
     room_for_two(1)
     left = {p.name for p in tmp_path.iterdir()}
@@ -102,14 +106,14 @@ def test_only_fields_make_room_and_what_nobody_writes_any_more(room_for_two, tmp
 
 
 def test_a_table_larger_than_the_bound_is_kept_alone(room_for_two, tmp_path, monkeypatch, builds):
-    monkeypatch.setattr(cache, "LARGEST", 1)
+    monkeypatch.setattr(cache, "MAX_CACHE_BYTES", 1)
     room_for_two(1)
     room_for_two(1)
     assert len(builds) == len(list(tmp_path.iterdir())) == 1
 
 
 def test_processes_that_write_at_once_leave_one_whole_table(coils, tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "LARGEST", 1)  # each deletes what the others keep
+    monkeypatch.setattr(cache, "MAX_CACHE_BYTES", 1)  # each deletes what the others keep
     with ThreadPoolExecutor(8) as pool:
         found = list(
             pool.map(lambda n: cached_table(coils, *AXES[:2], np.array([n % 2 * 1e-3]), cache_dir=tmp_path), range(32))
@@ -134,6 +138,6 @@ def test_the_folder_is_the_users_choice(monkeypatch, tmp_path):
     monkeypatch.delenv("SMOLBOT_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     if cache.sys.platform != "win32":
-        assert default_cache_dir() == tmp_path / "xdg" / "smolbot"
+        assert get_default_cache_dir() == tmp_path / "xdg" / "smolbot"
     monkeypatch.setenv("SMOLBOT_CACHE", str(tmp_path / "mine"))
-    assert default_cache_dir() == tmp_path / "mine"
+    assert get_default_cache_dir() == tmp_path / "mine"

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from smolbot.config import plugins
-from smolbot.config.library import open_file, shipped
+from smolbot.config.library import list_shipped, open_file
 from smolbot.config.load import load_mission
 from smolbot.config.rig import load_rig
 from smolbot.errors import ConfigError, PluginError
@@ -75,9 +75,9 @@ def installed(tmp_path_factory) -> Path:
 def lab(installed, monkeypatch):
     """The lab's package, installed in this process."""
     monkeypatch.syspath_prepend(str(installed))
-    plugins._installed.cache_clear()
+    plugins._find_entry_points.cache_clear()
     yield installed
-    plugins._installed.cache_clear()
+    plugins._find_entry_points.cache_clear()
     for module in [name for name in sys.modules if name.partition(".")[0] == "lab_parts"]:
         del sys.modules[module]
 
@@ -151,7 +151,7 @@ def test_the_lab_has_a_part_of_every_kind():
 
 @pytest.mark.parametrize("section", ["", '\n[ours]\naddress = "10.0.0.7"\n'], ids=["without section", "with section"])
 def test_a_labs_own_world_flies_with_and_without_a_section_of_its_own(tmp_path, section):
-    text = shipped("rigs")["tank"].read_text().replace('world = "tank"', 'world = "ours"')
+    text = list_shipped("rigs")["tank"].read_text().replace('world = "tank"', 'world = "ours"')
     (tmp_path / "our_rig.toml").write_text(text + section)
     flown(OWN_WORLD, tmp_path, "line", "--rig", "our_rig.toml")
 
@@ -312,7 +312,7 @@ class Unfinished:
 def test_a_part_that_breaks_its_promise_is_refused_when_loaded(plug_in, group, made, said):
     plug_in(group, "bad", made)
     with pytest.raises(PluginError, match=said):
-        plugins.load(group, "bad")
+        plugins.load_plugin(group, "bad")
 
 
 def test_a_mission_whose_path_reader_breaks_its_promise_is_refused(plug_in, files):

@@ -13,7 +13,7 @@ from lookup_tables import OutsideTableError, RoundCoil, TableError, build
 from smolbot import errors
 from smolbot.config import plugins
 from smolbot.core.limits import Limits
-from smolbot.flight.safety.supervisor import Safety, unbounded
+from smolbot.flight.safety.supervisor import Safety, make_limits_only_safety
 
 LIMITS = Limits(("+x", "-y"), max_current=8.0, max_actuation=0.2, min_ring_down=0.02, max_listen=1.0)
 OURS = [c for c in vars(errors).values() if inspect.isclass(c) and issubclass(c, errors.SmolbotError)]
@@ -53,7 +53,7 @@ def test_a_broken_limit_is_told_by_its_fields_by_rig_and_safety_alike(windows, e
     shot = smolbot.Shot(windows)
     with pytest.raises(smolbot.InterlockError) as refused:
         LIMITS.check(shot)
-    safety: Safety = unbounded(LIMITS, 10)
+    safety: Safety = make_limits_only_safety(LIMITS, 10)
     with pytest.raises(errors.SafetyError) as stopped:
         safety.before(shot, 0.0, None)
     for error in (refused.value, stopped.value):
@@ -84,7 +84,7 @@ def test_names_that_are_not_there_say_which_and_what_is():
     assert missing.value.name == "lime"
     assert "line" in missing.value.known
     with pytest.raises(errors.PluginError) as unknown:
-        plugins.load("controllers", "lasso")
+        plugins.load_plugin("controllers", "lasso")
     assert (unknown.value.group, unknown.value.name) == ("controllers", "lasso")
 
 

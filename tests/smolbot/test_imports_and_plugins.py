@@ -145,20 +145,27 @@ def lab(monkeypatch):
         return [*real(group=group), *([own, broken] if group == "smolbot.controllers" else [])]
 
     monkeypatch.setattr(plugins, "entry_points", found)
-    plugins._installed.cache_clear()
+    plugins._find_entry_points.cache_clear()
     yield
-    plugins._installed.cache_clear()
+    plugins._find_entry_points.cache_clear()
 
 
 def test_a_labs_own_controller_is_found_by_its_entry_point(lab):
-    assert plugins.load("controllers", "lazy") is Lazy
-    assert plugins.names("controllers") == ["broken", "current_ratio", "force_pursuit", "helical", "lazy", "predictive"]
-    from smolbot.config.mission import load_mission
+    assert plugins.load_plugin("controllers", "lazy") is Lazy
+    assert plugins.list_plugins("controllers") == [
+        "broken",
+        "current_ratio",
+        "force_pursuit",
+        "helical",
+        "lazy",
+        "predictive",
+    ]
+    from smolbot.config.mission import load_steering_mission
 
-    mission = load_mission("line", settings={"controller.law": "lazy", "controller.gains.patience": "0.5"})
+    mission = load_steering_mission("line", settings={"controller.law": "lazy", "controller.gains.patience": "0.5"})
     assert mission.law == "lazy"
     with pytest.raises(ValueError, match="0 to 2"):
-        load_mission("line", settings={"controller.law": "lazy", "controller.gains.patience": "3.0"})
+        load_steering_mission("line", settings={"controller.law": "lazy", "controller.gains.patience": "3.0"})
 
 
 def test_a_mission_under_a_labs_own_controller_flies(lab):
@@ -169,6 +176,6 @@ def test_a_mission_under_a_labs_own_controller_flies(lab):
 
 def test_a_controller_that_is_not_installed_or_broken_is_one_clear_error(lab):
     with pytest.raises(PluginError, match=r"No controller is named 'lasy'.*Did you mean lazy"):
-        plugins.load("controllers", "lasy")
+        plugins.load_plugin("controllers", "lasy")
     with pytest.raises(PluginError, match=r"'broken' \(no_such_package:Law\) cannot be loaded"):
-        plugins.load("controllers", "broken")
+        plugins.load_plugin("controllers", "broken")

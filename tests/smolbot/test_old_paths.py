@@ -44,7 +44,7 @@ def test_a_new_path_is_one_package_deep_and_gives_no_warning(path):
 def test_other_names_of_a_watched_module_and_pickles_cause_no_warning():
     from smolbot.runs import Event
 
-    assert imported("smolbot.runs.run:trusted_poses")[1] == []
+    assert imported("smolbot.runs.run:get_trusted_poses")[1] == []
     kept = pickle.dumps(Event(1.0, "paused"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

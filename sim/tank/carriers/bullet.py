@@ -72,7 +72,7 @@ class Bodies:
         self._build_container(rig, friction)
         w, x, y, z = (float(v) for v in orientation)
         self._robot = pybullet.loadURDF(
-            str(urdf_path(robot)),
+            str(find_urdf(robot)),
             [float(v) * LENGTH for v in position],
             [x, y, z, w],
             useMaximalCoordinates=True,
@@ -83,7 +83,7 @@ class Bodies:
             self._robot,
             -1,
             mass=mass,
-            localInertiaDiagonal=(box_inertia(robot) * MASS * LENGTH**2).tolist(),
+            localInertiaDiagonal=(compute_box_inertia(robot) * MASS * LENGTH**2).tolist(),
             linearDamping=0.0,  # the tank computes drag itself, implicitly
             angularDamping=0.0,
             lateralFriction=friction,
@@ -93,7 +93,7 @@ class Bodies:
         )
         self._step = 0.0
 
-    def state(self) -> tuple[Triple, Quadruple, Triple, Triple]:
+    def read_state(self) -> tuple[Triple, Quadruple, Triple, Triple]:
         """Return the state of the housing's middle, world frame.
 
         Returns
@@ -128,7 +128,7 @@ class Bodies:
         bullet.resetBaseVelocity(self._robot, (u * 1e3, v * 1e3, w * 1e3), spin, self._client)
         bullet.stepSimulation(self._client)
 
-    def place(self, position: FloatArray, orientation: FloatArray) -> None:
+    def set_pose(self, position: FloatArray, orientation: FloatArray) -> None:
         """Set the robot's pose, at rest.
 
         Parameters
@@ -157,18 +157,18 @@ class Bodies:
         middle = floor + 0.5 * height
         half, tall = 0.5 * WALL, 0.5 * height + WALL
         for side in (-1.0, 1.0):
-            self._wall((half, 0.5 * sy + WALL, tall), (cx + side * (0.5 * sx + half), cy, middle), friction)
-            self._wall((0.5 * sx + WALL, half, tall), (cx, cy + side * (0.5 * sy + half), middle), friction)
-        self._wall((0.5 * sx + WALL, 0.5 * sy + WALL, half), (cx, cy, floor - half), friction)
+            self._add_wall((half, 0.5 * sy + WALL, tall), (cx + side * (0.5 * sx + half), cy, middle), friction)
+            self._add_wall((0.5 * sx + WALL, half, tall), (cx, cy + side * (0.5 * sy + half), middle), friction)
+        self._add_wall((0.5 * sx + WALL, 0.5 * sy + WALL, half), (cx, cy, floor - half), friction)
 
-    def _wall(self, half_sides: Triple, center: Triple, friction: float) -> None:
+    def _add_wall(self, half_sides: Triple, center: Triple, friction: float) -> None:
         bullet: Any = self._bullet
         shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half_sides, physicsClientId=self._client)
         wall = bullet.createMultiBody(0, shape, -1, center, useMaximalCoordinates=True, physicsClientId=self._client)
         bullet.changeDynamics(wall, -1, lateralFriction=friction, restitution=0.0, physicsClientId=self._client)
 
 
-def box_inertia(robot: RobotConfig) -> FloatArray:
+def compute_box_inertia(robot: RobotConfig) -> FloatArray:
     """Compute the principal moments of inertia of the housing as a solid box.
 
     Parameters
@@ -183,7 +183,7 @@ def box_inertia(robot: RobotConfig) -> FloatArray:
     return robot.mass / 12.0 * (np.sum(squares) - squares)
 
 
-def urdf_path(robot: RobotConfig) -> Path:
+def find_urdf(robot: RobotConfig) -> Path:
     """Find the robot's URDF, beside the robot file or among those shipped with the tank.
 
     Parameters

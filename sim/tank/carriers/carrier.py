@@ -12,14 +12,14 @@ Quadruple = tuple[float, float, float, float]
 State = tuple[Triple, Quadruple, Triple, Triple]
 """Position (m), orientation (scalar first), velocity (m/s) and spin (rad/s) of the housing's middle, world frame."""
 
-Magnetic = tuple[float, float, float, float, float, float]
+Load = tuple[float, float, float, float, float, float]
 """Mean force (N) and torque about the housing's middle (N·m) of one step, body frame."""
 
 
 class Carrier(Protocol):
     """Moves the housing through every physics step of a window."""
 
-    def state(self) -> State:
+    def read_state(self) -> State:
         """Return the present state of the housing.
 
         Returns
@@ -27,7 +27,7 @@ class Carrier(Protocol):
         State
         """
 
-    def begin(self, window: Window, time: float) -> None:
+    def begin_window(self, window: Window, time: float) -> None:
         """Begin a window; the tank itself applies the coils' commands.
 
         Parameters
@@ -36,7 +36,7 @@ class Carrier(Protocol):
         time : float, in s
         """
 
-    def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
+    def advance(self, state: State, magnetic: Load, time: float, step: float) -> None:
         """Advance by one physics step.
 
         Parameters
@@ -55,7 +55,7 @@ class Carrier(Protocol):
 
 
 @runtime_checkable
-class Turned(Carrier, Protocol):
+class MagnetDriven(Carrier, Protocol):
     """A carrier that a rotating magnet moves too.
 
     Mechanical windows are played in long steps, since nothing is recorded.
@@ -69,7 +69,7 @@ class Turned(Carrier, Protocol):
     longest_step: float
     """Of a stride, in s."""
 
-    def lasting(self, window: Window) -> float:
+    def sample_duration(self, window: Window) -> float:
         """Return the true duration of a mechanical window; called once for each.
 
         Parameters
@@ -81,7 +81,7 @@ class Turned(Carrier, Protocol):
         float, in s
         """
 
-    def turn(self, step: float, poses: FloatArray) -> None:
+    def advance_mechanical(self, step: float, poses: FloatArray) -> None:
         """Advance by as many steps as `poses` has rows.
 
         Parameters
@@ -91,7 +91,7 @@ class Turned(Carrier, Protocol):
             Receives rotation centre (m) and orientation (scalar first), world frame.
         """
 
-    def end(self, window: Window) -> None:
+    def end_window(self, window: Window) -> None:
         """End a mechanical window, complete or cut short.
 
         Parameters
@@ -113,7 +113,7 @@ class Magnetised(Carrier, Protocol):
     field_at_magnet: FloatArray
     """Shape (3,), in T, body frame."""
 
-    def heard(
+    def compute_sensor_field(
         self, clock: float, n: int, rate: float, delay: float, positions: FloatArray, axes: FloatArray
     ) -> FloatArray:
         """Compute the carrier's field along the sensors' axes.
@@ -137,7 +137,7 @@ class Magnetised(Carrier, Protocol):
 
 
 @runtime_checkable
-class Drawn(Carrier, Protocol):
+class Sampled(Carrier, Protocol):
     """A carrier with sampled mismatches."""
 
     def as_dict(self) -> dict[str, Any]:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.tank.carriers.endoscope_hand import Hand
+from sim.tank.carriers.endoscope_operator import EndoscopeOperator
 from sim.tank.settings import ShaftSection
 from smolbot.core.arrays import FloatArray
 
-GRID = 2e-3  # s: between two computed fields; linear between them, as tremor has a period of 0.1 s
+FIELD_STEP = 2e-3  # s: between two computed fields; linear between them, as tremor has a period of 0.1 s
 MU_0_OVER_4_PI = 1e-7  # T·m/A
 POLES_PER_FIELD = 1e7  # A·m per T·m²: 4 pi / mu_0
 SIZE_SCATTER, MAX_SIGMAS = 0.2, 2.0  # relative standard deviation of a shaft's fields, and where it is clipped
@@ -18,7 +18,7 @@ STREAM = 5  # random stream of a seed for the shaft
 
 
 @dataclass(frozen=True, eq=False)
-class Shaft:
+class EndoscopeShaft:
     """Straight pieces, each magnetised along its length with its own strength: equivalent to poles at their ends.
 
         B(r) = mu_0 / (4 pi) * sum_k q_k (r - r_k) / |r - r_k|³,   sum_k q_k = 0
@@ -38,7 +38,7 @@ class Shaft:
     side: FloatArray
 
     @classmethod
-    def draw(cls, section: ShaftSection, seed: int, l0: float) -> Shaft:
+    def sample(cls, section: ShaftSection, seed: int, l0: float) -> EndoscopeShaft:
         """Sample a shaft.
 
         The strongest pole makes the section's `surface_ut` at the shaft's surface, the tip's pole `tip_ut` at the
@@ -59,7 +59,7 @@ class Shaft:
         away = float(rng.uniform(-np.pi, np.pi))
         side = section.radius * np.array([np.cos(away), np.sin(away), 0.0])
         size = 1.0 + SIZE_SCATTER * np.clip(rng.standard_normal(), -MAX_SIGMAS, MAX_SIGMAS)
-        at_tip, at_surface = section.fields(size)
+        at_tip, at_surface = section.compute_fields(size)
         first, strongest = (
             at_tip * (float(side @ side) + l0**2) * POLES_PER_FIELD,
             at_surface * section.radius**2 * POLES_PER_FIELD,
@@ -72,7 +72,7 @@ class Shaft:
         distances: FloatArray = section.piece * np.arange(section.pieces + 1, dtype=np.float64)
         return cls(poles, distances, side)
 
-    def at_magnet(self, l0: float) -> FloatArray:
+    def compute_field_at_magnet(self, l0: float) -> FloatArray:
         """Compute the field at the magnet, from the tip's pole only, which is by far the nearest.
 
         Parameters
@@ -88,12 +88,12 @@ class Shaft:
         away = np.array([0.0, 0.0, l0]) - self.side
         return np.asarray(MU_0_OVER_4_PI * self.poles[0] * away / np.linalg.norm(away) ** 3)
 
-    def field(self, hand: Hand, times: FloatArray, points: FloatArray) -> FloatArray:
+    def compute_field(self, operator: EndoscopeOperator, times: FloatArray, points: FloatArray) -> FloatArray:
         """Compute the shaft's field.
 
         Parameters
         ----------
-        hand : Hand
+        operator : Hand
         times : ndarray, shape (n,), in s
             On the tank's clock.
         points : ndarray, shape (m, 3), in m
@@ -104,20 +104,27 @@ class Shaft:
         ndarray, shape (m, n, 3), in T
             World frame.
         """
-        places = hand.behind(times, self.distances)
+        places = operator.compute_shaft_positions(times, self.distances)
         away = points[:, None, None, :] - places
         return np.asarray(
             MU_0_OVER_4_PI * np.einsum("k,mnki->mni", self.poles, away / np.linalg.norm(away, axis=3)[..., None] ** 3)
         )
 
-    def heard(
-        self, hand: Hand, clock: float, n: int, rate: float, delay: float, points: FloatArray, axes: FloatArray
+    def compute_sensor_field(
+        self,
+        operator: EndoscopeOperator,
+        clock: float,
+        n: int,
+        rate: float,
+        delay: float,
+        points: FloatArray,
+        axes: FloatArray,
     ) -> FloatArray:
         """Compute the shaft's field along the sensors' axes.
 
         Parameters
         ----------
-        hand : Hand
+        operator : Hand
         clock : float, in s
             Time of the first sample.
         n : int
@@ -133,7 +140,7 @@ class Shaft:
         ndarray, shape (m, n), in T
         """
         span = (n - 1) / rate
-        grid = np.linspace(clock, clock + span, max(int(np.ceil(span / GRID)), 1) + 1)
-        along = np.einsum("mni,mi->mn", self.field(hand, grid - delay, points), axes)
+        grid = np.linspace(clock, clock + span, max(int(np.ceil(span / FIELD_STEP)), 1) + 1)
+        along = np.einsum("mni,mi->mn", self.compute_field(operator, grid - delay, points), axes)
         times = clock + np.arange(n) / rate
         return np.stack([np.interp(times, grid, row) for row in along])

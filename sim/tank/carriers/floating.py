@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from sim.tank.carriers.bullet import Bodies
-from sim.tank.carriers.carrier import Magnetic, State
-from sim.tank.carriers.hydrodynamics import Hull, float_step
-from sim.tank.mismatch import Truth
+from sim.tank.carriers.carrier import Load, State
+from sim.tank.carriers.hydrodynamics import Hull, compute_float_step
+from sim.tank.mismatch import TankTruth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -35,15 +35,15 @@ class Floating:
     """
 
     def __init__(
-        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray,
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: TankTruth, start: FloatArray,
         *, gui: bool = False,
     ) -> None:  # fmt: skip
         self.hull = Hull.build(rig, robot, settings, truth)
-        position, orientation = put_down(rig, robot, truth, self.hull, start)
+        position, orientation = compute_start_pose(rig, robot, truth, self.hull, start)
         self.bodies = Bodies(rig, robot, position, orientation, friction=settings.wall_friction, gui=gui)
-        self.state = self.bodies.state  # called 1000 times per second of flight: no layer between
+        self.read_state = self.bodies.read_state  # called 1000 times per second of flight: no layer between
 
-    def begin(self, window: Window, time: float) -> None:
+    def begin_window(self, window: Window, time: float) -> None:
         """Do nothing: only the coils move this robot.
 
         Parameters
@@ -52,7 +52,7 @@ class Floating:
         time : float, in s
         """
 
-    def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
+    def advance(self, state: State, magnetic: Load, time: float, step: float) -> None:
         """Advance by one step under the mean magnetic force and torque.
 
         Parameters
@@ -66,7 +66,7 @@ class Floating:
         """
         position, quaternion, velocity, spin = state
         hull = self.hull
-        velocity, spin = float_step(
+        velocity, spin = compute_float_step(
             position, quaternion, velocity, spin, magnetic, hull.values, hull.float_height, step
         )
         self.bodies.move(velocity, spin, step)
@@ -76,8 +76,8 @@ class Floating:
         self.bodies.close()
 
 
-def put_down(
-    rig: RigConfig, robot: RobotConfig, truth: Truth, hull: Hull, start: FloatArray
+def compute_start_pose(
+    rig: RigConfig, robot: RobotConfig, truth: TankTruth, hull: Hull, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the start pose of the housing: floating, level, near `start`, with a sampled heading.
 

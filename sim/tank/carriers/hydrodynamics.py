@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from sim.tank.carriers.bullet import box_inertia
-from sim.tank.mismatch import Truth
+from sim.tank.carriers.bullet import compute_box_inertia
+from sim.tank.mismatch import TankTruth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
@@ -39,7 +39,7 @@ class Hull:
     float_height: float
 
     @classmethod
-    def build(cls, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth) -> Hull:
+    def build(cls, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: TankTruth) -> Hull:
         """Build the true hull of a robot in a rig's liquid.
 
         Drag is that of a sphere, ``6 pi mu r`` and ``8 pi mu r³``, times a sampled factor for each axis. A floating
@@ -69,7 +69,7 @@ class Hull:
         about_z = pull * (z * x**3 / 12 + x * z * draft * lever) + line * (z * x**2 / 2 + x**3 / 6)
         values = [
             robot.mass,
-            *box_inertia(robot),
+            *compute_box_inertia(robot),
             *(6 * np.pi * viscosity * radius * truth.drag),
             *(8 * np.pi * viscosity * radius**3 * truth.rotation_drag),
             robot.mass * GRAVITY,
@@ -86,7 +86,7 @@ class Hull:
 
 
 @njit(cache=True, error_model="numpy")
-def float_step(
+def compute_float_step(
     position: Triple,
     quaternion: tuple[float, float, float, float],
     velocity: Triple,
@@ -113,7 +113,7 @@ def float_step(
     spin : tuple of 3, in rad/s
         World frame.
     magnetic : tuple of 6
-        Force (N) and torque (N·m), body frame, as `sim.tank.magnetics.cantilever.swing` returns them.
+        Force (N) and torque (N·m), body frame, as `sim.tank.magnetics.cantilever.advance_cantilever` returns them.
     hull : ndarray, shape (17,)
         `Hull.values`.
     float_height : float, in m

@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from sim.tank.carriers.endoscope_hand import routes_of
+from sim.tank.carriers.endoscope_operator import build_routes
 from sim.tank.settings import TankSettings
 from smolbot.config.document import Fault, KeyPath
 from smolbot.core.arrays import FloatArray
 
-SCATTERS = 2.0  # standard deviations by which a sampled point may deviate
+MAX_SCATTER_SIGMAS = 2.0  # standard deviations by which a sampled point may deviate
 TREMORS = 2.0  # amplitudes by which tremor may move it
 ROUNDING = 1e-9  # mm
-STEPS = 200  # points of a route that are checked
+N_ROUTE_POINTS = 200  # points of a route that are checked
 
 
-def holding_faults(settings: TankSettings, container: Any) -> list[Fault]:
+def check_routes_and_place(settings: TankSettings, container: Any) -> list[Fault]:
     """Check ``[tank.hand]`` and ``[tank.place]`` against the ``[container]`` section.
 
     Parameters
@@ -32,24 +32,24 @@ def holding_faults(settings: TankSettings, container: Any) -> list[Fault]:
     """
     if settings.hand is not None and settings.place is not None:
         return [Fault(("tank", "place"), "a device is guided by [tank.hand] or rests at [tank.place], not both.")]
-    box = _box(container)
+    box = _read_corners(container)
     if box is None:  # its own faults are reported elsewhere
         return []
     low, high = box
     faults: list[Fault] = []
     if settings.hand is not None:
-        room = SCATTERS * settings.hand.scatter_mm + TREMORS * settings.hand.tremor_mm
-        for index, route in enumerate(routes_of(settings.hand)):
-            places = 1e3 * route.at(np.linspace(0.0, route.length, STEPS))
-            faults += _outside(places, low, high, room, ("tank", "hand", "routes", index, "points_mm"))
+        room = MAX_SCATTER_SIGMAS * settings.hand.scatter_mm + TREMORS * settings.hand.tremor_mm
+        for index, route in enumerate(build_routes(settings.hand)):
+            places = 1e3 * route.interpolate_positions(np.linspace(0.0, route.length, N_ROUTE_POINTS))
+            faults += _find_outside(places, low, high, room, ("tank", "hand", "routes", index, "points_mm"))
     if settings.place is not None:
         place = np.array([settings.place.position_mm])
-        sideways = SCATTERS * settings.place.scatter_mm * np.array([1.0, 1.0, 0.0])
-        faults += _outside(place, low, high, sideways, ("tank", "place", "position_mm"))
+        sideways = MAX_SCATTER_SIGMAS * settings.place.scatter_mm * np.array([1.0, 1.0, 0.0])
+        faults += _find_outside(place, low, high, sideways, ("tank", "place", "position_mm"))
     return faults
 
 
-def _outside(places: FloatArray, low: FloatArray, high: FloatArray, room: Any, key: KeyPath) -> list[Fault]:
+def _find_outside(places: FloatArray, low: FloatArray, high: FloatArray, room: Any, key: KeyPath) -> list[Fault]:
     off = np.flatnonzero(np.any((places < low + room - ROUNDING) | (places > high - room + ROUNDING), axis=1))
     if not off.size:
         return []
@@ -64,7 +64,7 @@ def _outside(places: FloatArray, low: FloatArray, high: FloatArray, room: Any, k
     ]
 
 
-def _box(container: Any) -> tuple[FloatArray, FloatArray] | None:
+def _read_corners(container: Any) -> tuple[FloatArray, FloatArray] | None:
     """Return the container's corners (3,) and (3,) in mm, or None if its section is invalid."""
     try:
         center, size = np.array(container["center_mm"], dtype=float), np.array(container["size_mm"], dtype=float)

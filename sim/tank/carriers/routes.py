@@ -11,7 +11,7 @@ FEWEST = 8  # steps of the fine curve
 STEEP = 0.9  # vertical part of a direction from which x, not up, defines the first side
 
 
-class Route:
+class SplineRoute:
     """A cubic spline through points, parametrised by arc length.
 
     The frame's z axis is the curve's direction. Its x axis follows without rolling about z (double reflection,
@@ -41,10 +41,10 @@ class Route:
         self._places = places
         tangents = spline(fine, 1)
         self._tangents = tangents / np.linalg.norm(tangents, axis=1)[:, None]
-        self._sides = _carried(places, self._tangents)
+        self._sides = _transport_side_vectors(places, self._tangents)
         self.length = float(self._arc[-1])
 
-    def at(self, arc: FloatArray) -> FloatArray:
+    def interpolate_positions(self, arc: FloatArray) -> FloatArray:
         """Return positions on the curve; before the start it continues straight.
 
         Parameters
@@ -57,10 +57,10 @@ class Route:
         ndarray, shape (n, 3), in m
             World frame.
         """
-        inside = _interpolated(arc, self._arc, self._places)
+        inside = _interpolate_columns(arc, self._arc, self._places)
         return inside + np.minimum(arc, 0.0)[:, None] * self._tangents[0]
 
-    def frames(self, arc: FloatArray) -> FloatArray:
+    def interpolate_rotations(self, arc: FloatArray) -> FloatArray:
         """Return the rotations of the frame that follows the curve.
 
         Parameters
@@ -73,9 +73,9 @@ class Route:
         ndarray, shape (n, 3, 3)
             From the tip's body frame to the world frame.
         """
-        z = _interpolated(arc, self._arc, self._tangents)
+        z = _interpolate_columns(arc, self._arc, self._tangents)
         z /= np.linalg.norm(z, axis=1)[:, None]
-        x = _interpolated(arc, self._arc, self._sides)
+        x = _interpolate_columns(arc, self._arc, self._sides)
         x -= np.sum(x * z, axis=1)[:, None] * z
         x /= np.linalg.norm(x, axis=1)[:, None]
         return np.stack([x, np.cross(z, x), z], axis=2)
@@ -88,11 +88,11 @@ class Route:
         return 0.5 * (self._arc[1:] + self._arc[:-1]), turn / steps
 
 
-def _interpolated(arc: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+def _interpolate_columns(arc: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
     return np.stack([np.interp(arc, known, column) for column in values.T], axis=1)
 
 
-def _carried(places: FloatArray, tangents: FloatArray) -> FloatArray:
+def _transport_side_vectors(places: FloatArray, tangents: FloatArray) -> FloatArray:
     """Return side vectors (n, 3) that follow the tangents without rolling about them."""
     up = np.array([0.0, 0.0, 1.0])
     if abs(tangents[0, 2]) > STEEP:

@@ -39,12 +39,12 @@ MOMENT, REST_X, REST_Z, L0, THETA_MAX, OMEGA_SQUARED, FRICTION, ETA, RESTITUTION
 DEFLECTION, RATE, TIME, DRIVE = range(4)
 STATE_LENGTH = 4
 ON_AXIS = 1e-9  # m: radius below which the field has no radial part
-LIVE = 1e-5  # A: below it a coil moves nothing: its field is below 1e-8 T
-SILENT = 1e-12  # A: below it no sensor measures its field
+MIN_ACTUATION_CURRENT = 1e-5  # A: below it a coil moves nothing: its field is below 1e-8 T
+MIN_MEASURABLE_CURRENT = 1e-12  # A: below it no sensor measures its field
 
 
 @njit(cache=True, error_model="numpy")
-def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad, Quad]:
+def _find_cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad, Quad]:
     """Return the first coefficient of the cell that holds x, the four cubic B-spline weights and their derivatives.
 
     Beyond the table the outermost cell is used.
@@ -60,14 +60,14 @@ def _cell(x: float, origin: float, scale: float, count: int) -> tuple[int, Quad,
 
 
 @njit(cache=True, error_model="numpy")
-def _round_field(
+def _compute_round_field(
     x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray
 ) -> None:
     """Compute field (T per A) and gradient (T per (A·m)) of a round coil at a point, both in the coil's own frame."""
     radius = math.sqrt(x * x + y * y)
     n_heights = int(row[COUNTS + 1])
-    i, wr, dr = _cell(radius, row[ORIGIN], row[SCALE], int(row[COUNTS]))
-    j, wh, dh = _cell(z, row[ORIGIN + 1], row[SCALE], n_heights)
+    i, wr, dr = _find_cell(radius, row[ORIGIN], row[SCALE], int(row[COUNTS]))
+    j, wh, dh = _find_cell(z, row[ORIGIN + 1], row[SCALE], n_heights)
     start = int(row[OFFSET])
     br = bz = brr = brz = bzr = bzz = 0.0
     for p in range(4):
@@ -97,12 +97,14 @@ def _round_field(
 
 
 @njit(cache=True, error_model="numpy")
-def _flat_field(x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray) -> None:
+def _compute_flat_field(
+    x: float, y: float, z: float, row: FloatArray, table: FloatArray, b: FloatArray, g: FloatArray
+) -> None:
     """Compute field (T per A) and gradient (T per (A·m)) of a flat coil at a point, both in the coil's own frame."""
     ny, nz = int(row[COUNTS + 1]), int(row[COUNTS + 2])
-    i, wx, dx = _cell(x, row[ORIGIN], row[SCALE], int(row[COUNTS]))
-    j, wy, dy = _cell(y, row[ORIGIN + 1], row[SCALE], ny)
-    k, wz, dz = _cell(z, row[ORIGIN + 2], row[SCALE], nz)
+    i, wx, dx = _find_cell(x, row[ORIGIN], row[SCALE], int(row[COUNTS]))
+    j, wy, dy = _find_cell(y, row[ORIGIN + 1], row[SCALE], ny)
+    k, wz, dz = _find_cell(z, row[ORIGIN + 2], row[SCALE], nz)
     start = int(row[OFFSET])
     b[:] = 0.0
     g[:, :] = 0.0
@@ -122,28 +124,28 @@ def _flat_field(x: float, y: float, z: float, row: FloatArray, table: FloatArray
 
 
 @njit(cache=True, error_model="numpy")
-def coil_field(
+def compute_coil_field(
     point: FloatArray,
     row: FloatArray,
     table: FloatArray,
-    rotation: FloatArray,
+    rotation_result_to_world: FloatArray,
     b: FloatArray,
     g: FloatArray,
     work: FloatArray,
 ) -> None:
     """Compute field and gradient of one coil at a world point.
 
-    The result is in the frame whose axes are the columns of `rotation`.
+    The result is in the frame whose axes are the columns of `rotation_result_to_world`.
 
     Parameters
     ----------
     point : ndarray, shape (3,), in m
         World frame.
     row : ndarray, shape (22,)
-        The coil's row of `sim.tank.magnetics.coil_fields.CoilSet`.
+        The coil's row of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
     table : ndarray
-        The coefficients of `sim.tank.magnetics.coil_fields.CoilSet`.
-    rotation : ndarray, shape (3, 3)
+        The coefficients of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
+    rotation_result_to_world : ndarray, shape (3, 3)
         From the result's frame to the world frame; the identity for a result in the world frame.
     b : ndarray, shape (3,), in T per A
         Receives the field.
@@ -158,12 +160,16 @@ def coil_field(
         fx, fy, fz = row[FRAME + 3 * r], row[FRAME + 3 * r + 1], row[FRAME + 3 * r + 2]
         work[3, 1, r] = fx * dx + fy * dy + fz * dz
         for c in range(3):
-            turn[r, c] = fx * rotation[0, c] + fy * rotation[1, c] + fz * rotation[2, c]
+            turn[r, c] = (
+                fx * rotation_result_to_world[0, c]
+                + fy * rotation_result_to_world[1, c]
+                + fz * rotation_result_to_world[2, c]
+            )
     x, y, z = work[3, 1, 0], work[3, 1, 1], work[3, 1, 2]
     if row[KIND] == ROUND:
-        _round_field(x, y, z, row, table, own_b, own_g)
+        _compute_round_field(x, y, z, row, table, own_b, own_g)
     else:
-        _flat_field(x, y, z, row, table, own_b, own_g)
+        _compute_flat_field(x, y, z, row, table, own_b, own_g)
     gain = row[GAIN]
     for r in range(3):
         for c in range(3):
@@ -175,7 +181,7 @@ def coil_field(
 
 
 @njit(cache=True, error_model="numpy")
-def fields_at(points: FloatArray, rows: FloatArray, table: FloatArray) -> FloatArray:
+def compute_fields(points: FloatArray, rows: FloatArray, table: FloatArray) -> FloatArray:
     """Compute the field of every coil at world points.
 
     Parameters
@@ -183,7 +189,7 @@ def fields_at(points: FloatArray, rows: FloatArray, table: FloatArray) -> FloatA
     points : ndarray, shape (n, 3), in m
         World frame.
     rows, table : ndarray
-        Of `sim.tank.magnetics.coil_fields.CoilSet`.
+        Of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
 
     Returns
     -------
@@ -194,12 +200,12 @@ def fields_at(points: FloatArray, rows: FloatArray, table: FloatArray) -> FloatA
     g, world, work = np.empty((3, 3)), np.eye(3), np.empty((4, 3, 3))
     for c in range(len(rows)):
         for i in range(len(points)):
-            coil_field(points[i], rows[c], table, world, out[c, i], g, work)
+            compute_coil_field(points[i], rows[c], table, world, out[c, i], g, work)
     return out
 
 
 @njit(cache=True, error_model="numpy")
-def swing(
+def advance_cantilever(
     position: Triple,
     quaternion: Quad,
     device: FloatArray,
@@ -235,7 +241,7 @@ def swing(
     earth : ndarray, shape (3,), in T
         Uniform field, world frame.
     rows, table : ndarray
-        Of `sim.tank.magnetics.coil_fields.CoilSet`; as many rows as `circuits`.
+        Of `sim.tank.magnetics.compute_coil_fields.CoilSet`; as many rows as `circuits`.
     circuits, state : ndarray
         As laid out at the top of this file; `state` and the currents are advanced in place.
     poses : ndarray, shape (k, 7)
@@ -296,11 +302,16 @@ def swing(
             keep[c] = math.exp(-h / circuits[c, TIME_CONSTANT])
             # the amplifier compensates the attenuation by the coil
             gain[c] = math.sqrt(1.0 + (state[DRIVE] * circuits[c, TIME_CONSTANT]) ** 2)
-        if abs(circuits[c, CURRENT]) > LIVE or circuits[c, COMMAND] != 0.0 or circuits[c, SINE] != 0.0 or sounding:
-            coil_field(point, rows[c], table, rotation, b[n_live], g[n_live], work)
+        if (
+            abs(circuits[c, CURRENT]) > MIN_ACTUATION_CURRENT
+            or circuits[c, COMMAND] != 0.0
+            or circuits[c, SINE] != 0.0
+            or sounding
+        ):
+            compute_coil_field(point, rows[c], table, rotation, b[n_live], g[n_live], work)
             live[n_live] = c
             n_live += 1
-        elif abs(circuits[c, CURRENT]) > SILENT:
+        elif abs(circuits[c, CURRENT]) > MIN_MEASURABLE_CURRENT:
             idle[n_idle] = c
             n_idle += 1
         else:

@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lookup_tables.cache import default_cache_dir, keep, used
+from lookup_tables.cache import get_default_cache_dir, mark_used, write_to_cache
 from lookup_tables.coils import FlatCoil, RoundCoil
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
 
-FORMAT = 1  # of the cached coefficients
+CACHE_VERSION = 1  # of the cached coefficients
 ROUND, FLAT = 0.0, 1.0
-PAD = 4  # cells around the region asked for: the spline's end conditions decay there
+MARGIN_CELLS = 4  # cells around the region asked for: the spline's end conditions decay there
 REGION = 4  # cells to whose multiples a table's region is rounded: neighbouring regions share one table
 MARGIN = 4e-3  # m around the nominal region: more than any coil is displaced or tilted
 SAME_DIGITS = 9  # decimals, in m, to which points are compared: equal ones are computed once
@@ -42,7 +42,7 @@ class ShapeTable:
     Attributes
     ----------
     kind : float
-        ``ROUND``: axes (radius, height), values (radial, axial). ``FLAT``: axes and values (x, y, z).
+        ``MAX_RADIUS_ERROR``: axes (radius, height), values (radial, axial). ``MAX_CHORD_ERROR``: axes and values (x, y, z).
     origin : ndarray, shape (2,) or (3,), in m
     spacing : float, in m
     coefficients : ndarray, shape (*counts, 2) or (*counts, 3), in T per A
@@ -54,7 +54,7 @@ class ShapeTable:
     coefficients: FloatArray
 
 
-def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, spacing: float) -> ShapeTable:
+def load_shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, spacing: float) -> ShapeTable:
     """Tabulate a coil shape at the origin, with its axis along z; cached on disk.
 
     Parameters
@@ -78,20 +78,22 @@ def shape_table(coil: RoundCoil | FlatCoil, low: FloatArray, high: FloatArray, s
         kind, standing = ROUND, replace(coil, center=np.zeros(3), axis=up)
         reach = float(np.hypot(max(-low[0], high[0]), max(-low[1], high[1])))
         low, high = np.array([0.0, low[2]]), np.array([reach, high[2]])
-    first = np.floor(low / (REGION * spacing)) * REGION - PAD
-    last = np.ceil(high / (REGION * spacing)) * REGION + PAD
+    first = np.floor(low / (REGION * spacing)) * REGION - MARGIN_CELLS
+    last = np.ceil(high / (REGION * spacing)) * REGION + MARGIN_CELLS
     origin, counts = first * spacing, (last - first).astype(int) + 1
     axes = [o + spacing * np.arange(n) for o, n in zip(origin, counts, strict=True)]
-    path = _cache_path(standing.parameters() | {"name": ""}, origin, counts, spacing)
+    path = _make_cache_path(standing.parameters() | {"name": ""}, origin, counts, spacing)
     with suppress(OSError, ValueError, KeyError, EOFError):
-        return ShapeTable(kind, origin, spacing, _kept(path))
+        return ShapeTable(kind, origin, spacing, _load_coefficients(path))
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    coefficients = _coefficients(_round_values(standing, mesh) if kind == ROUND else _flat_values(standing, mesh))
-    keep(path, lambda name: np.save(name, coefficients))
+    coefficients = _fit_spline(
+        _sample_round_coil(standing, mesh) if kind == ROUND else _sample_flat_coil(standing, mesh)
+    )
+    write_to_cache(path, lambda name: np.save(name, coefficients))
     return ShapeTable(kind, origin, spacing, coefficients)
 
 
-def coil_frame(coil: RoundCoil | FlatCoil) -> FloatArray:
+def compute_coil_frame(coil: RoundCoil | FlatCoil) -> FloatArray:
     """Compute a coil's own axes in the world frame.
 
     Parameters
@@ -125,7 +127,7 @@ class CoilSet:
     coefficients: FloatArray
 
 
-def pack(
+def pack_coils(
     coils: tuple[RoundCoil | FlatCoil, ...],
     places: FloatArray,
     tilts: FloatArray,
@@ -155,7 +157,7 @@ def pack(
     """
     corners = np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
     frames = [
-        coil_frame(coil) @ matrix_from_quaternion(quaternion_from_rotation_vector(tilt)).T
+        compute_coil_frame(coil) @ matrix_from_quaternion(quaternion_from_rotation_vector(tilt)).T
         for coil, tilt in zip(coils, tilts, strict=True)
     ]
     shapes: dict[str, list[int]] = {}
@@ -166,11 +168,11 @@ def pack(
     blocks, offset = [], 0
     for members in shapes.values():
         # The region follows the nominal coils and a fixed margin: every seed uses the same table.
-        local = [(corners - np.asarray(coils[i].center)) @ coil_frame(coils[i]).T for i in members]
+        local = [(corners - np.asarray(coils[i].center)) @ compute_coil_frame(coils[i]).T for i in members]
         points = np.concatenate(local)
         flat = isinstance(coils[members[0]], FlatCoil)
         step = 2 * spacing if flat else spacing
-        table = shape_table(coils[members[0]], points.min(0) - MARGIN, points.max(0) + MARGIN, step)
+        table = load_shape_table(coils[members[0]], points.min(0) - MARGIN, points.max(0) + MARGIN, step)
         counts = np.ones(3)
         counts[: len(table.origin)] = table.coefficients.shape[:-1]
         origin = np.zeros(3)
@@ -183,14 +185,14 @@ def pack(
     return CoilSet(rows, np.concatenate(blocks) if blocks else np.zeros(1))
 
 
-def _round_values(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
+def _sample_round_coil(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
     radius, height = mesh[..., 0].ravel(), mesh[..., 1].ravel()
     field = coil.field(np.stack([np.abs(radius), np.zeros_like(radius), height], axis=1))
     radial = np.sign(radius) * field[:, 0]  # odd in the radius: the spline is smooth on the axis
     return np.stack([radial, field[:, 2]], axis=1).reshape(*mesh.shape[:2], 2)
 
 
-def _flat_values(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
+def _sample_flat_coil(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
     # Symmetric about both middle planes, so only a quarter is computed.
     points = np.abs(mesh.reshape(-1, 3))
     unique, back = np.unique(points.round(SAME_DIGITS), axis=0, return_inverse=True)
@@ -201,7 +203,7 @@ def _flat_values(coil: RoundCoil | FlatCoil, mesh: FloatArray) -> FloatArray:
     return out.reshape(mesh.shape)
 
 
-def _coefficients(values: FloatArray) -> FloatArray:
+def _fit_spline(values: FloatArray) -> FloatArray:
     from scipy.ndimage import spline_filter1d
 
     out = values
@@ -211,15 +213,15 @@ def _coefficients(values: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=8)
-def _kept(path: Path) -> FloatArray:
+def _load_coefficients(path: Path) -> FloatArray:
     """Read coefficients from the cache on disk, once per process; the array is read-only."""
     coefficients: FloatArray = np.load(path)
     coefficients.setflags(write=False)
-    used(path)
+    mark_used(path)
     return coefficients
 
 
-def _cache_path(parameters: dict[str, object], origin: FloatArray, counts: object, spacing: float) -> Path:
-    recipe = [FORMAT, parameters, origin.tolist(), np.asarray(counts).tolist(), spacing]
+def _make_cache_path(parameters: dict[str, object], origin: FloatArray, counts: object, spacing: float) -> Path:
+    recipe = [CACHE_VERSION, parameters, origin.tolist(), np.asarray(counts).tolist(), spacing]
     key = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()[:32]
-    return default_cache_dir() / f"tank-coil-{key}.npy"
+    return get_default_cache_dir() / f"tank-coil-{key}.npy"

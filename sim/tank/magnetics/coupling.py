@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.tank.magnetics.coil_fields import coil_frame
+from sim.tank.magnetics.coil_fields import compute_coil_frame
 from smolbot.core.arrays import FloatArray
 
 if TYPE_CHECKING:
     from lookup_tables import FlatCoil, RoundCoil
 
 MU_0 = 4e-7 * np.pi  # T·m/A
-SIDES = 64  # of the polygon for a round winding: 0.2 % from a circle
-CLOSEST = 5e-4  # m: radius of the wire; keeps the field inside a winding finite
+POLYGON_SIDES = 64  # of the polygon for a round winding: 0.2 % from a circle
+WIRE_RADIUS = 5e-4  # m: radius of the wire; keeps the field inside a winding finite
 
 
-def coil_to_sensor(
+def compute_coupling(
     coils: tuple[RoundCoil | FlatCoil, ...],
     places: FloatArray,
     rotations: FloatArray,
@@ -48,14 +48,14 @@ def coil_to_sensor(
     """
     out = np.zeros((len(coils), len(positions)))
     for c, coil in enumerate(coils) if len(positions) else ():
-        start, end, turns = _wires(coil)
-        frame = coil_frame(coil) @ rotations[c].T
+        start, end, turns = _list_wires(coil)
+        frame = compute_coil_frame(coil) @ rotations[c].T
         local = (positions - np.asarray(coil.center) - places[c]) @ frame.T
-        out[c] = gains[c] * np.einsum("ni,ni->n", wire_field(local, start, end, turns) @ frame, axes)
+        out[c] = gains[c] * np.einsum("ni,ni->n", compute_wire_field(local, start, end, turns) @ frame, axes)
     return out
 
 
-def wire_field(points: FloatArray, start: FloatArray, end: FloatArray, current: FloatArray) -> FloatArray:
+def compute_wire_field(points: FloatArray, start: FloatArray, end: FloatArray, current: FloatArray) -> FloatArray:
     """Compute the field of straight wires that carry a current.
 
         B = mu_0 I / (4 pi) * (a x b) (|a| + |b|) / (|a| |b| (|a| |b| + a . b))
@@ -79,11 +79,11 @@ def wire_field(points: FloatArray, start: FloatArray, end: FloatArray, current: 
     la, lb = np.linalg.norm(a, axis=2), np.linalg.norm(b, axis=2)
     product = la * lb
     below = product * (product + np.einsum("nmi,nmi->nm", a, b))
-    weight = MU_0 / (4 * np.pi) * current * (la + lb) / np.maximum(below, CLOSEST**2 * product)
+    weight = MU_0 / (4 * np.pi) * current * (la + lb) / np.maximum(below, WIRE_RADIUS**2 * product)
     return np.asarray(np.einsum("nm,nmi->ni", weight, np.cross(a, b)))
 
 
-def _wires(coil: RoundCoil | FlatCoil) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _list_wires(coil: RoundCoil | FlatCoil) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return starts, ends and ampere-turns of the wires of a coil at the origin with its axis along z."""
     from lookup_tables import FlatCoil
 
@@ -94,7 +94,7 @@ def _wires(coil: RoundCoil | FlatCoil) -> tuple[FloatArray, FloatArray, FloatArr
         heights, weights = np.polynomial.legendre.leggauss(coil.axial_loops)
         loops = [(corners, float(0.5 * coil.length * h), float(0.5 * w)) for h, w in zip(heights, weights, strict=True)]
     else:
-        angles = 2 * np.pi * np.arange(SIDES) / SIDES
+        angles = 2 * np.pi * np.arange(POLYGON_SIDES) / POLYGON_SIDES
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         loops = [(radius * circle, height, share) for radius, height, share in coil.loops()]
     starts, ends, currents = [], [], []

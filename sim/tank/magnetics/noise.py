@@ -15,7 +15,7 @@ DRIFT_PERIODS = (7.0, 17.0, 41.0)  # s: incommensurate, longer than any listenin
 CORNERS_PER_DECADE = 2  # processes whose sum is 1/f noise
 TOP_CORNER = 0.4  # highest of their corners, as a share of the bandwidth
 RATE_SHARE = 0.25  # highest bandwidth of the white noise, as a share of the sample rate
-SLOWEST = 0.01  # Hz: below it the 1/f noise is flat; in a window it is part of the unknown constant
+LOWEST_CORNER = 0.01  # Hz: below it the 1/f noise is flat; in a window it is part of the unknown constant
 STEPS_PER_TIME_CONSTANT = 4.0  # of a process; straight in between
 
 
@@ -127,8 +127,8 @@ class SensorNoise:
         self._rng, self._rate = rng, sample_rate
         top = min(bandwidth, RATE_SHARE * sample_rate)
         floor, excess = section.floor, section.at_1hz
-        count = max(int(CORNERS_PER_DECADE * math.log10(TOP_CORNER * top / SLOWEST)), 1) + 1
-        slow = SLOWEST * 10.0 ** (np.arange(count) / CORNERS_PER_DECADE)
+        count = max(int(CORNERS_PER_DECADE * math.log10(TOP_CORNER * top / LOWEST_CORNER)), 1) + 1
+        slow = LOWEST_CORNER * 10.0 ** (np.arange(count) / CORNERS_PER_DECADE)
         self._corners = np.concatenate([[top], slow])
         flicker = max(excess**2 - floor**2, 0.0) * math.log(10.0) / CORNERS_PER_DECADE
         variance = np.concatenate([[floor**2 * math.pi * top / 2], np.full(count, flicker)])
@@ -155,12 +155,12 @@ class SensorNoise:
         rates = 2 * math.pi * self._corners
         kept = np.exp(-rates * max(clock - self._clock, 0.0))[:, None]
         self._state = kept * self._state + np.sqrt(1 - kept**2) * self._rng.standard_normal(self._state.shape)
-        knots, total, decay = self._steps(n)
+        knots, total, decay = self._find_knots(n)
         draws = self._rng.standard_normal(total * len(signal), dtype=np.float32)
         _add_processes(signal, self._state, self._deviations, knots, decay, draws)
         self._clock = clock + n / self._rate
 
-    def _steps(self, n: int) -> tuple[npt.NDArray[np.int64], int, FloatArray]:
+    def _find_knots(self, n: int) -> tuple[npt.NDArray[np.int64], int, FloatArray]:
         """Return each process's number of knots in a window of `n` samples, their sum, and the decay between knots."""
         if n not in self._known:
             rates = 2 * math.pi * self._corners

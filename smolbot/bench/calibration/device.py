@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smolbot.config.device import Uncertainty
+from smolbot.config.device import DeviceUncertainty
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.results import Readable, as_columns
@@ -42,16 +42,16 @@ if TYPE_CHECKING:
     from smolbot.localization.device.ringdown import RingDownFit
     from smolbot.localization.device.thinning import Hum
 
-DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
+EXCITATION_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7), (0.7, -0.7))
 """Excitation mixes (x, y) tried in turn while the orientation is unknown."""
 
-HEARD = 20.0
+MIN_SNR = 20.0
 """Signal-to-noise ratio above which an oscillation can be measured."""
 
-FOLLOWS = 0.93
+MIN_PROPORTIONALITY = 0.93
 """Amplitude over the proportionally extrapolated one below which the stops are reached."""
 
-MODELS: tuple[DampingModel, DampingModel] = ("linear", "exponential")
+DAMPING_MODELS: tuple[DampingModel, DampingModel] = ("linear", "exponential")
 
 
 @dataclass(frozen=True)
@@ -60,19 +60,19 @@ class SweepPoint:
 
     Attributes
     ----------
-    driven : float, in Hz
+    driven_frequency : float, in Hz
         Frequency of the excitation.
-    heard : float, in Hz
+    measured_frequency : float, in Hz
         Measured frequency of the free oscillation.
-    heard_std : float, in Hz
+    measured_frequency_std : float, in Hz
         Its standard deviation.
     strength : float, in T
         Measured amplitude.
     """
 
-    driven: float
-    heard: float
-    heard_std: float
+    driven_frequency: float
+    measured_frequency: float
+    measured_frequency_std: float
     strength: float
 
 
@@ -96,7 +96,7 @@ class DrivePoint:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CalibrationPlan:
     """Settings of a calibration.
 
     Attributes
@@ -146,7 +146,7 @@ class Calibration(Readable):
         The calibrated device; moment and l0 are as believed (theta_max times moment is what is measured).
     std : Uncertainty
         Scatter over repeats, and for theta_max the height's uncertainty.
-    believed : Device
+    assumed : Device
     height : float, in m
         Of the rotation centre, as known to the operator.
     sweep, drives : tuple
@@ -163,8 +163,8 @@ class Calibration(Readable):
     """
 
     device: Device
-    std: Uncertainty
-    believed: Device
+    std: DeviceUncertainty
+    assumed: Device
     height: float
     sweep: tuple[SweepPoint, ...]
     drives: tuple[DrivePoint, ...]
@@ -189,7 +189,7 @@ def calibrate(
     device: Device,
     height: float,
     *,
-    plan: Plan | None = None,
+    plan: CalibrationPlan | None = None,
     hum: Hum | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Calibration:
@@ -223,7 +223,7 @@ def calibrate(
     """
     if not 0.005 < height < 1.0:
         raise InputError(f"height must be the known z of the device above the sensors, in m; got {height:g}.")
-    plan = plan or Plan()
+    plan = plan or CalibrationPlan()
     if plan.sweep_span >= 0.5 * device.frequency:
         raise InputError(
             f"Calibration sweep_span must be below half the believed frequency, {0.5 * device.frequency:g} Hz; "
@@ -236,9 +236,15 @@ class _Calibrator:
     """The four steps of a calibration; the estimates of `device` and pose improve from step to step."""
 
     def __init__(
-        self, rig: Rig, device: Device, height: float, plan: Plan, hum: Hum | None, tell: Callable[[str], None]
+        self,
+        rig: Rig,
+        device: Device,
+        height: float,
+        plan: CalibrationPlan,
+        hum: Hum | None,
+        tell: Callable[[str], None],
     ) -> None:
-        self.rig, self.believed, self.height, self.plan, self.hum, self.tell = rig, device, height, plan, hum, tell
+        self.rig, self.assumed, self.height, self.plan, self.hum, self.tell = rig, device, height, plan, hum, tell
         self.device = device
         self.ring_down = max(plan.ring_down, rig.limits.min_ring_down)
         most = rig.limits.max_excitation_current
@@ -253,16 +259,18 @@ class _Calibrator:
         fits, evidence = self.measure_damping()
         drives, reached = self.sweep_drive()
         largest = max(drives, key=lambda d: d.amplitude)
-        theta_max = largest.amplitude if reached else max(largest.amplitude, self.believed.theta_max)
+        theta_max = largest.amplitude if reached else max(largest.amplitude, self.assumed.theta_max)
         theta_std = float(np.hypot(largest.amplitude_std, 3.0 * self.plan.height_std / self.height * theta_max))
         frequencies = [(f.device.frequency, f.std["frequency"]) for f in fits]
         dampings = [(f.device.damping, f.std["damping"]) for f in fits]
-        frequency, frequency_std = weighted_mean(frequencies + [(p.heard, p.heard_std) for p in sweep])
-        damping, damping_std = weighted_mean(dampings)
+        frequency, frequency_std = compute_weighted_mean(
+            frequencies + [(p.measured_frequency, p.measured_frequency_std) for p in sweep]
+        )
+        damping, damping_std = compute_weighted_mean(dampings)
         found = replace(self.device, theta_max=theta_max, frequency=frequency, damping=damping)
-        std = Uncertainty(theta_std, frequency_std, damping_std)
+        std = DeviceUncertainty(theta_std, frequency_std, damping_std)
         return Calibration(
-            found, std, self.believed, self.height, tuple(sweep), tuple(drives), evidence, reached, self.shots
+            found, std, self.assumed, self.height, tuple(sweep), tuple(drives), evidence, reached, self.shots
         )
 
     def search(self) -> None:
@@ -270,42 +278,42 @@ class _Calibrator:
         self.tell("searching for the signal")
         best: tuple[float, Recording, RingDownFit] | None = None
         for current in (0.3 * self.max_current, self.max_current):
-            for direction in DIRECTIONS:
+            for direction in EXCITATION_DIRECTIONS:
                 heard = self.play(current * np.array(direction), self.device.frequency)
-                fit = self.ringing(heard, search=2.0 * self.plan.sweep_span)
+                fit = self.measure_ring_down(heard, search=2.0 * self.plan.sweep_span)
                 if best is None or fit.signal_to_noise > best[0]:
                     best = (fit.signal_to_noise, heard, fit)
-            if best is not None and best[0] > HEARD:
+            if best is not None and best[0] > MIN_SNR:
                 break
-        if best is None or best[0] < HEARD:
+        if best is None or best[0] < MIN_SNR:
             level = 0.0 if best is None else best[0]
             raise SignalLostError(
-                f"No excitation direction makes the device ring: signal to noise {level:.1f}, at least {HEARD:g} is "
+                f"No excitation direction makes the device ring: signal to noise {level:.1f}, at least {MIN_SNR:g} is "
                 f"needed, with up to {self.max_current:g} A at {self.device.frequency:g} Hz. Is it near the coils, and "
                 f"within {2.0 * self.plan.sweep_span:g} Hz of that frequency?",
                 signal_to_noise=level,
-                needed=HEARD,
+                needed=MIN_SNR,
             )
         _, heard, fit = best
         self.device = replace(self.device, frequency=fit.frequency, damping=fit.damping)
         pose = self.locate(heard)
         self.position = np.array([*pose.position[:2], self.height])
         self.orientation = np.array(pose.orientation)
-        self.take(self.fit(heard))
+        self.adopt_pose(self.fit(heard))
 
     def sweep_frequency(self) -> list[SweepPoint]:
         """Excite at a range of frequencies, and measure the frequency of the free oscillation after each."""
         points = []
         for offset in np.linspace(-self.plan.sweep_span, self.plan.sweep_span, self.plan.sweep_points):
-            driven = self.believed.frequency + float(offset)
+            driven = self.assumed.frequency + float(offset)
             self.tell(f"driving at {driven:.2f} Hz")
-            heard = self.play(self.mix() * self.gentle(), driven)
-            fit = self.ringing(heard, search=2.0)
-            if fit.signal_to_noise > HEARD:
+            heard = self.play(self.compute_mix() * self.compute_gentle_current(), driven)
+            fit = self.measure_ring_down(heard, search=2.0)
+            if fit.signal_to_noise > MIN_SNR:
                 points.append(SweepPoint(driven, fit.frequency, fit.frequency_std, fit.strength))
         if len(points) < 2:
             raise SignalLostError("The device was heard in fewer than two bursts of the frequency sweep.")
-        frequency, _ = weighted_mean([(p.heard, p.heard_std) for p in points])
+        frequency, _ = compute_weighted_mean([(p.measured_frequency, p.measured_frequency_std) for p in points])
         self.device = replace(self.device, frequency=frequency)
         return points
 
@@ -314,46 +322,48 @@ class _Calibrator:
         heard = []
         for i in range(self.plan.repeats):
             self.tell(f"listening to the decay, {i + 1} of {self.plan.repeats}")
-            heard.append(self.play(self.mix() * self.gentle(), self.device.frequency))
-            self.take(self.fit(heard[-1]))
+            heard.append(self.play(self.compute_mix() * self.compute_gentle_current(), self.device.frequency))
+            self.adopt_pose(self.fit(heard[-1]))
         fits: dict[DampingModel, list[DeviceFit]] = {}
-        for model in MODELS:
-            start = replace(self.device, damping=self.ringing(heard[0], 1.0, model).damping, damping_model=model)
+        for model in DAMPING_MODELS:
+            start = replace(
+                self.device, damping=self.measure_ring_down(heard[0], 1.0, model).damping, damping_model=model
+            )
             fits[model] = [self.fit(recording, start) for recording in heard]
-        bic = {m: sum(f.n_data * float(np.log(f.sse / f.n_data)) for f in fits[m]) for m in MODELS}
-        chosen = min(MODELS, key=bic.__getitem__)
+        bic = {m: sum(f.n_data * float(np.log(f.sse / f.n_data)) for f in fits[m]) for m in DAMPING_MODELS}
+        chosen = min(DAMPING_MODELS, key=bic.__getitem__)
         evidence = abs(bic["linear"] - bic["exponential"])  # as many parameters in either
-        damping, _ = weighted_mean([(f.device.damping, f.std["damping"]) for f in fits[chosen]])
-        frequency, _ = weighted_mean([(f.device.frequency, f.std["frequency"]) for f in fits[chosen]])
+        damping, _ = compute_weighted_mean([(f.device.damping, f.std["damping"]) for f in fits[chosen]])
+        frequency, _ = compute_weighted_mean([(f.device.frequency, f.std["frequency"]) for f in fits[chosen]])
         self.device = replace(self.device, damping=damping, frequency=frequency, damping_model=chosen)
         return fits[chosen], evidence
 
     def sweep_drive(self) -> tuple[list[DrivePoint], bool]:
         """Measure amplitude against current: coarsely until it no longer grows, then finely around there."""
-        current = 0.25 * self.gentle()
-        coarse = [self.drive_point(current, 1)]
+        current = 0.25 * self.compute_gentle_current()
+        coarse = [self.measure_drive_point(current, 1)]
         while current < self.max_current * (1.0 - 1e-9):
             current = min(1.25 * current, self.max_current)
-            coarse.append(self.drive_point(current, 1))
-            if coarse[-1].amplitude < 0.8 * proportional(coarse, current):
+            coarse.append(self.measure_drive_point(current, 1))
+            if coarse[-1].amplitude < 0.8 * extrapolate_amplitude(coarse, current):
                 break
-        reached = coarse[-1].amplitude < FOLLOWS * proportional(coarse, coarse[-1].current)
+        reached = coarse[-1].amplitude < MIN_PROPORTIONALITY * extrapolate_amplitude(coarse, coarse[-1].current)
         if not reached:
             return coarse, False
         knee = max(coarse, key=lambda d: d.amplitude).current
         fine = [
-            self.drive_point(c, max(self.plan.repeats // 2, 2))
+            self.measure_drive_point(c, max(self.plan.repeats // 2, 2))
             for c in np.minimum(knee * np.linspace(0.84, 1.24, 11), self.max_current)
         ]
         return coarse[:1] + fine, True
 
-    def drive_point(self, current: float, repeats: int) -> DrivePoint:
+    def measure_drive_point(self, current: float, repeats: int) -> DrivePoint:
         """Measure the mean amplitude at the end of bursts of `current` A, with frequency and damping known."""
         self.tell(f"driving with {current:.2f} A")
         amplitudes = []
         for _ in range(repeats):
-            fit = self.fit(self.play(self.mix() * current, self.device.frequency), known_time=True)
-            self.take(fit)
+            fit = self.fit(self.play(self.compute_mix() * current, self.device.frequency), known_time=True)
+            self.adopt_pose(fit)
             amplitudes.append(fit.amplitude)
         scatter = float(np.std(amplitudes, ddof=1) / np.sqrt(repeats)) if repeats > 1 else 0.0
         return DrivePoint(float(current), float(np.mean(amplitudes)), max(scatter, fit.std["amplitude"] / repeats**0.5))
@@ -375,30 +385,32 @@ class _Calibrator:
             raise SignalLostError("The rig returned no recording for a shot that listens.")
         return heard
 
-    def ringing(self, heard: Recording, search: float, model: DampingModel | None = None) -> RingDownFit:
-        from smolbot.localization.device.ringdown import measure
+    def measure_ring_down(self, recording: Recording, search: float, model: DampingModel | None = None) -> RingDownFit:
+        from smolbot.localization.device.ringdown import measure_ring_down
 
-        return measure(heard, self.rig.sensors, self.device, hum=self.hum, search=search, damping_model=model)
+        return measure_ring_down(
+            recording, self.rig.sensors, self.device, hum=self.hum, search=search, damping_model=model
+        )
 
-    def fit(self, heard: Recording, device: Device | None = None, *, known_time: bool = False) -> DeviceFit:
+    def fit(self, recording: Recording, device: Device | None = None, *, known_time: bool = False) -> DeviceFit:
         from smolbot.localization.device.fit import fit_device
 
         return fit_device(
-            heard, self.rig.sensors, device or self.device, self.position, self.orientation,
+            recording, self.rig.sensors, device or self.device, self.position, self.orientation,
             fix_time=known_time, hum=self.hum,
         )  # fmt: skip
 
-    def take(self, fit: DeviceFit) -> None:
+    def adopt_pose(self, fit: DeviceFit) -> None:
         """Use the pose of a fit from now on; a free device turns and drifts a little between shots."""
         self.position, self.orientation = fit.position, fit.orientation
 
-    def locate(self, heard: Recording) -> Pose:
+    def locate(self, recording: Recording) -> Pose:
         """Locate without a prior in the first periods of a recording, allowing larger amplitudes than assumed."""
         from smolbot.localization.localizer import Localizer
 
         loose = replace(self.device, theta_max=min(1.6 * self.device.theta_max, 1.0))
-        n = round(6 * heard.sample_rate / (2.0 * self.device.frequency))
-        first = replace(heard, field=heard.field[:, :n])
+        n = round(6 * recording.sample_rate / (2.0 * self.device.frequency))
+        first = replace(recording, field=recording.field[:, :n])
         pose = Localizer(sensors=self.rig.sensors, device=loose).locate(first)
         if not pose.trusted:
             raise SignalLostError(
@@ -407,7 +419,7 @@ class _Calibrator:
             )
         return pose
 
-    def mix(self) -> FloatArray:
+    def compute_mix(self) -> FloatArray:
         """Compute the excitation mix for the estimated orientation; the largest share is 1.
 
         By Eq. S1, only the torque about y excites the device.
@@ -425,21 +437,21 @@ class _Calibrator:
         mixed: FloatArray = useful / largest
         return mixed
 
-    def gentle(self) -> float:
+    def compute_gentle_current(self) -> float:
         """Compute the current in A that should reach two thirds of the assumed stop, without impacts."""
-        from smolbot.core.drive import amplitude_after
+        from smolbot.core.drive import compute_amplitude_after_burst
         from smolbot.core.rotations import matrix_from_quaternion
-        from smolbot.motion.robot import magnet_inertia
+        from smolbot.motion.robot import compute_magnet_inertia
 
         fields = self.rig.excitation_field(self.position)
         direction = matrix_from_quaternion(self.orientation) @ self.device.drive_direction_in_body
-        per_ampere = abs(float(fields @ direction @ self.mix()))
-        inertia = magnet_inertia(self.device.moment, self.device.l0)
-        amplitude = amplitude_after(per_ampere, self.device, inertia, self.plan.cycles)
-        return min(0.67 * self.believed.theta_max / max(amplitude, 1e-9), self.max_current)
+        per_ampere = abs(float(fields @ direction @ self.compute_mix()))
+        inertia = compute_magnet_inertia(self.device.moment, self.device.l0)
+        amplitude = compute_amplitude_after_burst(per_ampere, self.device, inertia, self.plan.cycles)
+        return min(0.67 * self.assumed.theta_max / max(amplitude, 1e-9), self.max_current)
 
 
-def proportional(points: Sequence[DrivePoint], current: float) -> float:
+def extrapolate_amplitude(points: Sequence[DrivePoint], current: float) -> float:
     """Extrapolate the amplitude to a current, as proportional to the lower half of the points so far.
 
     Parameters
@@ -456,7 +468,7 @@ def proportional(points: Sequence[DrivePoint], current: float) -> float:
     return slope * current
 
 
-def weighted_mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
+def compute_weighted_mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Compute the mean weighted by inverse variance, and its standard deviation.
 
     The standard deviation is enlarged if the values scatter more than their own deviations explain.
@@ -473,7 +485,7 @@ def weighted_mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
     Examples
     --------
-    >>> mean, std = weighted_mean([(1.0, 0.1), (1.2, 0.1)])
+    >>> mean, std = compute_weighted_mean([(1.0, 0.1), (1.2, 0.1)])
     >>> print(round(mean, 3), round(std, 3))
     1.1 0.1
     """

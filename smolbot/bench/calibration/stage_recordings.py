@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smolbot.bench.calibration.device import HEARD, weighted_mean
-from smolbot.config.known_track import planned_track, read_track, write_track
-from smolbot.config.samples import read_samples, recordings_from
+from smolbot.bench.calibration.device import MIN_SNR, compute_weighted_mean
+from smolbot.config.known_track import plan_track, read_known_track, write_known_track
+from smolbot.config.samples import make_recordings, read_samples
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device, Recording
-from smolbot.errors import InputError, writing
+from smolbot.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 HALF_PERIODS = 20
 """Length of a recording on a rig's own stage, in half-periods."""
 
-SPAN = 3.0
+SEARCH_SPAN = 3.0
 """Half width, in Hz, of the search for the resonance about the assumed frequency."""
 
-LEAST = 11
+MIN_RECORDINGS = 11
 """Smallest number of recordings for calibration and held-out check together."""
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownRecording:
     """One recording at a known pose.
 
     Attributes
@@ -49,7 +49,7 @@ class Known:
     note: str = ""
 
 
-def from_files(track: Path, samples: Path | None, rig: RigConfig) -> list[Known]:
+def read_known_recordings(track: Path, samples: Path | None, rig: RigConfig) -> list[KnownRecording]:
     """Read a lab's own recordings; rows of the track that name the same file take its shots in order.
 
     Parameters
@@ -69,7 +69,7 @@ def from_files(track: Path, samples: Path | None, rig: RigConfig) -> list[Known]
     InputError
         If track or samples cannot be read, a row has no samples, or a file has another number of shots than rows.
     """
-    known = read_track(track)
+    known = read_known_track(track)
     rows: dict[Path, list[Pose]] = {}
     for row, (file, pose) in enumerate(zip(known.files, known.poses, strict=True), 1):
         chosen = file or samples
@@ -78,17 +78,19 @@ def from_files(track: Path, samples: Path | None, rig: RigConfig) -> list[Known]
         rows.setdefault(chosen, []).append(pose)
     found = []
     for file, poses in rows.items():
-        shots = recordings_from(read_samples(file), rig)
+        shots = make_recordings(read_samples(file), rig)
         if len(shots.recordings) != len(poses):
             raise InputError(
                 f"{track}: {len(poses)} rows, but {file} holds {len(shots.recordings)} shots; each row needs its own."
             )
         for number, heard in enumerate(zip(shots.recordings, poses, shots.notes, strict=True)):
-            found.append(Known(f"{file.name}, shot {number}", *heard))
+            found.append(KnownRecording(f"{file.name}, shot {number}", *heard))
     return found
 
 
-def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path | None) -> list[Known]:
+def record_on_stage(
+    rig: RigConfig, device: Device, count: int, seed: int, save_to: Path | None
+) -> list[KnownRecording]:
     """Record on the stage of the rig's world.
 
     Parameters
@@ -99,7 +101,7 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
         Number of poses.
     seed : int
         Of a simulated stage.
-    keep : Path or None
+    save_to : Path or None
         New folder in which to save track and samples; None to save nothing.
 
     Returns
@@ -114,8 +116,8 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
     from smolbot.config.plugins import load_world
     from smolbot.config.world import StagedWorld
 
-    if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
-        raise InputError(f"--keep {keep}: must be a new or empty folder, so that no recording is lost.")
+    if save_to is not None and save_to.exists() and (not save_to.is_dir() or any(save_to.iterdir())):
+        raise InputError(f"--keep {save_to}: must be a new or empty folder, so that no recording is lost.")
     world = load_world(rig.world, rig.document)
     if not isinstance(world, StagedWorld):
         raise InputError(
@@ -123,17 +125,17 @@ def on_stage(rig: RigConfig, device: Device, count: int, seed: int, keep: Path |
         )
     box = rig.container
     stage = world.stage(rig, device, seed)
-    track = planned_track(box.low, box.high + np.array([0.0, 0.0, box.wall_height]), count)
+    track = plan_track(box.low, box.high + np.array([0.0, 0.0, box.wall_height]), count)
     heard = [stage.record(p.position, np.array(p.orientation), HALF_PERIODS) for p in track]
-    if keep is not None:
-        _keep(keep, track, heard, rig)
-    return [Known(f"pose {i}", h, p) for i, (h, p) in enumerate(zip(heard, track, strict=True))]
+    if save_to is not None:
+        _save(save_to, track, heard, rig)
+    return [KnownRecording(f"pose {i}", h, p) for i, (h, p) in enumerate(zip(heard, track, strict=True))]
 
 
-def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfig) -> None:
+def _save(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfig) -> None:
     """Write track and samples in the format of a lab's own files."""
     scale = rig.sections.sensors.volts_per_tesla
-    with writing(f"--keep {folder}"):
+    with report_write_errors(f"--keep {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(
             folder / "samples.npz",
@@ -142,10 +144,12 @@ def _keep(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfi
             time_since_drive_ms=[1e3 * h.time_since_drive for h in heard],
             clock_s=[h.clock for h in heard],
         )
-    write_track(folder / "track.csv", track, ["samples.npz"] * len(track))
+    write_known_track(folder / "track.csv", track, ["samples.npz"] * len(track))
 
 
-def ringing(shots: list[Known], rig: RigConfig, device: Device, hum: Hum) -> tuple[list[Known], Device, list[str]]:
+def select_ringing(
+    shots: list[KnownRecording], rig: RigConfig, device: Device, hum: Hum
+) -> tuple[list[KnownRecording], Device, list[str]]:
     """Select the recordings in which the device oscillates, and estimate its resonance and damping.
 
     Both are those of the device as it is mounted, in the field of the room now.
@@ -172,23 +176,25 @@ def ringing(shots: list[Known], rig: RigConfig, device: Device, hum: Hum) -> tup
     InputError
         If too few are left.
     """
-    from smolbot.localization.device.ringdown import measure
+    from smolbot.localization.device.ringdown import measure_ring_down
 
     used, heard, left_out = [], [], []
     for shot in shots:
         try:
-            rang = measure(shot.recording, rig.sensors, device, hum=hum, search=SPAN)
+            rang = measure_ring_down(shot.recording, rig.sensors, device, hum=hum, search=SEARCH_SPAN)
         except InputError as error:
             left_out.append(f"{shot.name}: left out: {error}")
             continue
-        if rang.signal_to_noise < HEARD:
+        if rang.signal_to_noise < MIN_SNR:
             left_out.append(f"{shot.name}: left out: nothing rings (signal to noise {rang.signal_to_noise:.1f})")
             continue
         used.append(shot)
         heard.append(rang)
-    if len(used) < LEAST:
+    if len(used) < MIN_RECORDINGS:
         why = "".join(f"\n{line}" for line in left_out[:10])
-        raise InputError(f"{len(used)} of {len(shots)} recordings can be used; at least {LEAST} are needed.{why}")
-    frequency, _ = weighted_mean([(r.frequency, r.frequency_std) for r in heard])
-    damping, _ = weighted_mean([(r.damping, r.damping_std) for r in heard])
+        raise InputError(
+            f"{len(used)} of {len(shots)} recordings can be used; at least {MIN_RECORDINGS} are needed.{why}"
+        )
+    frequency, _ = compute_weighted_mean([(r.frequency, r.frequency_std) for r in heard])
+    damping, _ = compute_weighted_mean([(r.damping, r.damping_std) for r in heard])
     return used, replace(device, frequency=frequency, damping=damping), left_out

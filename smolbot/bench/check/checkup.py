@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smolbot.bench.check.byhand import by_hand
-from smolbot.bench.check.coils import FEWEST, CoilCheck, check_coils
-from smolbot.bench.check.hum import SHORTEST, Hum, measure_hum
+from smolbot.bench.check.coils import MIN_SENSORS, CoilCheck, check_coils
+from smolbot.bench.check.manual_checks import by_hand
+from smolbot.bench.check.sensor_noise import MIN_DURATION, SensorNoise, measure_sensor_noise
 from smolbot.core.coil_probe import Prober
 from smolbot.core.rig import Checkable, CheckItem, Rig
 from smolbot.core.sensing import Recording
@@ -21,14 +21,14 @@ from smolbot.errors import InputError
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
 
-FLOOR_TIMES, SLOW_TIMES, HUM_TIMES = 1.5, 3.0, 2.0
+MAX_FLOOR_RATIO, MAX_SLOW_RATIO, MAX_MAINS_RATIO = 1.5, 3.0, 2.0
 """Highest allowed ratio to the rig file's values: noise floor; noise at 1 Hz, which varies by a third in a few
 recordings; mains."""
 
-QUIET_SHARE = 0.2
+MIN_FLOOR_RATIO = 0.2
 """A sensor whose noise floor is below this share of the expected one is dead."""
 
-OFFSET_SHARE = 0.5
+MAX_OFFSET_SHARE = 0.5
 """Highest allowed share of the range for a static field; the rest is for the signals."""
 
 
@@ -68,7 +68,7 @@ class SensorCheck:
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedNoise:
     """Values that the rig file predicts for a sensor; the limits are multiples of them.
 
     Attributes
@@ -104,7 +104,7 @@ class Checkup:
         Empty if the rig cannot measure its own coils.
     expected : Expected
     mains_frequency : float, in Hz
-    by_hand : tuple of str
+    manual_checks : tuple of str
         What only a person can verify.
     simulated : bool
         Whether the world is simulated, so that a person has nothing to verify.
@@ -115,9 +115,9 @@ class Checkup:
     devices: tuple[CheckItem, ...]
     sensors: tuple[SensorCheck, ...]
     coils: tuple[CoilCheck, ...]
-    expected: Expected
+    expected: ExpectedNoise
     mains_frequency: float
-    by_hand: tuple[str, ...]
+    manual_checks: tuple[str, ...]
     simulated: bool
     notes: tuple[str, ...] = field(default=())
 
@@ -138,7 +138,9 @@ class Checkup:
         return not self.faults
 
 
-def check_rig(rig: Rig, config: RigConfig, quiet: float = 12.0, say: Callable[[str], None] = lambda _: None) -> Checkup:
+def check_rig(
+    rig: Rig, config: RigConfig, noise_duration: float = 12.0, report: Callable[[str], None] = lambda _: None
+) -> Checkup:
     """Check an open rig, and leave it as it was.
 
     Parameters
@@ -146,9 +148,9 @@ def check_rig(rig: Rig, config: RigConfig, quiet: float = 12.0, say: Callable[[s
     rig : Rig
     config : RigConfig
         The rig file that it is compared with.
-    quiet : float, in s
+    noise_duration : float, in s
         How long to record background noise, in all.
-    say : callable
+    report : callable
         Called with a sentence on each step.
 
     Returns
@@ -163,27 +165,27 @@ def check_rig(rig: Rig, config: RigConfig, quiet: float = 12.0, say: Callable[[s
         As `Rig.play`.
     """
     devices = tuple(rig.checks()) if isinstance(rig, Checkable) else ()
-    say(f"listening to nothing for {quiet:g} s")
+    report(f"listening to nothing for {noise_duration:g} s")
     noise = config.sections.noise
-    recordings = _listen(rig, quiet, noise.mains_hz)
-    hum = measure_hum(recordings, noise.mains_hz, rig.sensors.bandwidth)
-    expected = _expected(config)
-    faults = _hum_faults(hum, expected)
+    recordings = _record_noise(rig, noise_duration, noise.mains_hz)
+    hum = measure_sensor_noise(recordings, noise.mains_hz, rig.sensors.bandwidth)
+    expected = _predict_noise(config)
+    faults = _find_noise_faults(hum, expected)
     usable = np.array([not any("dead" in f or "saturated" in f for f in of_one) for of_one in faults])
     coils: tuple[CoilCheck, ...] = ()
     gains: list[float | None] = [None] * len(rig.sensors)
     notes: list[str] = []
     if not isinstance(rig, Prober):
         notes.append("This rig cannot hear its own coils while they are driven: coils and relays were not checked.")
-    elif usable.sum() < FEWEST:
-        notes.append(f"Fewer than {FEWEST} sensors can be relied on: coils and relays were not checked.")
+    elif usable.sum() < MIN_SENSORS:
+        notes.append(f"Fewer than {MIN_SENSORS} sensors can be relied on: coils and relays were not checked.")
     else:
-        coils, heard = check_coils(rig, config, usable, expected.range, say)
+        coils, heard = check_coils(rig, config, usable, expected.range, report)
         for number, likeness in enumerate(heard):
             gains[number] = likeness.gain
             if likeness.fault and usable[number]:
                 faults[number].append(likeness.fault)
-    names = _sensor_names(config, len(rig.sensors))
+    names = _format_sensor_names(config, len(rig.sensors))
     sensors = tuple(
         SensorCheck(
             names[k], float(hum.offset[k]), float(hum.rms[k]), float(hum.slow[k]), float(hum.floor[k]),
@@ -197,11 +199,11 @@ def check_rig(rig: Rig, config: RigConfig, quiet: float = 12.0, say: Callable[[s
     )  # fmt: skip
 
 
-def _listen(rig: Rig, quiet: float, mains: float) -> list[Recording]:
-    if not quiet >= SHORTEST:
-        raise InputError(f"A check listens to nothing for at least {SHORTEST:g} s; got {quiet:g} s.")
-    count = max(math.ceil(quiet / rig.limits.max_listen - 1e-9), 1)
-    half_periods = max(round(2 * mains * min(quiet / count, rig.limits.max_listen) - 0.5 + 1e-9), 1)
+def _record_noise(rig: Rig, duration: float, mains: float) -> list[Recording]:
+    if not duration >= MIN_DURATION:
+        raise InputError(f"A check listens to nothing for at least {MIN_DURATION:g} s; got {duration:g} s.")
+    count = max(math.ceil(duration / rig.limits.max_listen - 1e-9), 1)
+    half_periods = max(round(2 * mains * min(duration / count, rig.limits.max_listen) - 0.5 + 1e-9), 1)
     heard: list[Recording] = []
     for _ in range(count):
         recording = rig.play(Shot((Listen(half_periods, mains),), "quiet", rig.now()))
@@ -210,11 +212,11 @@ def _listen(rig: Rig, quiet: float, mains: float) -> list[Recording]:
     return heard
 
 
-def _expected(config: RigConfig) -> Expected:
+def _predict_noise(config: RigConfig) -> ExpectedNoise:
     noise, sensors = config.sections.noise, config.sections.sensors
     reach = float(np.linalg.norm(config.sensors.positions - config.sensors.positions.mean(axis=0), axis=1).max())
     mains = noise.mains + noise.mains_gradient * reach
-    return Expected(
+    return ExpectedNoise(
         slow=max(noise.at_1hz, noise.floor),
         floor=noise.floor,
         mains=mains,
@@ -223,30 +225,30 @@ def _expected(config: RigConfig) -> Expected:
     )
 
 
-def _hum_faults(hum: Hum, expected: Expected) -> list[list[str]]:
+def _find_noise_faults(hum: SensorNoise, expected: ExpectedNoise) -> list[list[str]]:
     found: list[list[str]] = [[] for _ in hum.floor]
     for k, faults in enumerate(found):
         if hum.span[k] == 0.0:
             faults.append("dead: every sample is the same")
-        elif hum.floor[k] < QUIET_SHARE * expected.floor:
+        elif hum.floor[k] < MIN_FLOOR_RATIO * expected.floor:
             faults.append(f"dead: {1e12 * hum.floor[k]:.2g} pT/√Hz is less than a working one's noise")
         if hum.saturated[k]:
             faults.append("saturated")
-        if abs(hum.offset[k]) > OFFSET_SHARE * expected.range:
+        if abs(hum.offset[k]) > MAX_OFFSET_SHARE * expected.range:
             share = 100 * abs(hum.offset[k]) / expected.range
             faults.append(f"offset takes {share:.0f} % of its range")
         for what, value, should, times, scale, unit in (
-            ("noise floor", hum.floor[k], expected.floor, FLOOR_TIMES, 1e12, "pT/√Hz"),
-            ("noise at 1 Hz", hum.slow[k], expected.slow, SLOW_TIMES, 1e12, "pT/√Hz"),
-            ("mains", hum.mains[k], expected.mains, HUM_TIMES, 1e9, "nT"),
-            ("harmonics", float(np.linalg.norm(hum.harmonics[k])), expected.harmonics, HUM_TIMES, 1e9, "nT"),
+            ("noise floor", hum.floor[k], expected.floor, MAX_FLOOR_RATIO, 1e12, "pT/√Hz"),
+            ("noise at 1 Hz", hum.slow[k], expected.slow, MAX_SLOW_RATIO, 1e12, "pT/√Hz"),
+            ("mains", hum.mains[k], expected.mains, MAX_MAINS_RATIO, 1e9, "nT"),
+            ("harmonics", float(np.linalg.norm(hum.harmonics[k])), expected.harmonics, MAX_MAINS_RATIO, 1e9, "nT"),
         ):
             if should > 0 and value > times * should:
                 faults.append(f"{what} {scale * value:.3g} {unit}, {value / should:.1f} times what is expected")
     return found
 
 
-def _sensor_names(config: RigConfig, count: int) -> list[str]:
+def _format_sensor_names(config: RigConfig, count: int) -> list[str]:
     inputs = config.raw_section("bench").get("inputs", {}).get("channels", [])
     if len(inputs) != count:
         return [str(k) for k in range(count)]

@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from smolbot.bench.check.edges import Edges, find_edges
-from smolbot.bench.check.prediction import predict
-from smolbot.bench.check.wiring import Likeness, match
+from smolbot.bench.check.prediction import predict_responses
+from smolbot.bench.check.response_match import ResponseMatch, match_responses
 from smolbot.core.arrays import BoolArray
 from smolbot.core.coil_probe import Probe, Prober
 
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
 
-FEWEST = 3
+MIN_SENSORS = 3
 """Smallest number of sensors by which the field patterns of coils can be distinguished."""
 
 PROBE_SHARE = 0.6
 """Share of the range that a probe reaches in the sensor with the largest signal."""
 
-LATE = 0.5e-3
+RELAY_TOLERANCE = 0.5e-3
 """Seconds by which a relay may be later than the rig file specifies; edges are timed to about 0.02 ms."""
 
-SLOW_TOLERANCE = 0.3
+TIME_CONSTANT_TOLERANCE = 0.3
 """Relative tolerance of a coil's time constant."""
 
 
@@ -73,8 +73,8 @@ class CoilCheck:
 
 
 def check_coils(
-    rig: Prober, config: RigConfig, usable: BoolArray, full: float, say: Callable[[str], None]
-) -> tuple[tuple[CoilCheck, ...], list[Likeness]]:
+    rig: Prober, config: RigConfig, usable: BoolArray, sensor_range: float, report: Callable[[str], None]
+) -> tuple[tuple[CoilCheck, ...], list[ResponseMatch]]:
     """Probe every coil in turn.
 
     Parameters
@@ -83,9 +83,9 @@ def check_coils(
     config : RigConfig
     usable : ndarray of bool, shape (n_sensors,)
         Sensors that work.
-    full : float, in T
+    sensor_range : float, in T
         Measuring range of the sensors.
-    say : callable
+    report : callable
         Called with a sentence on each step.
 
     Returns
@@ -94,20 +94,20 @@ def check_coils(
     sensors : list of Likeness
         Response of each sensor to all coils, compared with its prediction.
     """
-    prediction = predict(config)
+    prediction = predict_responses(config)
     lag = 1.0 / (2 * math.pi * config.sensors.bandwidth) if np.isfinite(config.sensors.bandwidth) else 0.0
     currents: list[float] = []
     probes: list[Probe] = []
     for name, row in zip(prediction.names, prediction.response, strict=True):
-        say(f"driving {name} faintly")
-        currents.append(min(PROBE_SHARE * full / float(np.abs(row).max()), _most(config, name)))
+        report(f"driving {name} faintly")
+        currents.append(min(PROBE_SHARE * sensor_range / float(np.abs(row).max()), _get_max_current(config, name)))
         probes.append(rig.probe(name, currents[-1]))
     overdriven = np.array([probe.recording.saturated & usable for probe in probes])
     clear = usable & ~overdriven.any(axis=0)
-    trusted = clear if clear.sum() >= FEWEST else usable
+    trusted = clear if clear.sum() >= MIN_SENSORS else usable
     edges = [find_edges(probe, current, lag, trusted) for probe, current in zip(probes, currents, strict=True)]
-    measured = np.array([edge.response if edge.heard else np.zeros_like(edge.response) for edge in edges])
-    found, sensors = match(measured, prediction.response, prediction.names, trusted, prediction.spread)
+    measured = np.array([edge.response if edge.detected else np.zeros_like(edge.response) for edge in edges])
+    found, sensors = match_responses(measured, prediction.response, prediction.names, trusted, prediction.spread)
     coils = []
     for k, (likeness, edge, probe) in enumerate(zip(found, edges, probes, strict=True)):
         constant = prediction.constants[k]
@@ -123,32 +123,32 @@ def check_coils(
                 time_constant=constant,
                 close_limit=probe.close_limit,
                 open_limit=probe.open_limit,
-                faults=tuple(_faults(likeness, edge, probe, constant, bool(overdriven[k].any()))),
+                faults=tuple(_find_faults(likeness, edge, probe, constant, bool(overdriven[k].any()))),
             )
         )
     return tuple(coils), sensors
 
 
-def _faults(likeness: Likeness, edge: Edges, probe: Probe, constant: float, over: bool) -> list[str]:
+def _find_faults(likeness: ResponseMatch, edge: Edges, probe: Probe, constant: float, overdriven: bool) -> list[str]:
     found = []
     if likeness.fault:
         found.append(likeness.fault)
-    elif over:  # where a coil is another one, that is why
+    elif overdriven:  # where a coil is another one, that is why
         found.append("saturates sensors at its probe's current")
-    if not edge.heard:
+    if not edge.detected:
         return found
     for what, time, limit in (("comes", edge.closes, probe.close_limit), ("goes", edge.opens, probe.open_limit)):
         if time is None:
             found.append(f"its field never {what}")
-        elif time > limit + LATE:
-            found.append(f"its field {what} {1e3 * time:.1f} ms late, limit {1e3 * (limit + LATE):.1f} ms")
-        elif time < -LATE:
+        elif time > limit + RELAY_TOLERANCE:
+            found.append(f"its field {what} {1e3 * time:.1f} ms late, limit {1e3 * (limit + RELAY_TOLERANCE):.1f} ms")
+        elif time < -RELAY_TOLERANCE:
             found.append(f"its field {what} {-1e3 * time:.1f} ms before it is told to")
-    if edge.rise is not None and constant > 0 and abs(edge.rise / constant - 1.0) > SLOW_TOLERANCE:
+    if edge.rise is not None and constant > 0 and abs(edge.rise / constant - 1.0) > TIME_CONSTANT_TOLERANCE:
         found.append(f"time constant {1e3 * edge.rise:.2f} ms, not {1e3 * constant:.2f} ms")
     return found
 
 
-def _most(config: RigConfig, name: str) -> float:
+def _get_max_current(config: RigConfig, name: str) -> float:
     limits = config.limits
     return limits.max_current if name in limits.coils else limits.max_excitation_current

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smolbot.bench.check.wiring import spread_of
+from smolbot.bench.check.response_match import compute_response_std
 from smolbot.core.arrays import FloatArray
 
 if TYPE_CHECKING:
     from lookup_tables import FlatCoil, RoundCoil
     from smolbot.config.rig import RigConfig
 
-STEP = 0.5e-3
+GRADIENT_STEP = 0.5e-3
 """Step, in m, of the finite differences of a coil's field."""
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PredictedResponses:
     """Predictions for all coils by the rig file's geometry.
 
     Attributes
@@ -39,7 +39,7 @@ class Prediction:
     constants: list[float]
 
 
-def predict(config: RigConfig) -> Prediction:
+def predict_responses(config: RigConfig) -> PredictedResponses:
     """Predict the response of each sensor to each coil.
 
     Parameters
@@ -53,14 +53,14 @@ def predict(config: RigConfig) -> Prediction:
     sensors = config.sensors
     flat = config.flat_coils()
     coils: list[RoundCoil | FlatCoil] = [*config.round_coils(), *flat]
-    steps = STEP * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    steps = GRADIENT_STEP * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     points = (np.asarray(sensors.positions)[None] + steps[:, None]).reshape(-1, 3)
     around = np.array([coil.field(points).reshape(7, len(sensors), 3) for coil in coils])
     fields = around[:, 0]
-    gradients = np.moveaxis((around[:, 1:4] - around[:, 4:7]) / (2 * STEP), 1, -1)
-    return Prediction(
+    gradients = np.moveaxis((around[:, 1:4] - around[:, 4:7]) / (2 * GRADIENT_STEP), 1, -1)
+    return PredictedResponses(
         names=config.driven,
         response=np.einsum("cni,ni->cn", fields, sensors.responses),
-        spread=spread_of(fields, gradients, sensors.axes),
+        spread=compute_response_std(fields, gradients, sensors.axes),
         constants=config.time_constants,
     )

@@ -18,17 +18,17 @@ from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import RigError
 
-PATIENCE = 0.06
+READ_TIMEOUT = 0.06
 """Seconds that samples may be late before their window counts as lost; outputs go on meanwhile."""
 
-PROBE = 100
+TEST_SAMPLES = 100
 """Number of samples of a recording that only tests the inputs."""
 
-LONGEST_PIECE = 0.03
+MAX_READ_DURATION = 0.03
 """Seconds of samples in one read: a stop takes effect within it, and no message grows large."""
 
 
-LAST_PIECE = 4e-3
+LAST_READ_DURATION = 4e-3
 """Seconds of samples in the last read, for which the loop waits."""
 
 
@@ -36,7 +36,7 @@ class LostWindow(Exception):  # noqa: N818 - no error of the program's: a window
     """A listening window was lost; the outputs are at zero, and the card is ready for the next shot."""
 
 
-class Guarding(Protocol):
+class OutputGuard(Protocol):
     """Protocol of the watchdog that protects whatever is driven."""
 
     def arm(self) -> None:
@@ -48,7 +48,7 @@ class Guarding(Protocol):
     def abandon(self) -> None:
         """Let the watchdog expire, since something may still be driven."""
 
-    def must_be_open(self) -> None:
+    def check_relays_open(self) -> None:
         """Raise `RigError` unless every relay is open."""
 
 
@@ -81,10 +81,10 @@ class Card:
         self.product, self.serial = "", ""
         self._stopped = threading.Event()
         self._lengths: dict[str, int] = {}
-        self._patience = section.call_timeout
+        self._call_timeout = section.call_timeout
         self._tasks: list[Any] = []
         try:
-            with self._naming("open"):
+            with self._translate_errors("open"):
                 self._open()
         except BaseException:
             self.close()
@@ -96,14 +96,14 @@ class Card:
         from nidaqmx.stream_writers import AnalogMultiChannelWriter, DigitalSingleChannelWriter
 
         section, name = self._section, self._section.device
-        device = self._driver.device(name)
+        device = self._driver.get_device(name)
         self.product, self.serial = device.product_type, f"{device.serial_num:08X}"
         if self.product != section.product:
             raise RigError(
                 f"{name} is a {self.product}; the rig file's bench.product says {section.product}.", device=name
             )
         device.reset_device()  # whatever another program left: outputs at zero, lines low, watchdog off
-        self.inputs = self._task()
+        self.inputs = self._make_task()
         terminal = {
             "differential": TerminalConfiguration.DIFF,
             "rse": TerminalConfiguration.RSE,
@@ -114,7 +114,7 @@ class Card:
         self.inputs.ai_channels.add_ai_voltage_chan(channels, terminal_config=terminal, min_val=-span, max_val=span)
         outputs, top = ", ".join(f"{name}/{channel}" for channel in section.used_outputs), section.outputs.range_v
         lines = ", ".join(f"{name}/{line}" for line in section.clocked_lines)
-        self.outputs, self.lines, self._zero_outputs, self._zero_lines = (self._task() for _ in range(4))
+        self.outputs, self.lines, self._zero_outputs, self._zero_lines = (self._make_task() for _ in range(4))
         for task in (self.outputs, self._zero_outputs):
             task.ao_channels.add_ao_voltage_chan(outputs, min_val=-top, max_val=top)
         for task in (self.lines, self._zero_lines):
@@ -128,13 +128,13 @@ class Card:
             self._reader, self._output_writer, self._line_writer, self._zero_output_writer, self._zero_line_writer,
         ):  # fmt: skip
             stream.verify_array_shape = False  # it asks the server, with every call
-        self._clock("outputs", 2)
+        self._set_clock("outputs", 2)
         self.outputs.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{name}/ai/StartTrigger")
-        self._clock("lines", 2)
-        self._clock("inputs", 2)
+        self._set_clock("lines", 2)
+        self._set_clock("inputs", 2)
         self._write_zeros()
 
-    def play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
+    def play(self, waveform: Waveform, guard: OutputGuard) -> tuple[FloatArray | None, float]:
         """Play one shot. The `guard` is armed while anything is driven.
 
         Parameters
@@ -157,23 +157,23 @@ class Card:
             For every other failure.
         """
         try:
-            with self._naming("play a shot"):
+            with self._translate_errors("play a shot"):
                 return self._play(waveform, guard)
         except BaseException:
-            if self.silence():
+            if self.zero_outputs():
                 guard.disarm()
             else:
                 guard.abandon()
             raise
 
-    def _play(self, waveform: Waveform, guard: Guarding) -> tuple[FloatArray | None, float]:
+    def _play(self, waveform: Waveform, guard: OutputGuard) -> tuple[FloatArray | None, float]:
         driven = waveform.outputs > 0
-        self._clock("inputs", waveform.samples)
+        self._set_clock("inputs", waveform.samples)
         if driven:
-            self._clock("outputs", waveform.outputs)
-            self._clock("lines", waveform.outputs)
-            self._output_writer.write_many_sample(np.ascontiguousarray(waveform.volts), timeout=self._patience)
-            self._line_writer.write_many_sample_port_uint32(waveform.lines, timeout=self._patience)
+            self._set_clock("outputs", waveform.outputs)
+            self._set_clock("lines", waveform.outputs)
+            self._output_writer.write_many_sample(np.ascontiguousarray(waveform.volts), timeout=self._call_timeout)
+            self._line_writer.write_many_sample_port_uint32(waveform.lines, timeout=self._call_timeout)
             guard.arm()
             self.lines.start()
             self.outputs.start()
@@ -181,12 +181,12 @@ class Card:
         self.inputs.start()
         began = 0.5 * (before + time.monotonic())
         heard = np.zeros((len(self._section.inputs.channels), waveform.samples))
-        for first, end in self._pieces(waveform):
+        for first, end in self._split_reads(waveform):
             self._read(heard, first, end)
             if driven and end >= waveform.settled:
                 self.outputs.stop()
                 self.lines.stop()
-                guard.must_be_open()
+                guard.check_relays_open()
                 guard.disarm()
                 driven = False
         self.inputs.stop()
@@ -195,14 +195,14 @@ class Card:
         first, count = waveform.listen
         return heard[:, first : first + count], began
 
-    def _pieces(self, waveform: Waveform) -> Iterator[tuple[int, int]]:
+    def _split_reads(self, waveform: Waveform) -> Iterator[tuple[int, int]]:
         """Split the samples into spans that are read one after the other.
 
         One span ends where the relays are open, and the last one is short.
         """
-        last = waveform.samples - max(round(LAST_PIECE * self._rate), 1)
+        last = waveform.samples - max(round(LAST_READ_DURATION * self._rate), 1)
         marks = sorted({0, waveform.settled, max(last, waveform.settled), waveform.samples})
-        longest = max(int(LONGEST_PIECE * self._rate), 1)
+        longest = max(int(MAX_READ_DURATION * self._rate), 1)
         for begin, end in itertools.pairwise(marks):
             count = -(-(end - begin) // longest)
             edges = [begin + round(k * (end - begin) / count) for k in range(count + 1)]
@@ -212,12 +212,12 @@ class Card:
         if self._stopped.is_set():
             raise RigError("Stopped during a shot; every output is at zero.")
         piece = np.zeros((len(heard), end - first))
-        got = self._reader.read_many_sample(piece, end - first, timeout=PATIENCE + (end - first) / self._rate)
+        got = self._reader.read_many_sample(piece, end - first, timeout=READ_TIMEOUT + (end - first) / self._rate)
         if got != end - first:
             raise LostWindow(f"{got} of {end - first} samples came")
         heard[:, first:end] = piece
 
-    def probe(self) -> None:
+    def test_inputs(self) -> None:
         """Record for a moment with nothing driven, to test the inputs.
 
         Raises
@@ -227,10 +227,10 @@ class Card:
         RigError
             For every other failure.
         """
-        with self._naming("listen"):
-            self._clock("inputs", PROBE)
+        with self._translate_errors("listen"):
+            self._set_clock("inputs", TEST_SAMPLES)
             self.inputs.start()
-            self._read(np.zeros((len(self._section.inputs.channels), PROBE)), 0, PROBE)
+            self._read(np.zeros((len(self._section.inputs.channels), TEST_SAMPLES)), 0, TEST_SAMPLES)
             self.inputs.stop()
 
     def stop(self) -> bool:
@@ -242,9 +242,9 @@ class Card:
             As `silence`.
         """
         self._stopped.set()
-        return self.silence()
+        return self.zero_outputs()
 
-    def silence(self) -> bool:
+    def zero_outputs(self) -> bool:
         """Abort what is playing; set outputs to zero, disable the amplifiers, open the relays.
 
         Safe from any thread; never raises.
@@ -265,11 +265,11 @@ class Card:
         """Open the relays, which stops every current, then zero the outputs; return whether both succeeded."""
 
         def lines() -> None:
-            self._zero_line_writer.write_one_sample_port_uint32(0, timeout=PATIENCE)
+            self._zero_line_writer.write_one_sample_port_uint32(0, timeout=READ_TIMEOUT)
             self._zero_lines.stop()
 
         def outputs() -> None:
-            self._zero_output_writer.write_one_sample(np.zeros(len(self._section.used_outputs)), timeout=PATIENCE)
+            self._zero_output_writer.write_one_sample(np.zeros(len(self._section.used_outputs)), timeout=READ_TIMEOUT)
             self._zero_outputs.stop()
 
         done = self._driver.attempt(lines)
@@ -281,12 +281,12 @@ class Card:
             self._driver.attempt(task.close)
         self._tasks.clear()
 
-    def _task(self) -> Any:
+    def _make_task(self) -> Any:
         task = self._driver.task()
         self._tasks.append(task)
         return task
 
-    def _clock(self, which: str, count: int) -> None:
+    def _set_clock(self, which: str, count: int) -> None:
         """Set sample clock and length of a task, unless they are set already."""
         if self._lengths.get(which) == count:
             return
@@ -296,16 +296,16 @@ class Card:
         self._lengths[which] = count
 
     @contextlib.contextmanager
-    def _naming(self, action: str) -> Iterator[None]:
+    def _translate_errors(self, action: str) -> Iterator[None]:
         """Convert errors of the client library to ours, with device and action, and a lost read to `LostWindow`."""
         name = self._section.device
         try:
             yield
         except self._driver.errors as error:
-            self._driver.note(error)
+            self._driver.record_error(error)
             if self._driver.is_lost_read(error):
                 raise LostWindow(self._driver.explain(error)) from error
             raise RigError(
-                f"{name} did not {action}: {self._driver.explain(error)} {self._driver.remedy(error)}",
+                f"{name} did not {action}: {self._driver.explain(error)} {self._driver.suggest_remedy(error)}",
                 device=name,
             ) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 MESSAGE_LIMIT = 64 * 2**20  # bytes; by default a long recording fails after it was taken from the card
-START_UP = 3.0  # s, to find the server
+CONNECT_TIMEOUT = 3.0  # s, to find the server
 
 
 def open_channel(address: str, timeout: float) -> tuple[Any, Any]:
@@ -42,7 +42,7 @@ def open_channel(address: str, timeout: float) -> tuple[Any, Any]:
     ]
     bare = grpc.insecure_channel(address, options)
     try:
-        grpc.channel_ready_future(bare).result(START_UP)
+        grpc.channel_ready_future(bare).result(CONNECT_TIMEOUT)
     except grpc.FutureTimeoutError as error:
         bare.close()
         raise ConnectionError(f"no device server answers at {address}") from error

@@ -59,7 +59,7 @@ class Driver:
         self.answers = True
         self._options: Any = None
         self._urgent: Any = None
-        self._bare: list[Any] = []
+        self._channels: list[Any] = []
         if server:
             self._connect(server, timeout)
 
@@ -72,7 +72,7 @@ class Driver:
             raise RigError(f"bench.server: {error}. {TWIN_HINT}") from error
         from nidaqmx import GrpcSessionOptions
 
-        self._bare = [bare for _, bare in channels]
+        self._channels = [bare for _, bare in channels]
         self._options, self._urgent = (GrpcSessionOptions(channel, session_name="") for channel, _ in channels)
 
     def task(self, *, urgent: bool = False) -> Any:
@@ -90,10 +90,10 @@ class Driver:
         import nidaqmx
 
         options = self._urgent if urgent else self._options
-        with self._found():
+        with self._require_driver():
             return nidaqmx.Task(grpc_options=options) if options else nidaqmx.Task()
 
-    def device(self, name: str) -> Any:
+    def get_device(self, name: str) -> Any:
         """Return a device by its name in the driver.
 
         Parameters
@@ -106,10 +106,10 @@ class Driver:
         """
         from nidaqmx.system import Device
 
-        with self._found():
+        with self._require_driver():
             return Device(name, grpc_options=self._options) if self._options else Device(name)
 
-    def watchdog(self, name: str, timeout: float) -> Any:
+    def make_watchdog(self, name: str, timeout: float) -> Any:
         """Make the watchdog task of a device; it is not started.
 
         Parameters
@@ -125,11 +125,11 @@ class Driver:
         """
         from nidaqmx.system.watchdog import WatchdogTask
 
-        with self._found():
+        with self._require_driver():
             return WatchdogTask(name, timeout=timeout, grpc_options=self._urgent)
 
     @contextlib.contextmanager
-    def _found(self) -> Iterator[None]:
+    def _require_driver(self) -> Iterator[None]:
         from nidaqmx.errors import DaqNotFoundError, DaqNotSupportedError
 
         try:
@@ -148,7 +148,7 @@ class Driver:
         -------
         bool
         """
-        return code_of(error) in LOST_READS
+        return get_error_code(error) in LOST_READS
 
     def explain(self, error: BaseException) -> str:
         """Format the first line of an error's message, with its code.
@@ -162,7 +162,7 @@ class Driver:
         str
         """
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        code, rpc = code_of(error), getattr(error, "rpc_code", None)
+        code, rpc = get_error_code(error), getattr(error, "rpc_code", None)
         if code is not None:
             return f"{first.rstrip('.')} ({code})."
         if rpc is not None:
@@ -172,7 +172,7 @@ class Driver:
             return f"{said.get(name, first.rstrip('.'))} ({name})."
         return f"{first.rstrip('.')}."
 
-    def remedy(self, error: BaseException) -> str:
+    def suggest_remedy(self, error: BaseException) -> str:
         """Return what a person can do about an error.
 
         Parameters
@@ -183,14 +183,14 @@ class Driver:
         -------
         str
         """
-        code, rpc = code_of(error), getattr(error, "rpc_code", None)
+        code, rpc = get_error_code(error), getattr(error, "rpc_code", None)
         if code in _REMEDIES:
             return _REMEDIES[code]
         if rpc is not None:
             return "Is the server running, the network in place?"
         return "See the driver's description of this error."
 
-    def note(self, error: BaseException) -> None:
+    def record_error(self, error: BaseException) -> None:
         """Remember if an error means that card or server no longer answer; nothing waits for them from then on.
 
         Parameters
@@ -198,7 +198,7 @@ class Driver:
         error : BaseException
         """
         name = str(getattr(getattr(error, "rpc_code", None), "name", ""))
-        if name in ("DEADLINE_EXCEEDED", "UNAVAILABLE") or code_of(error) == DEVICE_GONE:
+        if name in ("DEADLINE_EXCEEDED", "UNAVAILABLE") or get_error_code(error) == DEVICE_GONE:
             self.answers = False
 
     def attempt(self, action: Callable[[], object]) -> bool:
@@ -219,17 +219,17 @@ class Driver:
         try:
             action()
         except self.errors as error:
-            self.note(error)
+            self.record_error(error)
             return False
         return True
 
     def close(self) -> None:
         """Close the connections to the server."""
-        while self._bare:
-            self._bare.pop().close()
+        while self._channels:
+            self._channels.pop().close()
 
 
-def code_of(error: BaseException) -> int | None:
+def get_error_code(error: BaseException) -> int | None:
     """Return the error code of the card.
 
     Parameters

@@ -37,7 +37,7 @@ class Guard:
     def __init__(self, section: BenchSection, driver: Driver, trip: Callable[[RigError], None]) -> None:
         self._section, self._driver, self._trip = section, driver, trip
         self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="watchdog feeder", daemon=True)
+        self._thread = threading.Thread(target=self._feed_and_watch, name="watchdog feeder", daemon=True)
         self.lines: dict[str, bool] = {}
         self._inputs: Any = None
         self._reader: Any = None
@@ -65,15 +65,15 @@ class Guard:
                 self._inputs.di_channels.add_di_chan(wired, line_grouping=LineGrouping.CHAN_PER_LINE)
                 self._reader = DigitalMultiChannelReader(self._inputs.in_stream)
                 self._reader.verify_array_shape = False  # it asks the server, with every read
-                self._look()
-            self._watchdog = self._driver.watchdog(name, section.watchdog.timeout)
+                self._read_lines()
+            self._watchdog = self._driver.make_watchdog(name, section.watchdog.timeout)
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]
             self._watchdog.cfg_watchdog_do_expir_states(states)
         except self._driver.errors as error:
             raise RigError(
                 f"The watchdog of {name} cannot be set up: {self._driver.explain(error)}", device=name
             ) from error
-        pressed = self.pressed()
+        pressed = self.describe_pressed_button()
         if pressed:
             raise RigError(pressed)
         self._thread.start()
@@ -98,7 +98,7 @@ class Guard:
         gc.enable()
         self._feeding = False
 
-    def pressed(self) -> str | None:
+    def describe_pressed_button(self) -> str | None:
         """Return why the run must stop, if the operator's button is pressed.
 
         Returns
@@ -113,7 +113,7 @@ class Guard:
             f"Stopped by the operator's button ({self._section.device}/{line} is low: pressed, or its cable is broken)."
         )
 
-    def must_be_open(self) -> None:
+    def check_relays_open(self) -> None:
         """Check by the relays' auxiliary contacts that all relays are open; does nothing if these are not wired.
 
         Raises
@@ -124,7 +124,7 @@ class Guard:
         line = self._section.relays.all_open
         if line is None:
             return
-        self._look()
+        self._read_lines()
         if not self.lines[line]:
             raise RigError(
                 f"{self._section.device}: a relay did not open after a shot ({line} is low). Amplifiers are off and "
@@ -155,22 +155,22 @@ class Guard:
         timeout = section.watchdog.timeout_ms
         yield CheckItem(card, "watchdog", f"starts, is fed and stops; opens relays after {timeout:g} ms")
         if section.input_lines:
-            self._look()
+            self._read_lines()
         if section.relays.all_open is not None:
             opened = self.lines[section.relays.all_open]
             yield CheckItem(card, "relays", "all open" if opened else "one is closed", opened, "all open")
         if section.operator.stop_line is not None:
-            pressed = self.pressed() is not None
+            pressed = self.describe_pressed_button() is not None
             yield CheckItem(
                 card, "operator's button", "pressed" if pressed else "not pressed", not pressed, "not pressed"
             )
 
-    def _look(self) -> None:
+    def _read_lines(self) -> None:
         levels = np.zeros(len(self._section.input_lines), np.bool_)
         self._reader.read_one_sample_one_line(levels, timeout=self._section.call_timeout)
         self.lines = dict(zip(self._section.input_lines, levels.tolist(), strict=True))
 
-    def _run(self) -> None:
+    def _feed_and_watch(self) -> None:
         pause = self._section.watchdog.feed
         due = time.monotonic()
         while not self._end.is_set():
@@ -179,20 +179,20 @@ class Guard:
                     if self._feeding:
                         self._watchdog.reset_timer()
                 if self._inputs is not None:
-                    self._look()
+                    self._read_lines()
             except self._driver.errors as error:
-                self._driver.note(error)
+                self._driver.record_error(error)
                 self._feeding = False
                 if not self._end.is_set():
                     self._trip(
                         RigError(
                             f"{self._section.device} did not answer to its watchdog's feeding: "
-                            f"{self._driver.explain(error)} {self._driver.remedy(error)}",
+                            f"{self._driver.explain(error)} {self._driver.suggest_remedy(error)}",
                             device=self._section.device,
                         )
                     )
                 return
-            pressed = self.pressed()
+            pressed = self.describe_pressed_button()
             if pressed:
                 self._trip(OperatorStopError(pressed))
                 return

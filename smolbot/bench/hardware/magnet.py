@@ -17,10 +17,10 @@ from smolbot.errors import RigError
 if TYPE_CHECKING:
     from smolbot.core.operator import Operator
 
-LOOK = 0.05
+POLL_INTERVAL = 0.05
 """Seconds between two checks of the switches, or of whether to stop."""
 
-GRACE = 2.0
+MOVE_MARGIN = 2.0
 """Seconds that a move may take longer than planned, because of its ramps."""
 
 
@@ -31,7 +31,7 @@ class Magnet:
     ----------
     magnet : MagnetSection
     section : StageSection
-    patience : OperatorSection
+    operator_section : OperatorSection
         How long to wait for the operator.
     operator : Operator
 
@@ -39,7 +39,7 @@ class Magnet:
     ----------
     near : bool
         Where the magnet is, as far as is known.
-    switched : bool
+    has_switches : bool
         Whether switches at the stage detect where it is.
     identity : str
         Name and version of the firmware.
@@ -51,21 +51,21 @@ class Magnet:
     """
 
     def __init__(
-        self, magnet: MagnetSection, section: StageSection, patience: OperatorSection, operator: Operator
+        self, magnet: MagnetSection, section: StageSection, operator_section: OperatorSection, operator: Operator
     ) -> None:
         from smolbot.bench.hardware.stage import MagnetStage
 
-        self._operator, self._patience = operator, patience.answer_timeout_s
+        self._operator, self._answer_timeout = operator, operator_section.answer_timeout_s
         self._steering_rate = magnet.max_steering_rate
-        self.switched = section.switches
+        self.has_switches = section.switches
         self._stage = MagnetStage(section, self._steering_rate)
         self._stage.open()
         try:
             self.identity = str(self._stage.identity)
-            self.near = self.switched and self._stage.at != "away"
+            self.near = self.has_switches and self._stage.place != "away"
             if self.near:
                 raise RigError(
-                    f"the magnet is not away (its switches say {self._stage.at or 'neither near nor away'}); "
+                    f"the magnet is not away (its switches say {self._stage.place or 'neither near nor away'}); "
                     "take it away before a mission.",
                     device="magnet stage",
                 )
@@ -96,7 +96,7 @@ class Magnet:
                 self._move(window, proceed)
             elif isinstance(window, Rotate):
                 self._stage.turn(math.atan2(window.axis[1], window.axis[0]), window.turns, window.frequency)
-                self._until_idle(window.duration + 0.5 * math.pi / self._steering_rate + GRACE, proceed)
+                self._wait_until_idle(window.duration + 0.5 * math.pi / self._steering_rate + MOVE_MARGIN, proceed)
             elif isinstance(window, Rest):
                 self._pause(window.duration, proceed)
 
@@ -105,40 +105,40 @@ class Magnet:
         first = next((w for w in shot.windows[number:] if isinstance(w, Rotate)), None)
         if first is not None and not self.near:
             self._stage.steer(math.atan2(first.axis[1], first.axis[0]))
-            self._until_idle(math.pi / self._steering_rate + GRACE, proceed)
+            self._wait_until_idle(math.pi / self._steering_rate + MOVE_MARGIN, proceed)
 
     def _move(self, window: MoveMagnet, proceed: Callable[[], None]) -> None:
-        if self._at() == window.to:
+        if self._get_place() == window.to:
             return
         request = f"Bring the magnet {'near' if window.to == 'near' else 'away'}"
-        if not self.switched:
-            if not self._operator.ask(f"{request}.", self._patience):
+        if not self.has_switches:
+            if not self._operator.ask(f"{request}.", self._answer_timeout):
                 raise RigError(f"Stopped by the operator, who was asked to bring the magnet {window.to}.")
             self.near = window.to == "near"
             return
         self.near = True  # on its way it may be anywhere
-        self._stage.ask_for(window.to)
-        self._operator.say(f"{request}; its switch is waited for, {self._patience:g} s at most.")
-        end = time.monotonic() + self._patience
+        self._stage.set_lamp(window.to)
+        self._operator.say(f"{request}; its switch is waited for, {self._answer_timeout:g} s at most.")
+        end = time.monotonic() + self._answer_timeout
         try:
-            while self._at() != window.to:
+            while self._get_place() != window.to:
                 proceed()
                 if time.monotonic() > end:
                     raise RigError(
-                        f"The magnet was not brought {window.to} within {self._patience:g} s "
-                        f"(its switches say {self._at() or 'neither near nor away'})."
+                        f"The magnet was not brought {window.to} within {self._answer_timeout:g} s "
+                        f"(its switches say {self._get_place() or 'neither near nor away'})."
                     )
-                time.sleep(LOOK)
+                time.sleep(POLL_INTERVAL)
         finally:
-            self._stage.ask_for(None)
+            self._stage.set_lamp(None)
         self.near = window.to == "near"
 
-    def _at(self) -> str | None:
-        return self._stage.at if self.switched else ("near" if self.near else "away")
+    def _get_place(self) -> str | None:
+        return self._stage.place if self.has_switches else ("near" if self.near else "away")
 
-    def _until_idle(self, longest: float, proceed: Callable[[], None]) -> None:
+    def _wait_until_idle(self, longest: float, proceed: Callable[[], None]) -> None:
         end = time.monotonic() + longest
-        while not self._stage.wait(LOOK):
+        while not self._stage.wait(POLL_INTERVAL):
             proceed()
             if time.monotonic() > end:
                 self._stage.stop()
@@ -152,7 +152,7 @@ class Magnet:
         end = time.monotonic() + duration
         while (left := end - time.monotonic()) > 0.0:
             proceed()
-            time.sleep(min(left, LOOK))
+            time.sleep(min(left, POLL_INTERVAL))
 
     def checks(self) -> Iterator[CheckItem]:
         """Read firmware and switches; nothing moves.
@@ -162,11 +162,11 @@ class Magnet:
         CheckItem
         """
         yield CheckItem("magnet stage", "firmware", self.identity)
-        if self.switched:
-            place = self._stage.at or "neither near nor away"
+        if self.has_switches:
+            place = self._stage.place or "neither near nor away"
             yield CheckItem("magnet stage", "magnet", place, place == "away", "away")
 
-    def must_rest(self) -> None:
+    def check_at_rest(self) -> None:
         """Check that the motors stand still and the firmware reports no fault.
 
         Raises
@@ -174,7 +174,7 @@ class Magnet:
         RigError
             If a motor turns, or the stage has failed.
         """
-        self._stage.must_rest()
+        self._stage.check_at_rest()
 
     def take_recovered(self) -> Counter[str]:
         """Return, and reset, the count of errors of the serial line that were recovered from.

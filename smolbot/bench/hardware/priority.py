@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 
-WANTED = -10
+NICENESS = -10
 """Niceness: above usual programs, below what the machine itself needs."""
 
 
-def ask_for_priority() -> bool:
+def raise_priority() -> bool:
     """Raise the scheduling priority of this process, where that is allowed.
 
     Without permission (on Linux: ``CAP_SYS_NICE``, or a limit for ``nice``) nothing changes.
@@ -22,6 +22,6 @@ def ask_for_priority() -> bool:
     if not hasattr(os, "setpriority"):
         return False
     with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, min(WANTED, os.getpriority(os.PRIO_PROCESS, 0)))
+        os.setpriority(os.PRIO_PROCESS, 0, min(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
         return True
     return False

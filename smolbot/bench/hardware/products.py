@@ -38,7 +38,7 @@ class Product:
     max_output_rate: float
     max_input_rate: float
 
-    def inputs_of(self, terminal: str) -> tuple[str, ...]:
+    def get_inputs(self, terminal: str) -> tuple[str, ...]:
         """Return the inputs of a terminal configuration.
 
         Parameters
@@ -53,24 +53,24 @@ class Product:
         return dict(self.inputs).get(terminal, ())
 
 
-def _numbered(prefix: str, *spans: range) -> tuple[str, ...]:
+def _number_channels(prefix: str, *spans: range) -> tuple[str, ...]:
     return tuple(f"{prefix}{number}" for span in spans for number in span)
 
 
-_SINGLE = _numbered("ai", range(32))
-_PORT0 = _numbered("port0/line", range(32))
+_SINGLE = _number_channels("ai", range(32))
+_PORT0 = _number_channels("port0/line", range(32))
 
 PCIE_6363 = Product(
-    outputs=_numbered("ao", range(4)),
+    outputs=_number_channels("ao", range(4)),
     inputs=(
-        ("differential", _numbered("ai", range(8), range(16, 24))),
+        ("differential", _number_channels("ai", range(8), range(16, 24))),
         ("rse", _SINGLE),
         ("nrse", _SINGLE),
     ),
     input_ranges=(0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
     output_ranges=(5.0, 10.0),
     clocked_lines=_PORT0,
-    lines=_PORT0 + _numbered("port1/line", range(8)) + _numbered("port2/line", range(8)),
+    lines=_PORT0 + _number_channels("port1/line", range(8)) + _number_channels("port2/line", range(8)),
     max_output_rate=1.25e6,
     max_input_rate=1.0e6,
 )

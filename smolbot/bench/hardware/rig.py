@@ -15,30 +15,30 @@ from smolbot.bench.hardware.card import Card, LostWindow
 from smolbot.bench.hardware.driver import Driver
 from smolbot.bench.hardware.guard import Guard
 from smolbot.bench.hardware.magnet import Magnet
-from smolbot.bench.hardware.nominal import NominalExcitation
-from smolbot.bench.hardware.priority import ask_for_priority
-from smolbot.bench.hardware.relayprobe import relay_probe
+from smolbot.bench.hardware.nominal_excitation import NominalExcitation
+from smolbot.bench.hardware.priority import raise_priority
+from smolbot.bench.hardware.relay_probe import make_relay_probe
 from smolbot.bench.hardware.supply import Supply
 from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray, as_floats
-from smolbot.core.closing import Closing
-from smolbot.core.coil_probe import BEFORE, Probe, probe_shot
+from smolbot.core.closeable import Closeable
+from smolbot.core.coil_probe import BASELINE_DURATION, Probe, make_probe_shot
 from smolbot.core.rig import CheckItem, ProvenanceReporter, Witness
 from smolbot.core.sensing import Recording
-from smolbot.core.shots import MoveMagnet, Rest, Rotate, Shot, magnet_near_after
+from smolbot.core.shots import MoveMagnet, Rest, Rotate, Shot, is_magnet_near_after
 from smolbot.errors import RigError
 
 if TYPE_CHECKING:
-    from smolbot.bench.hardware.remotewitness import RemoteWitness
+    from smolbot.bench.hardware.remote_witness import RemoteWitness
     from smolbot.core.operator import Operator
 
-LOST_IN_A_ROW = 2
+MAX_LOST_IN_A_ROW = 2
 """Number of lost windows in a row that ends the run: a card that fails twice has failed for good."""
 
 
-class BenchRig(Closing):
+class BenchRig(Closeable):
     """A rig of real devices, or of a twin that speaks the same protocols.
 
     Parameters
@@ -94,7 +94,7 @@ class BenchRig(Closing):
 
     def _open_devices(self, operator: Operator) -> None:
         section, faults = self._section, []
-        ask_for_priority()
+        raise_priority()
         try:
             self._driver = Driver(section.server, section.call_timeout)
             self._card = Card(section, self._rate, self._driver)
@@ -114,7 +114,7 @@ class BenchRig(Closing):
             except RigError as error:
                 faults.append(str(error))
         if section.truth and not faults:
-            from smolbot.bench.hardware.remotewitness import RemoteWitness
+            from smolbot.bench.hardware.remote_witness import RemoteWitness
 
             try:
                 self.witness = self._truth = RemoteWitness(section.truth, self._epoch)
@@ -123,7 +123,7 @@ class BenchRig(Closing):
         if faults:
             raise RigError("\n".join([*faults, f"'{self._rig.name}' was not opened; nothing was energised."]))
         if self._supply is not None:
-            self._supply.on()
+            self._supply.switch_on()
 
     def now(self) -> float:
         """Return the time since the bench was opened. A shot that is played now starts some milliseconds later.
@@ -162,13 +162,13 @@ class BenchRig(Closing):
                 self._magnet.play(shot, self._refuse_if_stopped)
                 self.recovered.update(self._magnet.take_recovered())
                 return None
-            return self._electrical(shot)
+            return self._play_electrical(shot)
         except RigError as error:
             self._halt(error)
             raise self._latched or error from error
         finally:
-            if self._magnet is not None and not self._magnet.switched:
-                self._magnet.near = magnet_near_after(shot, near=near)
+            if self._magnet is not None and not self._magnet.has_switches:
+                self._magnet.near = is_magnet_near_after(shot, near=near)
 
     def probe(self, coil: str, current: float) -> Probe:
         """Record the sensors while the relay of one coil closes and opens again.
@@ -193,13 +193,13 @@ class BenchRig(Closing):
         """
         self._refuse_if_stopped()
         near = self._magnet is not None and self._magnet.near
-        self.limits.check(probe_shot(self.limits, coil, current), magnet_near=near)
-        waveform, on, off = relay_probe(self._section, coil, current, self._rate)
+        self.limits.check(make_probe_shot(self.limits, coil, current), magnet_near=near)
+        waveform, on, off = make_relay_probe(self._section, coil, current, self._rate)
         assert self._card is not None
         assert self._guard is not None
         try:
             if self._magnet is not None:
-                self._magnet.must_rest()
+                self._magnet.check_at_rest()
             volts, began = self._card.play(waveform, self._guard)
         except (RigError, LostWindow) as error:
             reason = (
@@ -209,7 +209,7 @@ class BenchRig(Closing):
             )
             self._halt(reason)
             raise self._latched or reason from error
-        heard = self._recording(Shot((Rest(BEFORE),)), waveform, volts, began - self._epoch)
+        heard = self._make_recording(Shot((Rest(BASELINE_DURATION),)), waveform, volts, began - self._epoch)
         assert heard is not None
         relays = self._section.relays
         return Probe(heard, on, off, relays.closing, relays.opening)
@@ -227,7 +227,7 @@ class BenchRig(Closing):
         ndarray, shape (n_exc, 3), in T per A
             In the world frame.
         """
-        return self._excitation.at(as_floats(position, (3,), "excitation_field position"))
+        return self._excitation.compute_field(as_floats(position, (3,), "excitation_field position"))
 
     def stop(self) -> None:
         """Bring every output to zero now, for good. Safe from any thread, any number of times."""
@@ -268,7 +268,7 @@ class BenchRig(Closing):
             yield CheckItem("power supply", "model", str(self._supply.identity))
             on = self._supply.is_on
             yield CheckItem("power supply", "outputs", "on" if on else "off", on, "on")
-            wrong = self._supply.differences()
+            wrong = self._supply.find_differences()
             yield CheckItem("power supply", "settings", " ".join(wrong) or "as in the rig file", not wrong)
 
     def provenance(self) -> dict[str, Any]:
@@ -287,32 +287,34 @@ class BenchRig(Closing):
             found["supply"] = str(self._supply.identity)
         return found | {"twin": self.witness.provenance()} if isinstance(self.witness, ProvenanceReporter) else found
 
-    def _electrical(self, shot: Shot) -> Recording | None:
+    def _play_electrical(self, shot: Shot) -> Recording | None:
         assert self._card is not None
         assert self._guard is not None
         if self._magnet is not None:
-            self._magnet.must_rest()
+            self._magnet.check_at_rest()
         waveform = self._compiler.compile(shot)
         try:
             if self._lost:  # before anything is driven again
-                self._card.probe()
+                self._card.test_inputs()
             volts, began = self._card.play(waveform, self._guard)
         except LostWindow as error:
             self._count_lost(str(error))
             return None
         self._lost = 0
-        return self._recording(shot, waveform, volts, began - self._epoch)
+        return self._make_recording(shot, waveform, volts, began - self._epoch)
 
     def _count_lost(self, what: str) -> None:
         self._refuse_if_stopped()
         self._lost += 1
-        if self._lost >= LOST_IN_A_ROW:
+        if self._lost >= MAX_LOST_IN_A_ROW:
             raise RigError(
                 f"{self._section.device}: {self._lost} windows in a row were lost: {what}", device=self._section.device
             )
         self.recovered["lost windows"] += 1
 
-    def _recording(self, shot: Shot, waveform: Waveform, volts: FloatArray | None, began: float) -> Recording | None:
+    def _make_recording(
+        self, shot: Shot, waveform: Waveform, volts: FloatArray | None, began: float
+    ) -> Recording | None:
         if waveform.drive_end is not None:
             self._drive_end = began + waveform.drive_end
         if volts is None or waveform.listen is None:
@@ -339,7 +341,7 @@ class BenchRig(Closing):
             self._magnet.stop()
         if self._supply is not None:
             with contextlib.suppress(RigError):  # nothing is driven any more, whether it hears this or not
-                self._supply.off()
+                self._supply.switch_off()
 
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:

@@ -12,10 +12,10 @@ from smolbot.errors import RigError
 if TYPE_CHECKING:
     from pyvisa.resources import MessageBasedResource
 
-LONGEST_QUEUE = 20
+MAX_QUEUE_LENGTH = 20
 """Number of entries of an error queue that are read before it counts as endless."""
 
-PATIENCE = 5.0
+LOCK_TIMEOUTS = 5.0
 """Number of time-outs that a thread waits for another thread's exchange to end."""
 
 Permit = Callable[[], None]
@@ -42,7 +42,7 @@ class ScpiSocket:
         self._lock = threading.RLock()
         self._resource: MessageBasedResource | None = None
 
-    def ask(self, query: str, action: str) -> str:
+    def send_query(self, query: str, action: str) -> str:
         """Send a query and return its answer.
 
         Parameters
@@ -60,10 +60,10 @@ class ScpiSocket:
         RigError
             If no answer comes; the message names device, address and action.
         """
-        with self._held(action):
+        with self._hold_lock(action):
             return self._exchange(query, action)
 
-    def tell(self, *commands: str, action: str, permit: Permit | None = None, then: str | None = None) -> str:
+    def send_commands(self, *commands: str, action: str, permit: Permit | None = None, then: str | None = None) -> str:
         """Send commands, and read the error queue after each; other threads wait meanwhile.
 
         Parameters
@@ -86,16 +86,16 @@ class ScpiSocket:
         RigError
             If a command is refused or the instrument does not answer; the message names device, address and action.
         """
-        with self._held(action):
+        with self._hold_lock(action):
             if permit is not None:
                 permit()
             for command in commands:
-                found = self._errors(command, action)
+                found = self._read_errors(command, action)
                 if found:
                     raise self._fault(f"cannot {action}: it refused '{command}': {'; '.join(found)}.")
             return "" if then is None else self._exchange(then, action)
 
-    def forget_errors(self, action: str) -> None:
+    def clear_errors(self, action: str) -> None:
         """Empty the error queue.
 
         Parameters
@@ -103,28 +103,28 @@ class ScpiSocket:
         action : str
             For the message of an error.
         """
-        with self._held(action):
-            self._errors("*CLS", action)
+        with self._hold_lock(action):
+            self._read_errors("*CLS", action)
 
     def close(self) -> None:
         """Close the connection; harmless when repeated."""
-        with self._held("close the connection"):
+        with self._hold_lock("close the connection"):
             self._drop()
 
     @contextmanager
-    def _held(self, action: str) -> Iterator[None]:
-        if not self._lock.acquire(timeout=PATIENCE * self._timeout):
+    def _hold_lock(self, action: str) -> Iterator[None]:
+        if not self._lock.acquire(timeout=LOCK_TIMEOUTS * self._timeout):
             raise self._fault(f"cannot {action}: another thread's exchange with it does not end.")
         try:
             yield
         finally:
             self._lock.release()
 
-    def _errors(self, command: str, action: str) -> list[str]:
+    def _read_errors(self, command: str, action: str) -> list[str]:
         """Read the error queue after a command, up to the entry "no error"."""
         found: list[str] = []
         first: str | None = command
-        while len(found) < LONGEST_QUEUE:
+        while len(found) < MAX_QUEUE_LENGTH:
             answer = self._exchange("SYST:ERR?", action, first)
             first = None
             code, _, text = answer.partition(",")
@@ -146,15 +146,15 @@ class ScpiSocket:
 
         try:
             # In one packet: two small ones would wait for each other's acknowledgement, 40 ms each time.
-            return self._opened().query(query if before is None else f"{before}\n{query}").strip()
+            return self._get_connection().query(query if before is None else f"{before}\n{query}").strip()
         except (VisaError, OSError, UnicodeError, EOFError) as error:
             self._drop()
-            raise self._fault(f"cannot {action}: {self._reason(error)}") from error
+            raise self._fault(f"cannot {action}: {self._explain(error)}") from error
 
     def _fault(self, what: str) -> RigError:
         return RigError(f"{self._name}: {what}", device=self._name)
 
-    def _reason(self, error: Exception) -> str:
+    def _explain(self, error: Exception) -> str:
         from pyvisa.constants import StatusCode
         from pyvisa.errors import VisaIOError
 
@@ -164,7 +164,7 @@ class ScpiSocket:
             return f"{error.strerror[0].lower()}{error.strerror[1:]}."
         return f"{str(error).rstrip('.')}."
 
-    def _opened(self) -> MessageBasedResource:
+    def _get_connection(self) -> MessageBasedResource:
         """Return the connection, and open it first if necessary."""
         if self._resource is None:
             import pyvisa

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from smolbot.bench.hardware.scpi import Permit, ScpiSocket
-from smolbot.bench.hardware.supplysection import SupplyChannelSection, SupplySection
+from smolbot.bench.hardware.supply_section import SupplyChannelSection, SupplySection
 from smolbot.errors import RigError
 
 RESOLUTION = 1e-3
@@ -13,7 +13,7 @@ RESOLUTION = 1e-3
 
 
 @dataclass(frozen=True)
-class Identity:
+class SupplyIdentity:
     """Answer of a supply to ``*IDN?``.
 
     Attributes
@@ -68,7 +68,7 @@ class ChannelState:
 class Supply:
     """A power supply whose channels are set from the rig file.
 
-    Every output is off when it is opened, and stays off until `on`.
+    Every output is off when it is opened, and stays off until `switch_on`.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ class Supply:
         self._section = section
         self._name = f"power supply at {section.where}"
         self._scpi = ScpiSocket(self._name, section.address, section.timeout)
-        self._offs = 0  # how often it was told to be off
+        self._times_off = 0  # how often it was told to be off
         self._set_after = -1  # how often when it was last configured
         self._closed = False
         try:
             self.identity = self._identify()
-            self._scpi.forget_errors("clear its error queue")
-            self.off()
+            self._scpi.clear_errors("clear its error queue")
+            self.switch_off()
         except BaseException:
             self._scpi.close()
             raise
@@ -109,19 +109,19 @@ class Supply:
         RigError
             If a setting is refused, or reads back as another.
         """
-        offs = self._offs
+        offs = self._times_off
         wanted = {channel.channel: channel for channel in self._section.channels}
         for number in range(1, self.channel_count + 1):
             if number in wanted:
-                self._set(wanted[number])
+                self._set_channel(wanted[number])
             else:
-                self._tell_channel(number, "OUTP:SEL 0", action=f"leave channel {number} off")
-        faults = self.differences()
+                self._command_channel(number, "OUTP:SEL 0", action=f"leave channel {number} off")
+        faults = self.find_differences()
         if faults:
             raise self._fault(f"does not read back as set: {' '.join(faults)}")
         self._set_after = offs
 
-    def on(self) -> None:
+    def switch_on(self) -> None:
         """Switch the outputs on; only after `configure`, and not if they were switched off since.
 
         Raises
@@ -132,7 +132,7 @@ class Supply:
         if not self._switch("OUTP:GEN 1", "switch the outputs on", self._refuse_unless_set):
             raise self._fault("was told to switch the outputs on; it says that they are off.")
 
-    def off(self) -> None:
+    def switch_off(self) -> None:
         """Switch every output off, until the supply is configured anew. Safe from any thread, any number of times.
 
         Waits only for the exchange that another thread has begun.
@@ -142,7 +142,7 @@ class Supply:
         RigError
             If it cannot be reached or reports that outputs are on: then they may be.
         """
-        self._offs += 1
+        self._times_off += 1
         try:
             still_on = self._switch("OUTP:GEN 0", "switch the outputs off")
         except RigError:  # the connection may be what failed: once more, over a new one
@@ -153,7 +153,7 @@ class Supply:
     @property
     def is_on(self) -> bool:
         """Whether the outputs' common switch is on."""
-        return self._flag("OUTP:GEN?", "read the output switch")
+        return self._query_flag("OUTP:GEN?", "read the output switch")
 
     @property
     def channel_count(self) -> int:
@@ -167,9 +167,9 @@ class Supply:
         -------
         tuple of ChannelState
         """
-        return tuple(self._state(channel.channel) for channel in self._section.channels)
+        return tuple(self._read_channel(channel.channel) for channel in self._section.channels)
 
-    def differences(self) -> list[str]:
+    def find_differences(self) -> list[str]:
         """Compare the settings of the supply with the rig file.
 
         Returns
@@ -178,7 +178,11 @@ class Supply:
             A sentence for each difference; empty if there is none.
         """
         wanted = {channel.channel: channel for channel in self._section.channels}
-        return [fault for state in self.read_back() for fault in self._differences(wanted[state.channel], state)]
+        return [
+            fault
+            for state in self.read_back()
+            for fault in self._find_channel_differences(wanted[state.channel], state)
+        ]
 
     def close(self) -> None:
         """Switch off and close the connection; harmless when repeated.
@@ -192,16 +196,16 @@ class Supply:
             return
         self._closed = True
         try:
-            self.off()
+            self.switch_off()
         finally:
             self._scpi.close()
 
-    def _identify(self) -> Identity:
+    def _identify(self) -> SupplyIdentity:
         action = "identify it"
-        parts = [part.strip() for part in self._scpi.ask("*IDN?", action).split(",")]
+        parts = [part.strip() for part in self._scpi.send_query("*IDN?", action).split(",")]
         if len(parts) != 4:
             raise self._fault(f"cannot {action}: it answers *IDN? with '{','.join(parts)}'.")
-        found = Identity(*parts)
+        found = SupplyIdentity(*parts)
         if not found.model.upper().startswith(self._section.model.upper()) or not found.model[-1:].isdigit():
             raise self._fault(
                 f"is a {found.maker} {found.model}; the rig file says bench.supply.model = "
@@ -212,7 +216,7 @@ class Supply:
             raise self._fault(f"is a {found.model} with {found.model[-1]} channels; the rig file sets {highest}.")
         return found
 
-    def _set(self, channel: SupplyChannelSection) -> None:
+    def _set_channel(self, channel: SupplyChannelSection) -> None:
         number, name = channel.channel, channel.name
         # Protection comes first: a voltage is never set that nothing guards.
         for command, what in (
@@ -223,10 +227,10 @@ class Supply:
             (f"FUSE {int(channel.fuse)}", f"fuse {'on' if channel.fuse else 'off'}"),
             ("OUTP:SEL 1", "following the output switch"),
         ):
-            self._tell_channel(number, command, action=f"set {name} to {what}")
+            self._command_channel(number, command, action=f"set {name} to {what}")
 
     def _refuse_unless_set(self) -> None:
-        if self._set_after != self._offs:
+        if self._set_after != self._times_off:
             why = (
                 "its channels were not set"
                 if self._set_after < 0
@@ -240,57 +244,59 @@ class Supply:
     def _switch(self, command: str, action: str, permit: Permit | None = None) -> bool:
         """Set the common output switch; return its state as read back."""
         query = "OUTP:GEN?"
-        return self._truth(self._scpi.tell(command, action=action, permit=permit, then=query), query, action)
-
-    def _tell_channel(self, number: int, command: str, *, action: str) -> None:
-        self._scpi.tell(f"INST:NSEL {number}", command, action=action)
-
-    def _state(self, number: int) -> ChannelState:
-        action = f"read back channel {number}"
-        self._scpi.tell(f"INST:NSEL {number}", action=action)
-        return ChannelState(
-            channel=number,
-            voltage=self._number("VOLT?", action),
-            current=self._number("CURR?", action),
-            ovp=self._number("VOLT:PROT:LEV?", action),
-            ovp_on=self._flag("VOLT:PROT?", action),
-            fuse_on=self._flag("FUSE?", action),
-            selected=self._flag("OUTP:SEL?", action),
-            measured_voltage=self._number("MEAS:VOLT?", action),
-            measured_current=self._number("MEAS:CURR?", action),
+        return self._parse_flag(
+            self._scpi.send_commands(command, action=action, permit=permit, then=query), query, action
         )
 
-    def _number(self, query: str, action: str) -> float:
-        answer = self._scpi.ask(query, action)
+    def _command_channel(self, number: int, command: str, *, action: str) -> None:
+        self._scpi.send_commands(f"INST:NSEL {number}", command, action=action)
+
+    def _read_channel(self, number: int) -> ChannelState:
+        action = f"read back channel {number}"
+        self._scpi.send_commands(f"INST:NSEL {number}", action=action)
+        return ChannelState(
+            channel=number,
+            voltage=self._query_number("VOLT?", action),
+            current=self._query_number("CURR?", action),
+            ovp=self._query_number("VOLT:PROT:LEV?", action),
+            ovp_on=self._query_flag("VOLT:PROT?", action),
+            fuse_on=self._query_flag("FUSE?", action),
+            selected=self._query_flag("OUTP:SEL?", action),
+            measured_voltage=self._query_number("MEAS:VOLT?", action),
+            measured_current=self._query_number("MEAS:CURR?", action),
+        )
+
+    def _query_number(self, query: str, action: str) -> float:
+        answer = self._scpi.send_query(query, action)
         try:
             return float(answer)
         except ValueError:
             raise self._fault(f"cannot {action}: it answers {query} with '{answer}', not a number.") from None
 
-    def _flag(self, query: str, action: str) -> bool:
-        return self._truth(self._scpi.ask(query, action), query, action)
+    def _query_flag(self, query: str, action: str) -> bool:
+        return self._parse_flag(self._scpi.send_query(query, action), query, action)
 
-    def _truth(self, answer: str, query: str, action: str) -> bool:
+    def _parse_flag(self, answer: str, query: str, action: str) -> bool:
         if answer.upper() not in ("0", "1", "ON", "OFF"):
             raise self._fault(f"cannot {action}: it answers {query} with '{answer}', not 0 or 1.")
         return answer.upper() in ("1", "ON")
 
     @staticmethod
-    def _differences(wanted: SupplyChannelSection, state: ChannelState) -> list[str]:
+    def _find_channel_differences(section: SupplyChannelSection, state: ChannelState) -> list[str]:
         pairs = (
-            ("voltage", wanted.voltage_v, state.voltage, "V"),
-            ("current", wanted.current_a, state.current, "A"),
-            ("over-voltage protection", wanted.ovp_v, state.ovp, "V"),
+            ("voltage", section.voltage_v, state.voltage, "V"),
+            ("current", section.current_a, state.current, "A"),
+            ("over-voltage protection", section.ovp_v, state.ovp, "V"),
         )
         found = [
-            f"{wanted.name}: {what} is {is_:g} {unit}, not {should:g} {unit}."
+            f"{section.name}: {what} is {is_:g} {unit}, not {should:g} {unit}."
             for what, should, is_, unit in pairs
             if abs(is_ - should) > RESOLUTION
         ]
         if not state.ovp_on:
-            found.append(f"{wanted.name}: its over-voltage protection is off.")
-        if state.fuse_on != wanted.fuse:
-            found.append(f"{wanted.name}: its fuse is {'on' if state.fuse_on else 'off'}.")
+            found.append(f"{section.name}: its over-voltage protection is off.")
+        if state.fuse_on != section.fuse:
+            found.append(f"{section.name}: its fuse is {'on' if state.fuse_on else 'off'}.")
         if not state.selected:
-            found.append(f"{wanted.name}: does not follow the output switch.")
+            found.append(f"{section.name}: does not follow the output switch.")
         return found

@@ -14,7 +14,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rotate, Shot, Window
 from smolbot.errors import InputError, InterlockError
 
-SETTLING = 0.5e-3
+RELAY_MARGIN = 0.5e-3
 """Seconds after its opening time within which a relay must be open."""
 
 
@@ -80,7 +80,7 @@ class WaveformCompiler:
         Actuation coils in the order of every current vector.
     input_rate : float, in Hz
         Of each sensor.
-    constants : dict of float, in s, optional
+    time_constants : dict of float, in s, optional
         Time constant of each coil by its name (``+x``, ``excitation x``). A sine is amplified to make up for the
         coil's lag, so that the current has the requested peak.
     """
@@ -90,7 +90,7 @@ class WaveformCompiler:
         section: BenchSection,
         coils: tuple[str, ...],
         input_rate: float,
-        constants: dict[str, float] | None = None,
+        time_constants: dict[str, float] | None = None,
     ) -> None:
         names = [load.name for load in section.loads]
         self._coils = [names.index(name) for name in coils]
@@ -98,9 +98,9 @@ class WaveformCompiler:
         outputs = section.used_outputs
         self._output = [outputs.index(load.output) for load in section.loads]
         self._gain = [load.gain_a_per_v for load in section.loads]
-        self._relay = [line_bit(load.relay) for load in section.loads]
-        self._constants = [(constants or {}).get(name, 0.0) for name in names]
-        self._names, self._enable = names, line_bit(section.outputs.enable)
+        self._relay = [get_line_bit(load.relay) for load in section.loads]
+        self._constants = [(time_constants or {}).get(name, 0.0) for name in names]
+        self._names, self._enable = names, get_line_bit(section.outputs.enable)
         self._close, self._open = section.relays.closing, section.relays.opening
         self._range, self._n_outputs = section.outputs.range_v, len(outputs)
         self.output_rate, self.input_rate = section.outputs.rate_hz, input_rate
@@ -123,26 +123,26 @@ class WaveformCompiler:
         InputError
             For a mechanical window.
         """
-        drives = [drive for at, window in shot.timed() for drive in self._drives(at, window)]
+        drives = [drive for at, window in shot.timed() for drive in self._list_drives(at, window)]
         lead = self._close if drives else 0.0
-        volts, lines = self._laid_out(drives, lead)
+        volts, lines = self._lay_out(drives, lead)
         listen, drive_end = None, None
         for at, window in shot.timed():
             if isinstance(window, Excite) and listen is None:
-                drive_end = self._on_output_clock(lead + at + window.duration)
+                drive_end = self._round_to_output_clock(lead + at + window.duration)
             elif isinstance(window, Listen):
                 first = math.ceil((lead + at) * self.input_rate - 1e-6)
                 listen = first, round(window.duration * self.input_rate)
         samples = math.ceil((lead + shot.duration) * self.input_rate - 1e-6)
         settled = 0
         if drives:  # the inputs run until every relay has opened, so that this can be looked at
-            settled = math.ceil((volts.shape[1] / self.output_rate + self._open + SETTLING) * self.input_rate)
+            settled = math.ceil((volts.shape[1] / self.output_rate + self._open + RELAY_MARGIN) * self.input_rate)
             samples = max(samples, settled)
         if listen is not None:
             samples = max(samples, sum(listen))
         return Waveform(volts, lines, lead, max(samples, 2), listen, drive_end, settled)
 
-    def _drives(self, at: float, window: Window) -> Iterator[_Drive]:
+    def _list_drives(self, at: float, window: Window) -> Iterator[_Drive]:
         end = at + window.duration
         if isinstance(window, Actuate):
             for load, current in zip(self._coils, window.currents, strict=True):
@@ -155,10 +155,12 @@ class WaveformCompiler:
         elif isinstance(window, Rotate | MoveMagnet):
             raise InputError(f"A card cannot play {type(window).__name__}; it belongs to the magnet stage.")
 
-    def _laid_out(self, drives: list[_Drive], lead: float) -> tuple[FloatArray, NDArray[np.uint32]]:
+    def _lay_out(self, drives: list[_Drive], lead: float) -> tuple[FloatArray, NDArray[np.uint32]]:
         if not drives:
             return np.zeros((self._n_outputs, 0)), np.zeros(0, np.uint32)
-        count = self._index(lead + max(d.end for d in drives)) + 2  # the last ones at zero, whatever rounding does
+        count = (
+            self._find_sample(lead + max(d.end for d in drives)) + 2
+        )  # the last ones at zero, whatever rounding does
         volts, lines = np.zeros((self._n_outputs, count)), np.zeros(count, np.uint32)
         free = dict.fromkeys(range(self._n_outputs), 0.0)  # when each output's last relay has opened
         owner: dict[int, int] = {}
@@ -167,14 +169,14 @@ class WaveformCompiler:
             told = lead + drive.start - self._close
             if owner.get(output, drive.load) != drive.load:
                 told = max(told, free[output])
-            ready = self._index(max(told + self._close, lead + drive.start))
-            first, end = self._index(max(told, 0.0)), self._index(lead + drive.end)
+            ready = self._find_sample(max(told + self._close, lead + drive.start))
+            first, end = self._find_sample(max(told, 0.0)), self._find_sample(lead + drive.end)
             lines[first:end] |= np.uint32(1 << self._relay[drive.load] | 1 << self._enable)
-            volts[output, ready:end] = self._wave(drive, lead, ready, end)
+            volts[output, ready:end] = self._compute_wave(drive, lead, ready, end)
             owner[output], free[output] = drive.load, lead + drive.end + self._open
         return volts, lines
 
-    def _wave(self, drive: _Drive, lead: float, first: int, end: int) -> FloatArray:
+    def _compute_wave(self, drive: _Drive, lead: float, first: int, end: int) -> FloatArray:
         lag = 2 * math.pi * drive.frequency * self._constants[drive.load]
         level = drive.current / self._gain[drive.load] * math.sqrt(1.0 + lag**2)
         if abs(level) > self._range * (1 + 1e-9):
@@ -188,14 +190,14 @@ class WaveformCompiler:
         time = np.arange(first, end) / self.output_rate - (lead + drive.start)
         return np.asarray(level * np.sin(2 * np.pi * drive.frequency * time))
 
-    def _index(self, time: float) -> int:
+    def _find_sample(self, time: float) -> int:
         return round(time * self.output_rate)
 
-    def _on_output_clock(self, time: float) -> float:
-        return self._index(time) / self.output_rate
+    def _round_to_output_clock(self, time: float) -> float:
+        return self._find_sample(time) / self.output_rate
 
 
-def line_bit(name: str) -> int:
+def get_line_bit(name: str) -> int:
     """Return the number of a line within its port.
 
     Parameters
@@ -208,7 +210,7 @@ def line_bit(name: str) -> int:
 
     Examples
     --------
-    >>> line_bit("port0/line6")
+    >>> get_line_bit("port0/line6")
     6
     """
     return int(name.rsplit("line", 1)[1])

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from smolbot.bench.hardware.products import PRODUCTS, Product
-from smolbot.bench.hardware.supplysection import SupplySection
+from smolbot.bench.hardware.supply_section import SupplySection
 from smolbot.config.document import FileModel
 from smolbot.config.units import SI, NotNegative, Positive
 
@@ -42,7 +42,7 @@ class LoadSection(FileModel):
     relay: str
 
     @model_validator(mode="after")
-    def _one_load(self) -> LoadSection:
+    def _check_one_load(self) -> LoadSection:
         if (self.coil is None) == (self.excitation is None):
             raise ValueError('give either coil = "NAME" or excitation = "x" or "y".')
         return self
@@ -74,7 +74,7 @@ class WatchdogSection(FileModel):
     feed = SI("feed_ms")
 
     @model_validator(mode="after")
-    def _fed_in_time(self) -> WatchdogSection:
+    def _check_feed_interval(self) -> WatchdogSection:
         if self.feed_ms > 0.4 * self.timeout_ms:
             raise ValueError(
                 f"feed_ms must be at most 0.4 of timeout_ms, so that one late feed is no alarm; got {self.feed_ms:g} "
@@ -135,7 +135,7 @@ class BenchSection(FileModel):
         return tuple(line for line in (self.relays.all_open, self.operator.stop_line) if line is not None)
 
 
-def wiring_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[Key, str]]:
+def find_wiring_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[Key, str]]:
     """Find faults of the wiring that a rig file describes.
 
     Parameters
@@ -153,28 +153,28 @@ def wiring_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple
     if product is None:
         yield ("product",), f"unknown product '{section.product}'; known: {', '.join(PRODUCTS)}."
         return
-    yield from _input_faults(section, product, data)
-    yield from _output_faults(section, product)
-    yield from _load_faults(section, data)
-    yield from _line_faults(section, product)
+    yield from _find_input_faults(section, product, data)
+    yield from _find_output_faults(section, product)
+    yield from _find_load_faults(section, data)
+    yield from _find_line_faults(section, product)
     if (section.stage is None) != (data.get("magnet") is None):
         which = "[magnet] needs [bench.stage] to move it" if section.stage is None else "[bench.stage] needs a [magnet]"
         yield ("stage",), f"{which}."
 
 
-def _input_faults(section: BenchSection, product: Product, data: dict[str, Any]) -> Iterator[tuple[Key, str]]:
+def _find_input_faults(section: BenchSection, product: Product, data: dict[str, Any]) -> Iterator[tuple[Key, str]]:
     inputs = section.inputs
-    exist = product.inputs_of(inputs.terminal)
+    exist = product.get_inputs(inputs.terminal)
     for number, name in enumerate(inputs.channels):
         if name not in exist:
             yield (
                 ("inputs", "channels"),
                 f"'{name}' (sensor {number}) is no {inputs.terminal} input of a {section.product}; "
-                f"it has {_span(exist)}.",
+                f"it has {_format_span(exist)}.",
             )
-    yield from _twice(("inputs", "channels"), inputs.channels, "input")
+    yield from _find_duplicates(("inputs", "channels"), inputs.channels, "input")
     if inputs.range_v not in product.input_ranges:
-        yield ("inputs", "range_v"), _choice(inputs.range_v, product.input_ranges)
+        yield ("inputs", "range_v"), _format_choice(inputs.range_v, product.input_ranges)
     sensors = data.get("sensors", {})
     count = len(sensors.get("positions_mm", ())) if isinstance(sensors, dict) else 0
     if count and count != len(inputs.channels):
@@ -188,20 +188,20 @@ def _input_faults(section: BenchSection, product: Product, data: dict[str, Any])
         )
 
 
-def _output_faults(section: BenchSection, product: Product) -> Iterator[tuple[Key, str]]:
+def _find_output_faults(section: BenchSection, product: Product) -> Iterator[tuple[Key, str]]:
     if section.outputs.range_v not in product.output_ranges:
-        yield ("outputs", "range_v"), _choice(section.outputs.range_v, product.output_ranges)
+        yield ("outputs", "range_v"), _format_choice(section.outputs.range_v, product.output_ranges)
     if section.outputs.rate_hz > product.max_output_rate:
         yield ("outputs", "rate_hz"), f"must be at most {product.max_output_rate:g}; got {section.outputs.rate_hz:g}."
     for number, load in enumerate(section.loads):
         if load.output not in product.outputs:
             yield (
                 ("loads", number, "output"),
-                f"'{load.output}' is no output of a {section.product}; it has {_span(product.outputs)}.",
+                f"'{load.output}' is no output of a {section.product}; it has {_format_span(product.outputs)}.",
             )
 
 
-def _load_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[Key, str]]:
+def _find_load_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[Key, str]]:
     coils = [str(c.get("name")) for c in data.get("coils", []) if isinstance(c, dict)]
     excitation = [f"excitation {c.get('name')}" for c in data.get("excitation", []) if isinstance(c, dict)]
     wired = [load.name for load in section.loads]
@@ -211,7 +211,7 @@ def _load_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[
     missing = [name for name in coils + excitation if name not in wired]
     if missing:
         yield ("loads",), f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} wired to nothing."
-    yield from _twice(("loads",), wired, "load")
+    yield from _find_duplicates(("loads",), wired, "load")
     for (_, a), (j, b) in combinations(enumerate(section.loads), 2):
         if a.output == b.output and (a.excitation is None) == (b.excitation is None):
             yield (
@@ -232,7 +232,7 @@ def _load_faults(section: BenchSection, data: dict[str, Any]) -> Iterator[tuple[
             )
 
 
-def _line_faults(section: BenchSection, product: Product) -> Iterator[tuple[Key, str]]:
+def _find_line_faults(section: BenchSection, product: Product) -> Iterator[tuple[Key, str]]:
     used: dict[str, Key] = {}
     named: list[tuple[Key, str, tuple[str, ...], str]] = [
         (("loads", i, "relay"), load.relay, product.clocked_lines, "clocked line")
@@ -245,22 +245,22 @@ def _line_faults(section: BenchSection, product: Product) -> Iterator[tuple[Key,
         named.append((("operator", "stop_line"), section.operator.stop_line, product.lines, "line"))
     for key, name, exist, what in named:
         if name not in exist:
-            yield key, f"'{name}' is no {what} of a {section.product}; it has {_span(exist)}."
+            yield key, f"'{name}' is no {what} of a {section.product}; it has {_format_span(exist)}."
         elif name in used:
             yield key, f"{name} is taken by {'.'.join(str(p) for p in used[name])}."
         used.setdefault(name, key)
 
 
-def _twice(key: Key, names: list[str], what: str) -> Iterator[tuple[Key, str]]:
+def _find_duplicates(key: Key, names: list[str], what: str) -> Iterator[tuple[Key, str]]:
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield key, f"{what} '{name}' is named twice."
 
 
-def _choice(value: float, possible: tuple[float, ...]) -> str:
+def _format_choice(value: float, possible: tuple[float, ...]) -> str:
     return f"must be one of {', '.join(f'{v:g}' for v in possible)}; got {value:g}."
 
 
-def _span(names: tuple[str, ...]) -> str:
+def _format_span(names: tuple[str, ...]) -> str:
     """Abbreviate names with consecutive numbers: ``ai0 to ai7, ai16 to ai23``."""
     runs: list[list[str]] = []
     before: tuple[str, int] | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from smolbot.bench.hardware.wiring import BenchSection, wiring_faults
+from smolbot.bench.hardware.wiring import BenchSection, find_wiring_faults
 from smolbot.config.document import Document, Fault
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class BenchWorld:
         section, faults = document.section("bench", BenchSection)
         if section is None:
             return faults
-        return [Fault(("bench", *key), message) for key, message in wiring_faults(section, document.data)]
+        return [Fault(("bench", *key), message) for key, message in find_wiring_faults(section, document.data)]
 
     @staticmethod
     def unfit(rig: RigConfig, robot: RobotConfig) -> str | None:

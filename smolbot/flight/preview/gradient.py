@@ -6,17 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smolbot.config.feasibility import expected_errors
+from smolbot.config.feasibility import compute_expected_errors
 from smolbot.config.mission import Mission
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Actuate, Shot
-from smolbot.motion.controller import Controller, ForceForecast, Reach
+from smolbot.motion.controller import Controller, ForceForecast, ForceProfile
 from smolbot.motion.gradient import advance
-from smolbot.paths.corners import corner_indices, curvature
+from smolbot.paths.corners import compute_curvature, find_corners
 
 _UP = np.array([0.0, 0.0, 1.0])
 STALL_CYCLES = 150
@@ -35,7 +35,7 @@ class Preview(Readable):
         Of the timeline alone; `rate` has the turnaround in it.
     corners : int
         Of the path that are kept.
-    tightest : float, in m
+    tightest_radius : float, in m
         Radius of the tightest bend between corners; infinite where all is straight.
     remarks : tuple of str
         On how the path came about.
@@ -43,13 +43,13 @@ class Preview(Readable):
         Expected, search and approach included; nan where the end is not reached.
     path_time : float, in s
         From the path's start to its end alone.
-    wanted_time : float, in s, or None
+    requested_time : float, in s, or None
         The same by the speed that the path asks for; None where it asks for none.
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to go.
     localization_error : ndarray, shape (n,), in m
         Horizontal rms error of one pose, along the path.
-    reach : Reach or None
+    force_profile : Reach or None
         The law's force along the path; None where the law does not say.
     coil_energy : float, in J
     reasons : list of str
@@ -61,14 +61,14 @@ class Preview(Readable):
     rate: float
     length: float
     corners: int
-    tightest: float
+    tightest_radius: float
     remarks: tuple[str, ...]
     duration: float
     path_time: float
-    wanted_time: float | None
+    requested_time: float | None
     cycles: int
     trail: FloatArray
-    reach: Reach | None
+    force_profile: ForceProfile | None
     localization_error: FloatArray
     coil_energy: float
     reasons: list[str] = field(default_factory=list)
@@ -85,14 +85,14 @@ class _Rollout:
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.setup = mission.setup()
-        self.controller: Controller = load("controllers", mission.law)(self.setup, mission.gains)
+        self.controller: Controller = load_plugin("controllers", mission.law)(self.setup, mission.gains)
         self.rest = self.setup.cycle.duration(self.setup.device.frequency) + mission.rig.turnaround
         self.position = np.array([*mission.start, mission.rig.surface_z])
         first = mission.path.points[0] - self.position
         self.heading = float(np.arctan2(first[1], first[0]))
-        self.quiet = mission.sections.localization.quiet
+        self.quiet = mission.sections.localization.background_noise_duration
         self.clock = self.quiet + 2.0 * self.rest  # one shot to find the signal, one to confirm it
-        self.begun = self.clock
+        self.path_begun = self.clock
         self.cycles = 2
         self.windows: list[Actuate] = []
         self.trail = [self.position.copy()]
@@ -100,21 +100,21 @@ class _Rollout:
 
     def fly(self) -> str | None:
         """Run cycles until the end of the path; return the reason if it is not reached, else None."""
-        self.controller.reset(self.mission.path, self._pose())
+        self.controller.reset(self.mission.path, self._make_pose())
         best, nearest, farthest, since = 0.0, np.inf, 0.0, 0
         while True:
             if not self.setup.table.contains(self.position[None, :])[0]:
-                return f"the robot would leave the field table near {_mm(self.position)}."
-            command = self.controller.command(self._pose())
+                return f"the robot would leave the field table near {_format_mm(self.position)}."
+            command = self.controller.command(self._make_pose())
             if command.done:
                 return None
             windows = command.mechanical or ((command.window,) if isinstance(command.window, Actuate) else ())
             broken = self.setup.limits.faults(Shot(windows)) if windows else []
             if broken:
-                return f"{self.mission.law} would break a limit near {_mm(self.position)}: {' '.join(broken)}"
-            self._act(command.window)
+                return f"{self.mission.law} would break a limit near {_format_mm(self.position)}: {' '.join(broken)}"
+            self._advance(command.window)
             if command.phase == "approach":
-                self.begun = self.clock
+                self.path_begun = self.clock
             goal = self.mission.path.at(command.progress)
             away = float(np.linalg.norm(goal[:2] - self.position[:2]))
             approached = command.phase == "approach" and away < nearest - 1e-5
@@ -128,14 +128,14 @@ class _Rollout:
             done = f"{best * 1e3:.1f} of {self.mission.path.length * 1e3:.1f} mm"
             if since > STALL_CYCLES:
                 return (
-                    f"the robot would stall near {_mm(self.position)}, {done} along the path: "
+                    f"the robot would stall near {_format_mm(self.position)}, {done} along the path: "
                     f"the force of {self.mission.law} does not point where it should there."
                 )
             limit = self.mission.sections.stop.max_duration_s
             if self.clock - self.quiet > limit:
                 return f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
 
-    def _act(self, window: object) -> None:
+    def _advance(self, window: object) -> None:
         if isinstance(window, Actuate) and any(window.currents):
             field_, gradient = self.setup.table.field_and_gradient(self.position[None, :])
             currents = np.array(window.currents)
@@ -150,11 +150,11 @@ class _Rollout:
         self.cycles += 1
         self.trail.append(self.position.copy())
 
-    def _pose(self) -> Pose:
+    def _make_pose(self) -> Pose:
         ahead = np.array([np.cos(self.heading), np.sin(self.heading), 0.0])
         return Pose(self.clock, self.position, quaternion_from_axes(ahead, _UP, "zy"), np.zeros((6, 6)))
 
-    def typical_shot(self) -> Shot:
+    def pick_typical_shot(self) -> Shot:
         """Build a cycle whose actuation window has the median length."""
         windows = sorted(self.windows, key=lambda w: w.duration)
         listening = self.setup.cycle.windows(self.setup.device.frequency)
@@ -177,26 +177,26 @@ def preview(mission: Mission) -> Preview:
     reason = rollout.fly()
     cycling = rollout.clock - rollout.quiet
     played = cycling - rollout.cycles * mission.rig.turnaround
-    bend = np.max(curvature(mission.path.points))
+    bend = np.max(compute_curvature(mission.path.points))
     return Preview(
-        shot=rollout.typical_shot(),
+        shot=rollout.pick_typical_shot(),
         rate_limit=rollout.cycles / played,
         rate=rollout.cycles / cycling,
         length=mission.path.length,
-        corners=len(corner_indices(mission.path.points)),
-        tightest=float(1.0 / bend) if bend > 0.0 else float("inf"),
+        corners=len(find_corners(mission.path.points)),
+        tightest_radius=float(1.0 / bend) if bend > 0.0 else float("inf"),
         remarks=mission.path_remarks,
         duration=float("nan") if reason else rollout.clock,
-        path_time=float("nan") if reason else rollout.clock - rollout.begun,
-        wanted_time=None if mission.path.speed is None else mission.path.speed.duration,
+        path_time=float("nan") if reason else rollout.clock - rollout.path_begun,
+        requested_time=None if mission.path.speed is None else mission.path.speed.duration,
         cycles=rollout.cycles,
         trail=np.array(rollout.trail),
-        reach=rollout.controller.reach(mission.path) if isinstance(rollout.controller, ForceForecast) else None,
-        localization_error=expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
+        force_profile=rollout.controller.reach(mission.path) if isinstance(rollout.controller, ForceForecast) else None,
+        localization_error=compute_expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
         coil_energy=rollout.energy,
         reasons=[reason] if reason else [],
     )
 
 
-def _mm(position: FloatArray) -> str:
+def _format_mm(position: FloatArray) -> str:
     return f"({position[0] * 1e3:.1f}, {position[1] * 1e3:.1f}) mm"

@@ -7,24 +7,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smolbot.config.feasibility import expected_errors
+from smolbot.config.feasibility import compute_expected_errors
 from smolbot.config.mission import Mission
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
-from smolbot.core.shots import Rotate, Shot, magnet_near_after
+from smolbot.core.shots import Rotate, Shot, is_magnet_near_after
 from smolbot.motion.controller import BendForecast, Controller, HelixSetup
 from smolbot.paths.curve import Curve
 
-BEND_OVER = 4e-3
+BEND_SPAN = 4e-3
 """Length, in m, over which a path's bend is measured: a robot of 7 mm rounds off sharper corners."""
 
-OFF_PATH = 1.5e-3
+MAX_PATH_DISTANCE = 1.5e-3
 """Distance from the path, in m, beyond which a simulated mission counts as not feasible."""
 
-KNOWN = np.diag([1e-4] * 3 + [math.radians(1.0)] * 3) ** 2
+PAUSE_COVARIANCE = np.diag([1e-4] * 3 + [math.radians(1.0)] * 3) ** 2
 """Covariance of a pose after a pause, in m and rad."""
 
 
@@ -42,7 +42,7 @@ class HelixPreview(Readable):
         Expected; nan where the end is not reached.
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to be in the pauses.
-    radius, bend : float, in m
+    min_radius, tightest_radius : float, in m
         Of the tightest bend that it can make (None where its law does not say), and of the tightest in the path.
     torque_margin : ndarray, shape (n,)
         Least torque of the field over what the gel asks for, along the path; under 1 the robot steps out.
@@ -57,8 +57,8 @@ class HelixPreview(Readable):
     length: float
     duration: float
     trail: FloatArray
-    radius: float | None
-    bend: float
+    min_radius: float | None
+    tightest_radius: float
     torque_margin: FloatArray
     localization_error: FloatArray
     reasons: list[str] = field(default_factory=list)
@@ -82,17 +82,17 @@ def preview_helix(mission: Mission) -> HelixPreview:
     HelixPreview
     """
     setup = mission.helix_setup()
-    controller = load("controllers", mission.law)(setup, mission.gains)
+    controller = load_plugin("controllers", mission.law)(setup, mission.gains)
     frequency = setup.limits.max_rotation_frequency
     arc = np.linspace(0.0, mission.path.length, 25)
     margin = np.array([setup.helix.torque_margin(p, frequency) for p in mission.path.at(arc)])
     radius = controller.tightest_bend() if isinstance(controller, BendForecast) else None
-    bend = tightest_bend(mission.path)
-    shots, clock, trail, reasons = _fly(mission, setup, controller)
+    bend = compute_tightest_bend(mission.path)
+    shots, clock, trail, reasons = _simulate_flight(mission, setup, controller)
     worst = int(np.argmin(margin))
     if margin[worst] < 1.0:
         reasons.append(
-            f"the field would lose the robot near {_mm(mission.path.at(arc[worst]))}: "
+            f"the field would lose the robot near {_format_mm(mission.path.at(arc[worst]))}: "
             f"its torque is {margin[worst]:.2f} of what the gel asks for at {frequency:g} Hz."
         )
     if radius is not None and bend < radius:
@@ -110,16 +110,16 @@ def preview_helix(mission: Mission) -> HelixPreview:
         length=mission.path.length,
         duration=float("nan") if reasons else clock,
         trail=trail,
-        radius=radius,
-        bend=bend,
+        min_radius=radius,
+        tightest_radius=bend,
         torque_margin=margin,
-        localization_error=expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
+        localization_error=compute_expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
         reasons=reasons,
     )
 
 
-def tightest_bend(path: Curve) -> float:
-    """Compute the radius of the tightest bend of a path, measured over the length `BEND_OVER`.
+def compute_tightest_bend(path: Curve) -> float:
+    """Compute the radius of the tightest bend of a path, measured over the length `BEND_SPAN`.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def tightest_bend(path: Curve) -> float:
     float, in m
         Infinite for a straight path.
     """
-    span = min(BEND_OVER, 0.5 * path.length)
+    span = min(BEND_SPAN, 0.5 * path.length)
     arc = np.arange(0.0, path.length - span, 0.25e-3)
     first, last = path.tangent(arc), path.tangent(arc + span)
     turned = np.arccos(np.clip(np.sum(first * last, axis=1), -1.0, 1.0))
@@ -138,23 +138,23 @@ def tightest_bend(path: Curve) -> float:
     return span / most if most > 0 else math.inf
 
 
-def _fly(
+def _simulate_flight(
     mission: Mission, setup: HelixSetup, controller: Controller
 ) -> tuple[list[Shot], float, FloatArray, list[str]]:
     """Simulate the mission; return mechanical shots, time in s, positions in pauses, and why it fails."""
-    x, y, heading = mission.put_down
+    x, y, heading = mission.start_placement
     position = np.array([x, y, setup.helix.high])
     orientation = quaternion_from_axes(
         np.array([math.cos(heading), math.sin(heading), 0.0]), np.array([0, 0, 1.0]), "zx"
     )
     rest = setup.cycle.duration(setup.device.frequency) + mission.rig.turnaround
-    clock = mission.sections.localization.quiet + 2.0 * rest
+    clock = mission.sections.localization.background_noise_duration + 2.0 * rest
     quiet, limit = clock, mission.sections.stop.max_duration_s
-    controller.reset(mission.path, Pose(clock, position, orientation, KNOWN))
+    controller.reset(mission.path, Pose(clock, position, orientation, PAUSE_COVARIANCE))
     shots: list[Shot] = []
     trail = [position]
     while True:
-        command = controller.command(Pose(clock, position, orientation, KNOWN))
+        command = controller.command(Pose(clock, position, orientation, PAUSE_COVARIANCE))
         if command.done:
             return shots, clock, np.array(trail), []
         if command.stuck:
@@ -164,14 +164,14 @@ def _fly(
             broken = setup.limits.faults(shot)
             if broken:
                 return shots, clock, np.array(trail), [" ".join(broken)]
-            assert not magnet_near_after(shot, near=False)
+            assert not is_magnet_near_after(shot, near=False)
             position, orientation, _, _ = setup.helix.carry(shot.windows, position, orientation)
             clock += shot.duration
             shots.append(shot)
             trail.append(position)
             off = float(mission.path.project(position[None, :])[1][0])
-            if command.phase == "follow" and off > OFF_PATH:
-                return shots, clock, np.array(trail), [f"the robot would leave the path near {_mm(position)}."]
+            if command.phase == "follow" and off > MAX_PATH_DISTANCE:
+                return shots, clock, np.array(trail), [f"the robot would leave the path near {_format_mm(position)}."]
         clock += rest
         if clock - quiet > limit:
             done = f"{command.progress * 1e3:.1f} of {mission.path.length * 1e3:.1f} mm"
@@ -179,5 +179,5 @@ def _fly(
             return shots, clock, np.array(trail), [reason]
 
 
-def _mm(position: FloatArray) -> str:
+def _format_mm(position: FloatArray) -> str:
     return f"({position[0] * 1e3:.1f}, {position[1] * 1e3:.1f}) mm"

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smolbot.config.feasibility import expected_covariances
+from smolbot.config.feasibility import compute_expected_covariances
 from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Shot
 
-SEARCHES = 2.0
+MEAN_SEARCH_SHOTS = 2.0
 """Mean number of shots of a search until the signal suffices."""
 
-PER_AXIS = 3
+POINTS_PER_AXIS = 3
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,11 +68,11 @@ def preview_observation(mission: Observation) -> ObservationPreview:
     """
     shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
     whole = shot.duration + mission.rig.turnaround
-    section, quiet = mission.sections.observe, mission.sections.localization.quiet
+    section, quiet = mission.sections.observe, mission.sections.localization.background_noise_duration
     if section.measurements is not None:
-        cycles = round(section.measurements * (1.0 + SEARCHES))
+        cycles = round(section.measurements * (1.0 + MEAN_SEARCH_SHOTS))
     else:
-        cycles = round(SEARCHES + (section.duration_s or 0.0) / whole)
+        cycles = round(MEAN_SEARCH_SHOTS + (section.duration_s or 0.0) / whole)
     rate, duration = 1.0 / whole, quiet + cycles * whole
     wanted, limit = mission.sections.verdict.min_rate_hz, mission.sections.stop.max_duration_s
     reasons = []
@@ -80,16 +80,18 @@ def preview_observation(mission: Observation) -> ObservationPreview:
         reasons.append(f"{rate:.2f} cycles a second fit, fewer than min_rate_hz = {wanted:g}.")
     if duration - quiet > limit:
         reasons.append(f"it would not end within max_duration_s = {limit:g} s.")
-    return ObservationPreview(shot, 1.0 / shot.duration, rate, duration, cycles, _noise_errors(mission), reasons)
+    return ObservationPreview(
+        shot, 1.0 / shot.duration, rate, duration, cycles, _compute_noise_errors(mission), reasons
+    )
 
 
-def _noise_errors(mission: Observation) -> FloatArray:
+def _compute_noise_errors(mission: Observation) -> FloatArray:
     box = mission.rig.container
     inset = np.array([*(0.1 * box.size), 0.0])
-    lines = np.linspace(box.low + inset, box.high - inset, PER_AXIS).T
+    lines = np.linspace(box.low + inset, box.high - inset, POINTS_PER_AXIS).T
     points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     up = np.array([0.0, 0.0, 1.0])
     turns = 2.0 * np.pi * np.arange(len(points)) * 0.381966  # evenly spread, and no two neighbours alike
     headings = [quaternion_from_axes(np.array([np.cos(a), np.sin(a), 0.0]), up, "zx") for a in turns]
-    covariances = expected_covariances(mission, points, headings)
+    covariances = compute_expected_covariances(mission, points, headings)
     return np.asarray(np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2)))

@@ -6,12 +6,12 @@ from collections import deque
 from collections.abc import Sequence
 
 
-class Duty:
+class DutyCycle:
     """Duty cycle of each coil within the last `window` s.
 
     Parameters
     ----------
-    names : sequence of str
+    coil_names : sequence of str
         Names of the coils, in order.
     window : float, in s
         Length of the sliding window.
@@ -23,21 +23,21 @@ class Duty:
 
     Examples
     --------
-    >>> duty = Duty(("+x",), window=10.0)
+    >>> duty = DutyCycle(("+x",), window=10.0)
     >>> for second in range(20):
-    ...     _ = duty.drive(0, second, second + 0.25)
+    ...     _ = duty.add_span(0, second, second + 0.25)
     >>> round(duty.peaks[0], 3)
     0.25
     """
 
-    def __init__(self, names: Sequence[str], window: float) -> None:
-        self.names = tuple(names)
+    def __init__(self, coil_names: Sequence[str], window: float) -> None:
+        self.coil_names = tuple(coil_names)
         self.window = window
-        self.peaks = [0.0] * len(self.names)
-        self._spans: list[deque[tuple[float, float]]] = [deque() for _ in self.names]
-        self._totals = [0.0] * len(self.names)
+        self.peaks = [0.0] * len(self.coil_names)
+        self._spans: list[deque[tuple[float, float]]] = [deque() for _ in self.coil_names]
+        self._totals = [0.0] * len(self.coil_names)
 
-    def drive(self, coil: int, start: float, end: float) -> float:
+    def add_span(self, coil: int, start: float, end: float) -> float:
         """Add a time span in which a coil is driven; it must lie after all spans that were added before.
 
         Parameters

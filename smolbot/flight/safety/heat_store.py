@@ -12,7 +12,7 @@ from pathlib import Path
 
 from smolbot.core.coil_heat import CoilHeat
 
-EVERY = 5.0
+SAVE_INTERVAL = 5.0
 """Seconds between two writes during a run, so that a killed run is remembered too."""
 
 
@@ -24,7 +24,7 @@ class HeatMemory:
     Parameters
     ----------
     path : path
-        The file; see `kept_at`.
+        The file; see `find_heat_file`.
     clock : callable
         Returns seconds since the epoch, which stay comparable between processes.
     """
@@ -32,24 +32,24 @@ class HeatMemory:
     def __init__(self, path: Path, clock: Callable[[], float] = time.time) -> None:
         self.path = path
         self._clock = clock
-        self._kept = -float("inf")
+        self._saved_at = -float("inf")
 
     @classmethod
-    def of(cls, rig: str) -> HeatMemory:
+    def from_rig_name(cls, rig_name: str) -> HeatMemory:
         """Make the heat memory of a rig on this computer.
 
         Parameters
         ----------
-        rig : str
+        rig_name : str
             Name of the rig.
 
         Returns
         -------
         HeatMemory
         """
-        return cls(kept_at(rig))
+        return cls(find_heat_file(rig_name))
 
-    def recall(self, heat: CoilHeat) -> None:
+    def restore(self, heat: CoilHeat) -> None:
         """Set the temperatures of a heat model to the stored ones, cooled until now.
 
         Parameters
@@ -83,14 +83,14 @@ class HeatMemory:
             Store at once, however recent the last time was.
         """
         clock = self._clock()
-        if self._kept == float("inf") or (not now and 0.0 <= clock - self._kept < EVERY):
+        if self._saved_at == float("inf") or (not now and 0.0 <= clock - self._saved_at < SAVE_INTERVAL):
             return
-        self._kept = clock
+        self._saved_at = clock
         try:
             self._write(clock, heat)
         except OSError as error:
             warnings.warn(f"{self.path}: how hot the coils are cannot be kept for the next run: {error}", stacklevel=2)
-            self._kept = float("inf")
+            self._saved_at = float("inf")
 
     def _write(self, clock: float, heat: CoilHeat) -> None:
         known = [(c.name, t) for c, t in zip(heat.coils, heat.temperatures, strict=True) if c is not None]
@@ -100,18 +100,18 @@ class HeatMemory:
         os.replace(part, self.path)
 
 
-def kept_at(rig: str) -> Path:
+def find_heat_file(rig_name: str) -> Path:
     """Return the path of a rig's temperature file in the user's cache.
 
     Parameters
     ----------
-    rig : str
+    rig_name : str
         Name of the rig.
 
     Returns
     -------
     Path
     """
-    from lookup_tables.cache import default_cache_dir
+    from lookup_tables.cache import get_default_cache_dir
 
-    return default_cache_dir() / "heat" / f"{re.sub(r'[^A-Za-z0-9_-]', '_', rig)}.json"
+    return get_default_cache_dir() / "heat" / f"{re.sub(r'[^A-Za-z0-9_-]', '_', rig_name)}.json"

@@ -11,24 +11,24 @@ from smolbot.core.sensing import Recording
 DEAD, SATURATED = "dead", "saturated"
 
 
-class SoundWatch:
+class SensorMonitor:
     """Counts, for each sensor, the listening windows in a row in which it was constant, or saturated.
 
     Parameters
     ----------
     n_sensors : int
-    patience : int
+    max_windows : int
         Number of windows in a row from which a sensor is reported.
-    left_out : collection of int
+    ignored : collection of int
         Sensors, from 0, that are known to be broken.
     """
 
-    def __init__(self, n_sensors: int, patience: int, left_out: Collection[int] = ()) -> None:
-        self.patience = patience
-        self._watched = np.array([i not in left_out for i in range(n_sensors)], dtype=np.bool_)
+    def __init__(self, n_sensors: int, max_windows: int, ignored: Collection[int] = ()) -> None:
+        self.max_windows = max_windows
+        self._watched = np.array([i not in ignored for i in range(n_sensors)], dtype=np.bool_)
         self._runs = {kind: np.zeros(n_sensors, dtype=np.int64) for kind in (DEAD, SATURATED)}
 
-    def hear(self, recording: Recording) -> tuple[str, list[int], int] | None:
+    def check_recording(self, recording: Recording) -> tuple[str, list[int], int] | None:
         """Add a recording, and check for sensors that have failed for too many windows.
 
         Parameters
@@ -50,6 +50,6 @@ class SoundWatch:
             runs = self._runs[kind]
             runs += 1
             runs[~(now & self._watched)] = 0
-            if runs.max() >= self.patience:
-                return kind, [int(i) for i in np.flatnonzero(runs >= self.patience)], int(runs.max())
+            if runs.max() >= self.max_windows:
+                return kind, [int(i) for i in np.flatnonzero(runs >= self.max_windows)], int(runs.max())
         return None

@@ -21,9 +21,9 @@ class Latch:
     Examples
     --------
     >>> latch = Latch()
-    >>> latch.shut("stopped by the operator (key)", "stopped")
+    >>> latch.trip("stopped by the operator (key)", "stopped")
     True
-    >>> latch.shut("coil '+x' is too hot"), latch.reason, latch.ending
+    >>> latch.trip("coil '+x' is too hot"), latch.reason, latch.ending
     (False, 'stopped by the operator (key)', 'stopped')
     """
 
@@ -33,7 +33,7 @@ class Latch:
         self.over = False
 
     @property
-    def is_shut(self) -> bool:
+    def tripped(self) -> bool:
         """True once it was tripped."""
         return bool(self._first)
 
@@ -47,7 +47,7 @@ class Latch:
         """Status of a run that it ended: ``stopped`` by a person, ``failed`` by a fault."""
         return self._first["first"][1] if self._first else "failed"
 
-    def shut(self, reason: str, ending: Ending = "failed", *, halt: bool = True) -> bool:
+    def trip(self, reason: str, ending: Ending = "failed", *, halt: bool = True) -> bool:
         """Trip the latch and call the halt functions that are bound to it. The first reason is kept.
 
         Parameters
@@ -79,7 +79,7 @@ class Latch:
             Takes no arguments.
         """
         self._halts.append(halt)
-        if self.is_shut:
+        if self.tripped:
             halt()
 
     def end(self) -> None:

@@ -11,12 +11,12 @@ from types import FrameType
 
 from smolbot.flight.safety.stop_latch import Latch
 
-CTRL_C = "stopped by the operator (Ctrl-C)"
-TERMINATED = "stopped by a signal (SIGTERM)"
+CTRL_C_REASON = "stopped by the operator (Ctrl-C)"
+SIGTERM_REASON = "stopped by a signal (SIGTERM)"
 
 
 @contextmanager
-def stop_signals(latch: Latch) -> Iterator[None]:
+def catch_stop_signals(latch: Latch) -> Iterator[None]:
     """Turn the first SIGINT or SIGTERM within a ``with`` block into a ``KeyboardInterrupt`` with its reason.
 
     Further signals raise nothing, nor does any signal once the run is over. Python delivers signals to the main
@@ -44,8 +44,8 @@ def stop_signals(latch: Latch) -> Iterator[None]:
             os.write(2, b"already stopping: outputs go to zero and the run folder is written\n")
             return
         raised = True
-        reason = TERMINATED if number == signal.SIGTERM else CTRL_C
-        latch.shut(reason, "stopped", halt=False)  # halting is left to who catches this: it may be what was interrupted
+        reason = SIGTERM_REASON if number == signal.SIGTERM else CTRL_C_REASON
+        latch.trip(reason, "stopped", halt=False)  # halting is left to who catches this: it may be what was interrupted
         raise KeyboardInterrupt(reason)
 
     before = {number: signal.signal(number, hear) for number in (signal.SIGINT, signal.SIGTERM)}

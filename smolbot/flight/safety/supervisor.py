@@ -6,30 +6,30 @@ import logging
 import math
 from dataclasses import dataclass
 
-from smolbot.core.coil_heat import CoilHeat, mean_squares
+from smolbot.core.coil_heat import CoilHeat, compute_mean_square_currents
 from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Recording
-from smolbot.core.shots import Actuate, Excite, Listen, Rotate, Shot, magnet_near_after
+from smolbot.core.shots import Actuate, Excite, Listen, Rotate, Shot, is_magnet_near_after
 from smolbot.errors import SafetyError
-from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.safety.duty_cycle import DutyCycle
 from smolbot.flight.safety.heat_store import HeatMemory
-from smolbot.flight.safety.sensor_monitor import SoundWatch
+from smolbot.flight.safety.sensor_monitor import SensorMonitor
 from smolbot.flight.safety.stop_latch import Latch
 
 LOST_WINDOWS = "lost_windows"
 """Key of lost listening windows among the faults that a run has recovered from."""
 
-Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 _LOG = logging.getLogger(__name__)
 
-_SIGMAS = 3.0  # by which a pose must lie outside what is allowed before it is believed
-_EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one heard is earlier by a whole shot
+_MIN_SIGMAS = 3.0  # by which a pose must lie outside what is allowed before it is believed
+_MAX_EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one heard is earlier by a whole shot
 
 
 @dataclass(frozen=True)
-class Rules:
+class SafetyRules:
     """Rules that end a run, besides limits, duty cycle and heat.
 
     Attributes
@@ -44,7 +44,7 @@ class Rules:
         Number of listening windows in a row without a recording at which the run ends.
     max_age : float, in s
         A recording that arrives later than this after it was made counts as lost.
-    reach : tuple of two tuples, in m, or None
+    allowed_box : tuple of two tuples, in m, or None
         Lowest and highest corner, in the world frame, of where a steered robot may be; None if nothing is steered.
     """
 
@@ -53,7 +53,7 @@ class Rules:
     uncertain_shots: int = 5
     stale_shots: int = 3
     max_age: float = math.inf
-    reach: Box | None = None
+    allowed_box: Bounds | None = None
 
 
 class Safety:
@@ -67,11 +67,11 @@ class Safety:
     rules : Rules
     duty : Duty
     heat : CoilHeat
-    sound : SoundWatch
+    sensor_monitor : SoundWatch
         Detects dead and saturated sensors.
     latch : Latch, optional
         Stop latch of the run; a new one unless given.
-    memory : HeatMemory, optional
+    heat_memory : HeatMemory, optional
         Coil temperatures that earlier runs left; without it, the coils start cold.
 
     Attributes
@@ -83,12 +83,12 @@ class Safety:
     def __init__(
         self,
         limits: Limits,
-        rules: Rules,
-        duty: Duty,
+        rules: SafetyRules,
+        duty: DutyCycle,
         heat: CoilHeat,
-        sound: SoundWatch,
+        sensor_monitor: SensorMonitor,
         latch: Latch | None = None,
-        memory: HeatMemory | None = None,
+        heat_memory: HeatMemory | None = None,
     ) -> None:
         self.limits = limits
         self.rules = rules
@@ -96,17 +96,17 @@ class Safety:
         self.heat = heat
         self.latch = latch if latch is not None else Latch()
         self.recovered = {LOST_WINDOWS: 0}
-        self._memory = memory
-        if memory is not None:
-            memory.recall(heat)
+        self._memory = heat_memory
+        if heat_memory is not None:
+            heat_memory.restore(heat)
         self._begin = list(heat.temperatures)
-        self._sound = sound
+        self._sensor_monitor = sensor_monitor
         self._time = 0.0
-        self._near = False
-        self._unsure = 0
+        self._magnet_near = False
+        self._uncertain = 0
         self._missing = 0
 
-    def before(self, shot: Shot, now: float, pose: Pose | None) -> None:
+    def check_shot(self, shot: Shot, now: float, pose: Pose | None) -> None:
         """Check a shot before it is played.
 
         Parameters
@@ -122,19 +122,19 @@ class Safety:
         SafetyError
             With the reason; nothing of the shot may be played.
         """
-        if self.latch.is_shut:
+        if self.latch.tripped:
             raise SafetyError(self.latch.reason)
         if self.latch.over:
             raise SafetyError("This run is over; nothing was played. Begin a new one.")
-        broken = self.limits.broken(shot, magnet_near=self._near)
+        broken = self.limits.broken(shot, magnet_near=self._magnet_near)
         if broken:
             told = " ".join([*(one.said for one in broken), "Nothing was played."])
-            self._stop(told, broken[0].value, broken[0].limit, broken[0].unit, broken[0].channel)
-        self._near = magnet_near_after(shot, near=self._near)
-        self._watch_pose(shot, pose)
-        self._reckon(shot, now)
+            self._trip(told, broken[0].value, broken[0].limit, broken[0].unit, broken[0].channel)
+        self._magnet_near = is_magnet_near_after(shot, near=self._magnet_near)
+        self._check_pose(shot, pose)
+        self._advance_heat_and_duty(shot, now)
 
-    def after(self, shot: Shot, recording: Recording | None, now: float) -> Recording | None:
+    def check_recording(self, shot: Shot, recording: Recording | None, now: float) -> Recording | None:
         """Check the recording of a shot that was played.
 
         Parameters
@@ -160,14 +160,14 @@ class Safety:
             return recording
         late = ""
         if recording is not None:
-            late = self._late(shot, recording, now)
+            late = self._describe_stale(shot, recording, now)
             recording = None if late else recording
         if recording is None:
             self._missing += 1
             _LOG.warning("%.3f s: a listening window was lost%s", now, f": {late}" if late else "")
             if self._missing >= self.rules.stale_shots:
                 why = late or f"the shot at {shot.start:.3f} s listened and gave no recording"
-                self._stop(
+                self._trip(
                     f"Stale data: {self._missing} listening windows in a row were lost (stale_shots = "
                     f"{self.rules.stale_shots}); of the last one, {why}.",
                     self._missing,
@@ -179,16 +179,16 @@ class Safety:
         self._missing = 0
         probes = shot.mode == "quiet" and any(isinstance(w, Actuate | Excite) for w in shot.windows)
         if not probes:  # what is left of a drive is listened to on purpose, and may be too loud
-            wrong = self._sound.hear(recording)
+            wrong = self._sensor_monitor.check_recording(recording)
             if wrong is not None:
                 kind, which, windows = wrong
                 sensors = f"Sensor{'s' if len(which) > 1 else ''} {', '.join(map(str, which))}"
                 what = "constant (dead, or a broken wire)" if kind == "dead" else "saturated"
-                self._stop(
+                self._trip(
                     f"{sensors} (counted from 0) {'were' if len(which) > 1 else 'was'} {what} in {windows} listening "
-                    f"windows in a row (sensor_shots = {self._sound.patience}).",
+                    f"windows in a row (sensor_shots = {self._sensor_monitor.max_windows}).",
                     windows,
-                    self._sound.patience,
+                    self._sensor_monitor.max_windows,
                     "windows",
                     ", ".join(map(str, which)),
                 )
@@ -200,7 +200,7 @@ class Safety:
         if self._memory is not None:
             self._memory.keep(self.heat, now=True)
 
-    def figures(self) -> dict[str, object]:
+    def summarize(self) -> dict[str, object]:
         """Summarize duty cycles and coil temperatures.
 
         Returns
@@ -211,45 +211,45 @@ class Safety:
         """
         known = [(i, c) for i, c in enumerate(self.heat.coils) if c is not None]
         return {
-            "duty_peak": dict(zip(self.duty.names, self.duty.peaks, strict=True)),
+            "duty_peak": dict(zip(self.duty.coil_names, self.duty.peaks, strict=True)),
             "coil_temperature_begin_c": {c.name: self._begin[i] for i, c in known},
             "coil_temperature_peak_c": {c.name: self.heat.peaks[i] for i, c in known},
             "coil_temperature_limit_c": {c.name: c.limit for _, c in known},
         }
 
-    def _stop(
+    def _trip(
         self, reason: str, value: float | None = None, limit: float | None = None, unit: str = "", channel: str = ""
     ) -> None:
-        if not self.latch.shut(reason):  # for another reason, before
+        if not self.latch.trip(reason):  # for another reason, before
             raise SafetyError(self.latch.reason)
         raise SafetyError(reason, value=value, limit=limit, unit=unit, channel=channel)
 
-    def _watch_pose(self, shot: Shot, pose: Pose | None) -> None:
+    def _check_pose(self, shot: Shot, pose: Pose | None) -> None:
         """Stop if the robot is outside the allowed box, or if it would be driven with too uncertain a pose."""
         rules = self.rules
-        if pose is not None and pose.trusted and rules.reach is not None:
-            self._watch_reach(pose, rules.reach)
+        if pose is not None and pose.trusted and rules.allowed_box is not None:
+            self._check_position(pose, rules.allowed_box)
         if shot.mode == "quiet" or not any(isinstance(w, Actuate | Rotate) for w in shot.windows):
             return
         if pose is None:
-            self._stop("Lost pose: a shot would drive the robot before it was ever seen. Nothing was played.")
+            self._trip("Lost pose: a shot would drive the robot before it was ever seen. Nothing was played.")
             return
         sigma = math.sqrt(max(float(pose.covariance[i, i]) for i in range(3)))
-        self._unsure = self._unsure + 1 if sigma > rules.max_sigma else 0
-        if self._unsure >= rules.uncertain_shots:
-            self._stop(
+        self._uncertain = self._uncertain + 1 if sigma > rules.max_sigma else 0
+        if self._uncertain >= rules.uncertain_shots:
+            self._trip(
                 f"Uncertain pose: its standard deviation was above {1e3 * rules.max_sigma:g} mm (max_sigma_mm) in "
-                f"{self._unsure} shots in a row that drive the robot; now {1e3 * sigma:.1f} mm. Nothing was played.",
+                f"{self._uncertain} shots in a row that drive the robot; now {1e3 * sigma:.1f} mm. Nothing was played.",
                 sigma,
                 rules.max_sigma,
                 "m",
             )
 
-    def _watch_reach(self, pose: Pose, reach: Box) -> None:
-        for axis, low, high in zip(range(3), *reach, strict=True):
-            at, sure = float(pose.position[axis]), _SIGMAS * math.sqrt(float(pose.covariance[axis, axis]))
+    def _check_position(self, pose: Pose, allowed_box: Bounds) -> None:
+        for axis, low, high in zip(range(3), *allowed_box, strict=True):
+            at, sure = float(pose.position[axis]), _MIN_SIGMAS * math.sqrt(float(pose.covariance[axis, axis]))
             if at + sure < low or at - sure > high:
-                self._stop(
+                self._trip(
                     f"Out of reach: the robot's {'xyz'[axis]} is {1e3 * at:.1f} ± {1e3 * sure:.1f} mm; it may be from "
                     f"{1e3 * low:.1f} to {1e3 * high:.1f} mm (container and reach_margin_mm). Nothing was played.",
                     at,
@@ -258,41 +258,41 @@ class Safety:
                     "xyz"[axis],
                 )
 
-    def _reckon(self, shot: Shot, now: float) -> None:
+    def _advance_heat_and_duty(self, shot: Shot, now: float) -> None:
         """Advance heat and duty cycle to the end of a shot."""
         self.heat.advance((), now - self._time)
         at, n_coils = now, len(self.limits.coils)
         for window in shot.windows:
             end = at + window.duration
-            squares = mean_squares(window, n_coils, len(self.duty.names) - n_coils)
+            squares = compute_mean_square_currents(window, n_coils, len(self.duty.coil_names) - n_coils)
             self.heat.advance(squares, window.duration)
             for coil, square in enumerate(squares):
                 if square:
-                    self._watch_duty(coil, at, end)
+                    self._check_duty(coil, at, end)
             if squares:
-                self._watch_heat()
+                self._check_heat()
             at = end
         self._time = max(at, self._time)
         if self._memory is not None:
             self._memory.keep(self.heat)
 
-    def _watch_duty(self, coil: int, start: float, end: float) -> None:
-        share = self.duty.drive(coil, start, end)
+    def _check_duty(self, coil: int, start: float, end: float) -> None:
+        share = self.duty.add_span(coil, start, end)
         if share > self.rules.max_duty:
-            self._stop(
-                f"Coil '{self.duty.names[coil]}' would be driven for {100 * share:.0f} % of {self.duty.window:g} s; "
+            self._trip(
+                f"Coil '{self.duty.coil_names[coil]}' would be driven for {100 * share:.0f} % of {self.duty.window:g} s; "
                 f"at most {100 * self.rules.max_duty:.0f} % (max_duty). Nothing was played.",
                 share,
                 self.rules.max_duty,
                 "",
-                self.duty.names[coil],
+                self.duty.coil_names[coil],
             )
 
-    def _watch_heat(self) -> None:
-        hot = self.heat.too_hot()
+    def _check_heat(self) -> None:
+        hot = self.heat.find_overheated_coil()
         if hot is not None:
             coil, temperature = hot
-            self._stop(
+            self._trip(
                 f"Coil '{coil.name}' would reach {temperature:.1f} °C by the end of the next shot; at most "
                 f"{coil.limit:g} °C (max_temperature_c). Nothing was played.",
                 temperature,
@@ -301,20 +301,20 @@ class Safety:
                 coil.name,
             )
 
-    def _late(self, shot: Shot, recording: Recording, now: float) -> str:
+    def _describe_stale(self, shot: Shot, recording: Recording, now: float) -> str:
         """Explain why a recording does not belong to this shot or is too old; empty if neither."""
         asked = next(at for at, window in shot.timed() if isinstance(window, Listen))
         early = shot.start + asked - recording.clock
         listened = 0.0 if shot.listen is None else shot.listen.duration  # a world without samples says when it began
         age = now - recording.clock - listened
-        if early > max(_EARLY, 0.5 * shot.duration):
+        if early > max(_MAX_EARLY, 0.5 * shot.duration):
             return f"the recording began {early:.3f} s before it was asked for"
         if age > self.rules.max_age:
             return f"the recording was {age:.2f} s old when it came (max_age_ms = {1e3 * self.rules.max_age:g})"
         return ""
 
 
-def unbounded(limits: Limits, n_sensors: int) -> Safety:
+def make_limits_only_safety(limits: Limits, n_sensors: int) -> Safety:
     """Build a supervisor that checks the rig's limits only.
 
     Parameters
@@ -327,5 +327,5 @@ def unbounded(limits: Limits, n_sensors: int) -> Safety:
     Safety
     """
     names = (*limits.coils, "excitation x", "excitation y")
-    sound = SoundWatch(n_sensors, patience=1 << 62)
-    return Safety(limits, Rules(), Duty(names, 1.0), CoilHeat((None,) * len(names), 20.0), sound)
+    sound = SensorMonitor(n_sensors, max_windows=1 << 62)
+    return Safety(limits, SafetyRules(), DutyCycle(names, 1.0), CoilHeat((None,) * len(names), 20.0), sound)

@@ -11,7 +11,7 @@ from smolbot.core.arrays import FloatArray
 
 
 @njit(cache=True, error_model="numpy")
-def carried_on(covariance: FloatArray, wait: float, noise: FloatArray) -> FloatArray:
+def predict(covariance: FloatArray, wait: float, noise: FloatArray) -> FloatArray:
     """Predict the covariance of the state: ``P <- F P F^T + diag(noise)``.
 
     ``F`` adds `wait` times the last three states, which are rates, to the first three.
@@ -42,8 +42,8 @@ def carried_on(covariance: FloatArray, wait: float, noise: FloatArray) -> FloatA
 
 
 @njit(cache=True, error_model="numpy")
-def corrected(
-    covariance: FloatArray, heard: FloatArray, innovation: FloatArray
+def update(
+    covariance: FloatArray, measurement_covariance: FloatArray, innovation: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Update the state with a measurement of its first m entries.
 
@@ -53,7 +53,7 @@ def corrected(
     ----------
     covariance : ndarray, shape (n, n)
         Predicted covariance P.
-    heard : ndarray, shape (m, m)
+    measurement_covariance : ndarray, shape (m, m)
         Covariance R of the measurement.
     innovation : ndarray, shape (m,)
         Measured minus predicted, y.
@@ -71,7 +71,7 @@ def corrected(
     factor = np.zeros((m, m))
     for i in range(m):  # Cholesky of the innovation's covariance
         for j in range(i + 1):
-            left = covariance[i, j] + heard[i, j]
+            left = covariance[i, j] + measurement_covariance[i, j]
             for k in range(j):
                 left -= factor[i, k] * factor[j, k]
             if i > j:
@@ -105,7 +105,7 @@ def corrected(
             for j in range(n):
                 kept[i, j] -= gain[i, k] * covariance[k, j]
             for j in range(m):
-                spread[i, j] += gain[i, k] * heard[k, j]
+                spread[i, j] += gain[i, k] * measurement_covariance[k, j]
     out = np.empty((n, n))
     for i in range(n):
         for j in range(n):

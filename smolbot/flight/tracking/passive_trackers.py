@@ -9,12 +9,12 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
+from smolbot.core.rotations import compute_rotation_error, multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Shot
-from smolbot.flight.tracking.tracker import AMPLITUDE_WANDER, WANDER, State, Tracker
+from smolbot.flight.tracking.tracker import AMPLITUDE_STD, PROCESS_NOISE_DENSITY, State, Tracker
 from smolbot.localization.estimator import Oscillation
-from smolbot.motion.led import Motion
+from smolbot.motion.external_motion import ExternalMotion
 
 _P, _E, _A, _V, _W = slice(0, 3), slice(3, 6), 6, slice(7, 10), slice(10, 13)
 _SIZE = 13
@@ -22,21 +22,21 @@ _EYE = np.eye(3)
 
 
 @dataclass(frozen=True)
-class LedState(State):
+class VelocityState(State):
     """Tracker state with a turn rate.
 
     The drift is the velocity; the covariance is (13, 13), with the turn rate last.
 
     Attributes
     ----------
-    turning : ndarray, shape (3,), in rad/s
+    turn_rate : ndarray, shape (3,), in rad/s
         Turn rate in the world frame.
     """
 
-    turning: FloatArray = field(default_factory=lambda: np.zeros(3))
+    turn_rate: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
-class LedTracker(Tracker):
+class VelocityTracker(Tracker):
     """Tracker of a device that is guided externally, with velocity and turn rate as states.
 
     The windows of a shot are assumed to move nothing.
@@ -48,16 +48,16 @@ class LedTracker(Tracker):
         Typical speed, turn rate and correlation time of the motion.
     """
 
-    _state: LedState | None
+    _state: VelocityState | None
 
-    def __init__(self, device: Device, motion: Motion) -> None:
+    def __init__(self, device: Device, motion: ExternalMotion) -> None:
         super().__init__(None, device, None)
         self._motion = motion
 
     @property
-    def turning(self) -> FloatArray:
+    def turn_rate(self) -> FloatArray:
         """Turn rate (3,), in rad/s, in the world frame."""
-        return np.zeros(3) if self._state is None else self._state.turning.copy()
+        return np.zeros(3) if self._state is None else self._state.turn_rate.copy()
 
     def pose_at(self, time: float) -> Pose:
         """Predict the tracked pose from its velocity and turn rate.
@@ -79,8 +79,8 @@ class LedTracker(Tracker):
         if self._last is None or self._state is None:
             raise ValueError("There is no pose yet to carry on.")
         wait = max(time - self._state.time, 0.0)
-        state = self._carried(self._state, wait)
-        covariance = state.covariance[:6, :6] + np.diag(WANDER**2 * wait)
+        state = self._extrapolate(self._state, wait)
+        covariance = state.covariance[:6, :6] + np.diag(PROCESS_NOISE_DENSITY**2 * wait)
         return replace(
             self._last, time=time, position=state.position, orientation=state.orientation, covariance=covariance
         )
@@ -92,33 +92,38 @@ class LedTracker(Tracker):
         covariance = np.zeros((_SIZE, _SIZE))
         covariance[:7, :7] = state.covariance[:7, :7]
         covariance[_V, _V] = self._motion.speed**2 * _EYE
-        covariance[_W, _W] = self._motion.turn**2 * _EYE
-        self._state = LedState(state.time, state.position, state.orientation, state.amplitude, np.zeros(3), covariance)
+        covariance[_W, _W] = self._motion.turn_rate**2 * _EYE
+        self._state = VelocityState(
+            state.time, state.position, state.orientation, state.amplitude, np.zeros(3), covariance
+        )
 
     def _predict(self, shot: Shot, time: float) -> None:
         state = self._state
         assert state is not None
         wait = max(time - state.time, 0.0)
         noise = np.zeros(_SIZE)
-        noise[:6] = WANDER**2 * wait
-        noise[_A] = AMPLITUDE_WANDER**2
-        led = self._carried(state, wait)
-        turned = rotation_error(led.orientation, state.orientation)
-        path = self._motion.spread(wait)[0] * np.repeat([self._motion.speed, self._motion.turn], 3) ** 2
+        noise[:6] = PROCESS_NOISE_DENSITY**2 * wait
+        noise[_A] = AMPLITUDE_STD**2
+        led = self._extrapolate(state, wait)
+        turned = compute_rotation_error(led.orientation, state.orientation)
+        path = (
+            self._motion.compute_process_noise(wait)[0]
+            * np.repeat([self._motion.speed, self._motion.turn_rate], 3) ** 2
+        )
         self.motion = led.position - state.position, turned, noise[:6] + path
         self._state = replace(led, time=time, covariance=led.covariance + np.diag(noise))
 
-    def _learn(self, change: FloatArray) -> None:
+    def _update_rates(self, change: FloatArray) -> None:
         assert self._state is not None
-        self._state = replace(self._state, turning=self._state.turning + change[_W])
+        self._state = replace(self._state, turn_rate=self._state.turn_rate + change[_W])
 
-    def _carried(self, state: LedState, wait: float) -> LedState:
+    def _extrapolate(self, state: VelocityState, wait: float) -> VelocityState:
         """Predict the state `wait` s ahead from its velocity and turn rate, with the added uncertainty."""
-        kept, carried = self._motion.carry(wait)
-        turned = quaternion_product(quaternion_from_rotation_vector(carried * state.turning), state.orientation)
-        path, crossed, rate = self._motion.spread(wait)
+        kept, carried = self._motion.compute_decay(wait)
+        turned = multiply_quaternions(quaternion_from_rotation_vector(carried * state.turn_rate), state.orientation)
+        path, crossed, rate = self._motion.compute_process_noise(wait)
         through, noise = np.eye(_SIZE), np.zeros((_SIZE, _SIZE))
-        for place, speed, size in ((_P, _V, self._motion.speed), (_E, _W, self._motion.turn)):
+        for place, speed, size in ((_P, _V, self._motion.speed), (_E, _W, self._motion.turn_rate)):
             through[place, speed], through[speed, speed] = carried * _EYE, kept * _EYE
             noise[place, place], noise[speed, speed] = path * size**2 * _EYE, rate * size**2 * _EYE
             noise[place, speed] = noise[speed, place] = crossed * size**2 * _EYE
@@ -127,12 +132,12 @@ class LedTracker(Tracker):
             position=state.position + carried * state.drift,
             orientation=turned / math.sqrt(turned @ turned),
             drift=kept * state.drift,
-            turning=kept * state.turning,
+            turn_rate=kept * state.turn_rate,
             covariance=through @ state.covariance @ through.T + noise,
         )
 
 
-class Glimpse(Tracker):
+class SingleShotTracker(Tracker):
     """Tracker for independent measurements: it keeps a pose for one shot only.
 
     A search ends with a pose, which aims the next excitation. The pose of that next shot is a measurement, after
@@ -144,13 +149,13 @@ class Glimpse(Tracker):
 
     Attributes
     ----------
-    measured : int
+    measurements : int
         Number of measurements.
     """
 
     def __init__(self, device: Device) -> None:
         super().__init__(None, device, None)
-        self.measured = 0
+        self.measurements = 0
 
     def update(self, shot: Shot, pose: Pose | None, swing: Oscillation | None = None) -> Pose | None:
         """Keep the pose that ends a search; return the pose of a measurement, and clear the state.
@@ -177,5 +182,5 @@ class Glimpse(Tracker):
             self.misses += 1
             return None
         self.misses = 0
-        self.measured += 1
+        self.measurements += 1
         return pose

@@ -8,23 +8,23 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
 from smolbot.flight.device_belief import DeviceBelief
 
-START = np.array([0.3, 3.0])
+START_STD = np.array([0.3, 3.0])
 """Initial standard deviation of frequency (Hz) and damping (1/s)."""
 
-WANDER = np.array([0.01, 0.15])
+PROCESS_NOISE_DENSITY = np.array([0.01, 0.15])
 """Process noise of both per square root of a second: temperature, liquid, fields."""
 
-FLOOR = np.array([0.05, 0.5])
+MEASUREMENT_FLOOR = np.array([0.05, 0.5])
 """Standard deviation of every single estimate that is due to errors of the model."""
 
-WORTHWHILE = np.array([0.08, 0.06])
+MIN_CHANGE = np.array([0.08, 0.06])
 """Change of frequency (Hz) and relative change of damping from which the device is replaced."""
 
-SURE = 4.0
+MIN_SIGMAS = 4.0
 """Number of standard deviations by which a change must be significant."""
 
 
-class Resonance:
+class ResonanceFilter:
     """A Kalman filter on the differences of frequency and damping from the device that is believed in.
 
     Every recording says a little of both, along with its pose. When enough has come together, the
@@ -33,47 +33,49 @@ class Resonance:
 
     def __init__(self, belief: DeviceBelief) -> None:
         self.belief = belief
-        self._off = np.zeros(2)
-        self._covariance = np.diag(START**2)
+        self._deviation = np.zeros(2)
+        self._covariance = np.diag(START_STD**2)
         self._time: float | None = None
 
     @property
-    def off(self) -> FloatArray:
+    def deviation(self) -> FloatArray:
         """Estimated deviation (2,) of frequency (Hz) and damping (1/s) from the device's."""
-        return self._off.copy()
+        return self._deviation.copy()
 
     @property
     def sigma(self) -> FloatArray:
         """Standard deviations (2,) of `off`."""
         return np.sqrt(np.diag(self._covariance))
 
-    def update(self, time: float, seen: FloatArray, covariance: FloatArray) -> Device | None:
+    def update(self, time: float, measured: FloatArray, covariance: FloatArray) -> Device | None:
         """Take in what one recording at `time` s says; return the device if the belief was retuned.
 
         Parameters
         ----------
-        seen : ndarray, shape (2,)
+        measured : ndarray, shape (2,)
             Difference of frequency (Hz) and damping (1/s) from the device's.
         covariance : ndarray, shape (2, 2)
         """
         if not np.isfinite(covariance).all():
             return None
         if self._time is not None:
-            self._covariance = self._covariance + np.diag(WANDER**2 * max(time - self._time, 0.0))
+            self._covariance = self._covariance + np.diag(PROCESS_NOISE_DENSITY**2 * max(time - self._time, 0.0))
         self._time = time
-        total = self._covariance + covariance + np.diag(FLOOR**2)
-        innovation = seen - self._off
+        total = self._covariance + covariance + np.diag(MEASUREMENT_FLOOR**2)
+        innovation = measured - self._deviation
         inverse = np.linalg.inv(total)
         if innovation @ inverse @ innovation > 25.0:
             return None
         gain = self._covariance @ inverse
-        self._off = self._off + gain @ innovation
+        self._deviation = self._deviation + gain @ innovation
         self._covariance = (np.eye(2) - gain) @ self._covariance
         device = self.belief.device
-        worthwhile = np.array([WORTHWHILE[0], WORTHWHILE[1] * max(device.damping, 1.0)])
-        sure = (np.abs(self._off) > worthwhile) & (np.abs(self._off) > SURE * self.sigma)
+        worthwhile = np.array([MIN_CHANGE[0], MIN_CHANGE[1] * max(device.damping, 1.0)])
+        sure = (np.abs(self._deviation) > worthwhile) & (np.abs(self._deviation) > MIN_SIGMAS * self.sigma)
         if not sure.any():
             return None
-        self.belief.retune(device.frequency + float(self._off[0]), max(device.damping + float(self._off[1]), 0.0))
-        self._off = np.zeros(2)
+        self.belief.retune(
+            device.frequency + float(self._deviation[0]), max(device.damping + float(self._deviation[1]), 0.0)
+        )
+        self._deviation = np.zeros(2)
         return self.belief.device

@@ -12,17 +12,17 @@ from lookup_tables.errors import OutsideTableError
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import (
+    choose_nearer_orientation,
+    compute_rotation_error,
     matrix_from_quaternion,
-    nearer_twin,
+    multiply_quaternions,
     quaternion_from_rotation_vector,
-    quaternion_product,
-    rotation_error,
 )
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Rotate, Shot
-from smolbot.flight.tracking.kalman import carried_on, corrected
+from smolbot.flight.tracking.kalman import predict, update
 from smolbot.localization.estimator import Oscillation
-from smolbot.motion.gradient import advance, stray_turn
+from smolbot.motion.gradient import advance, compute_turn_variance
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 
@@ -31,32 +31,32 @@ if TYPE_CHECKING:
 GATE = 33.1
 """Squared Mahalanobis distance beyond which a pose is an outlier: chi-square of 6 degrees at 1e-5."""
 
-MOTION_ERROR = 0.3
+MOTION_ERROR_SHARE = 0.3
 """Standard deviation of a predicted motion, as a share of it: drag, gain, alignment."""
 
 MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
 """Standard deviation of every pose due to errors of the sensor array, per axis (m, rad, share of the amplitude)."""
 
-WANDER = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
+PROCESS_NOISE_DENSITY = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Process noise per square root of a second, per axis (m, rad), of a robot at a surface."""
 
-SCREWED = np.array([0.35, 0.1, 0.1])
+SCREW_STEP_STD = np.array([0.35, 0.1, 0.1])
 """Standard deviation of a predicted advance of a helix, as shares of it: along the axis (step-out), across, above."""
 
-RESEATED = 1e-3
+MAGNET_MOVE_STD = 1e-3
 """Standard deviation (m) of a helix's advance while the magnet comes and goes: half a pitch."""
 
-STRAYED = np.array([np.radians(180.0), np.radians(6.0), np.radians(5.0), 0.3])
+SCREW_TURN_STD = np.array([np.radians(180.0), np.radians(6.0), np.radians(5.0), 0.3])
 """Standard deviations after turns of a helix: roll (rad; unknown), elevation (rad), azimuth (rad), and azimuth as a
 share of the predicted turn."""
 
-VAGUE = 0.6
+MAX_START_ANGLE_STD = 0.6
 """Standard deviation of the orientation (rad) above which it is no start for a fit."""
 
-AMPLITUDE_WANDER = 0.02
+AMPLITUDE_STD = 0.02
 """Relative standard deviation of the drive's amplitude from one shot to the next."""
 
-DRIFT_START, DRIFT_WANDER = 3e-5, 1e-5
+DRIFT_START_STD, DRIFT_NOISE_DENSITY = 3e-5, 1e-5
 """Initial standard deviation of the drift (m/s), and its process noise (m/s per square root of a second)."""
 
 _P, _E, _A, _V = slice(0, 3), slice(3, 6), 6, slice(7, 10)
@@ -127,7 +127,7 @@ class Tracker:
         self._state: State | None = None
         self._candidate: Pose | None = None
         self._accepted = 0
-        self._surprise = 1.0
+        self._innovation_scale = 1.0
         self._embedded = isinstance(robot, Helix)
         self._last: Pose | None = None
         self.motion: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -139,11 +139,11 @@ class Tracker:
         return self._last
 
     @property
-    def vague(self) -> bool:
+    def orientation_uncertain(self) -> bool:
         """True if the orientation is too uncertain to start a fit from, as the roll of a helix after a turn."""
         if self._state is None or not self._embedded:
             return False
-        return bool(np.max(np.diag(self._state.covariance)[_E]) > VAGUE**2)
+        return bool(np.max(np.diag(self._state.covariance)[_E]) > MAX_START_ANGLE_STD**2)
 
     @property
     def confirmed(self) -> bool:
@@ -183,7 +183,7 @@ class Tracker:
         if self._last is None or self._state is None:
             raise ValueError("There is no pose yet to carry on.")
         wait = max(time - self._state.time, 0.0)
-        covariance = self._state.covariance[:6, :6] + np.diag(WANDER**2 * wait * (not self._embedded))
+        covariance = self._state.covariance[:6, :6] + np.diag(PROCESS_NOISE_DENSITY**2 * wait * (not self._embedded))
         position = self._state.position + wait * self._state.drift
         return replace(self._last, time=time, position=position, covariance=covariance)
 
@@ -218,9 +218,9 @@ class Tracker:
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
         if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
-            nearer = nearer_twin(pose.orientation, self._state.orientation)
+            nearer = choose_nearer_orientation(pose.orientation, self._state.orientation)
             pose = pose if nearer is pose.orientation else replace(pose, orientation=nearer)
-        believed = pose is not None and pose.trusted and self._correct(pose, swing)
+        believed = pose is not None and pose.trusted and self._apply_measurement(pose, swing)
         if believed:
             self.misses = 0
             self._accepted += 1
@@ -228,20 +228,20 @@ class Tracker:
         else:
             self.misses += 1
             if pose is not None and pose.trusted:
-                self._consider(pose)
+                self._restart_if_two_agree(pose)
         return self._publish(pose, believed)
 
     def _begin(self, pose: Pose) -> None:
         covariance = np.zeros((_SIZE, _SIZE))
         covariance[:6, :6] = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
         covariance[_A, _A] = 0.3**2
-        covariance[_V, _V] = DRIFT_START**2 * np.eye(3) * (not self._embedded)
+        covariance[_V, _V] = DRIFT_START_STD**2 * np.eye(3) * (not self._embedded)
         place = np.array(pose.position), np.array(pose.orientation)
         self._state = State(pose.time, *place, 0.75, np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
         self._publish(pose, True)
 
-    def _consider(self, pose: Pose) -> None:
+    def _restart_if_two_agree(self, pose: Pose) -> None:
         """Restart the track if two rejected poses in a row agree with each other."""
         other = self._candidate
         self._candidate = pose
@@ -249,7 +249,7 @@ class Tracker:
             return
         orientation = pose.orientation
         if self._device.along_cantilever:
-            orientation = nearer_twin(orientation, other.orientation)
+            orientation = choose_nearer_orientation(orientation, other.orientation)
         near = np.linalg.norm(pose.position - other.position) < 2e-3
         if near and np.dot(orientation, other.orientation) ** 2 > 0.95:
             self._begin(pose)
@@ -260,12 +260,12 @@ class Tracker:
         wait = max(time - state.time, 0.0)
         position, orientation = state.position + wait * state.drift, state.orientation
         noise = np.zeros(_SIZE)
-        noise[_A] = AMPLITUDE_WANDER**2
+        noise[_A] = AMPLITUDE_STD**2
         if isinstance(self._robot, Helix):
-            self._screw(self._robot, shot, time, noise)
+            self._predict_helix(self._robot, shot, time, noise)
             return
-        noise[:6] = WANDER**2 * wait
-        noise[_V] = DRIFT_WANDER**2 * wait
+        noise[:6] = PROCESS_NOISE_DENSITY**2 * wait
+        noise[_V] = DRIFT_NOISE_DENSITY**2 * wait
         for window in shot.windows:
             if not isinstance(window, Actuate) or not any(window.currents):
                 continue
@@ -281,17 +281,21 @@ class Tracker:
             step, after = advance(self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration)
             turn = after - heading
             position[:2] += step
-            orientation = quaternion_product(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
-            noise[:2] += MOTION_ERROR**2 * (step[0] * step[0] + step[1] * step[1])
-            noise[5] += (MOTION_ERROR * turn) ** 2
-            noise[5] += stray_turn(
+            orientation = multiply_quaternions(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
+            noise[:2] += MOTION_ERROR_SHARE**2 * (step[0] * step[0] + step[1] * step[1])
+            noise[5] += (MOTION_ERROR_SHARE * turn) ** 2
+            noise[5] += compute_turn_variance(
                 self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration, state.covariance[5, 5]
             )
-        self.motion = position - state.position, rotation_error(orientation, state.orientation), noise[:6].copy()
-        covariance = carried_on(state.covariance, wait, noise)
+        self.motion = (
+            position - state.position,
+            compute_rotation_error(orientation, state.orientation),
+            noise[:6].copy(),
+        )
+        covariance = predict(state.covariance, wait, noise)
         self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
-    def _screw(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
+    def _predict_helix(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
         """Predict the motion of a helix in a shot: it rests, unless the magnet turns."""
         state = self._state
         assert state is not None
@@ -303,36 +307,38 @@ class Tracker:
             ahead = frame[:, 2]
             left = np.array([-ahead[1], ahead[0], 0.0]) / math.hypot(ahead[0], ahead[1])
             axes = np.column_stack([ahead, left, np.cross(ahead, left)])
-            places = SCREWED * turns * helix.advance
-            places[0] = math.hypot(places[0], RESEATED)
-            turning = np.array([STRAYED[0], STRAYED[1], math.hypot(STRAYED[2], STRAYED[3] * turned)])
+            places = SCREW_STEP_STD * turns * helix.advance
+            places[0] = math.hypot(places[0], MAGNET_MOVE_STD)
+            turning = np.array(
+                [SCREW_TURN_STD[0], SCREW_TURN_STD[1], math.hypot(SCREW_TURN_STD[2], SCREW_TURN_STD[3] * turned)]
+            )
             covariance[_P, _P] += axes @ np.diag(places**2) @ axes.T
             covariance[_E, _E] += axes @ np.diag(turning**2) @ axes.T
         covariance[np.arange(_SIZE), np.arange(_SIZE)] += noise
         self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
 
-    def _correct(self, pose: Pose, swing: Oscillation | None) -> bool:
+    def _apply_measurement(self, pose: Pose, swing: Oscillation | None) -> bool:
         state = self._state
         assert state is not None
-        turned = rotation_error(pose.orientation, state.orientation)
+        turned = compute_rotation_error(pose.orientation, state.orientation)
         innovation = np.empty(6 if swing is None else 7)
         innovation[_P], innovation[_E] = pose.position - state.position, turned
         if swing is None:
-            heard = self._surprise * pose.covariance + _MODEL_FLOOR[:6, :6]
+            heard = self._innovation_scale * pose.covariance + _MODEL_FLOOR[:6, :6]
         else:
             top = self._device.theta_max
             innovation[_A] = swing.amplitude / top - state.amplitude
-            heard = self._surprise * swing.covariance
+            heard = self._innovation_scale * swing.covariance
             heard[_A] /= top
             heard[:, _A] /= top
             heard += _MODEL_FLOOR
         m = len(innovation)
-        distance, change, covariance = corrected(state.covariance, heard, innovation)
+        distance, change, covariance = update(state.covariance, heard, innovation)
         if not distance <= GATE + 2.0 * (m - 6):
             return False
-        surprise = 0.95 * self._surprise + 0.05 * self._surprise * distance / m
-        self._surprise = min(max(surprise, 1.0), 25.0)
-        orientation = quaternion_product(quaternion_from_rotation_vector(change[_E]), state.orientation)
+        surprise = 0.95 * self._innovation_scale + 0.05 * self._innovation_scale * distance / m
+        self._innovation_scale = min(max(surprise, 1.0), 25.0)
+        orientation = multiply_quaternions(quaternion_from_rotation_vector(change[_E]), state.orientation)
         self._state = replace(
             state,
             position=state.position + change[_P],
@@ -341,10 +347,10 @@ class Tracker:
             drift=state.drift + change[_V],
             covariance=covariance,
         )
-        self._learn(change)
+        self._update_rates(change)
         return True
 
-    def _learn(self, change: FloatArray) -> None:
+    def _update_rates(self, change: FloatArray) -> None:
         """Update further states that a subclass has; here there are none."""
 
     def _publish(self, pose: Pose | None, believed: bool) -> Pose:

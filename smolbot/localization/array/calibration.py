@@ -16,15 +16,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray, frozen
+from smolbot.core.arrays import FloatArray, freeze
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import rotation_error
+from smolbot.core.rotations import compute_rotation_error
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.array.fit import HOLDER, PER_SENSOR, Heard, Unknowns, across, corrected_array, held, step
+from smolbot.localization.array.fit import (
+    UNKNOWNS_OF_HOLDER,
+    UNKNOWNS_PER_SENSOR,
+    ReducedRecording,
+    Unknowns,
+    compute_gauss_newton_step,
+    compute_pose_in_holder,
+    compute_transverse_axes,
+    correct_array,
+)
 from smolbot.localization.device.thinning import Hum
 
-ROUNDS = 4
+GAUSS_NEWTON_STEPS = 4
 """Gauss-Newton steps; each also updates the estimated higher harmonics."""
 
 ORIENTATION_SLACK = 1.1
@@ -106,7 +115,7 @@ class Holder:
     place_std: FloatArray
     turn_std: FloatArray
 
-    def true(self, pose: Pose) -> Pose:
+    def compute_device_pose(self, pose: Pose) -> Pose:
         """Compute the pose of the device from the pose of the track.
 
         Parameters
@@ -118,7 +127,7 @@ class Holder:
         -------
         Pose
         """
-        return held(pose, np.concatenate([self.place, self.turn]))
+        return compute_pose_in_holder(pose, np.concatenate([self.place, self.turn]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +139,7 @@ class ArrayCalibration:
     sensors : SensorArray
         Calibrated positions and axes.
     gains : ndarray, shape (n_sensors,)
-        Of each sensor relative to the assumed gain; divide a recording by them (`corrected`).
+        Of each sensor relative to the assumed gain; divide a recording by them (`correct_recording`).
     place_std : ndarray, shape (n_sensors, 3), in m
     gain_std : ndarray, shape (n_sensors,)
     tilt_std : ndarray, shape (n_sensors, 2), in rad
@@ -147,7 +156,7 @@ class ArrayCalibration:
     holder: Holder
     held_out: HeldOut
 
-    def corrected(self, recording: Recording) -> Recording:
+    def correct_recording(self, recording: Recording) -> Recording:
         """Divide a recording by the sensors' gains.
 
         Parameters
@@ -218,31 +227,37 @@ def calibrate_sensors(
             f"{len(recordings)} recordings leave {len(used)} to learn from and {len(aside)} to check with; at least "
             f"{MIN_LEARNED} and {MIN_HELD_OUT} are needed, and three times as many are recommended."
         )
-    heard = [Heard.of(recordings[i], track[i], sensors, device, hum) for i in used]
-    frames = np.stack([across(axis) for axis in sensors.axes])
+    heard = [ReducedRecording.from_recording(recordings[i], track[i], sensors, device, hum) for i in used]
+    frames = np.stack([compute_transverse_axes(axis) for axis in sensors.axes])
     deviations = (
         np.array([priors.gain, priors.axis, priors.axis, *[priors.place] * 3]),
         np.array([*[priors.holder_place] * 3, *[priors.holder_turn] * 3]),
     )
-    found = Unknowns(np.zeros((len(sensors), PER_SENSOR)), np.zeros(HOLDER), np.array([h.amplitude for h in heard]))
-    for _ in range(ROUNDS):
-        found, spread, loose = step(heard, sensors, device, frames, found, deviations, priors.track)
-    array, gains = corrected_array(sensors, frames, found.sensors), np.exp(found.sensors[:, 0])
-    check = [(recordings[i], held(track[i], found.holder)) for i in sorted(aside)]
-    before = _errors([r for r, _ in check], check, sensors, device)
-    after = _errors([replace(r, field=r.field / gains[:, None]) for r, _ in check], check, array, device)
+    found = Unknowns(
+        np.zeros((len(sensors), UNKNOWNS_PER_SENSOR)),
+        np.zeros(UNKNOWNS_OF_HOLDER),
+        np.array([h.amplitude for h in heard]),
+    )
+    for _ in range(GAUSS_NEWTON_STEPS):
+        found, spread, loose = compute_gauss_newton_step(
+            heard, sensors, device, frames, found, deviations, priors.track
+        )
+    array, gains = correct_array(sensors, frames, found.sensors), np.exp(found.sensors[:, 0])
+    check = [(recordings[i], compute_pose_in_holder(track[i], found.holder)) for i in sorted(aside)]
+    before = _compute_errors([r for r, _ in check], check, sensors, device)
+    after = _compute_errors([replace(r, field=r.field / gains[:, None]) for r, _ in check], check, array, device)
     return ArrayCalibration(
         sensors=array,
-        gains=frozen(gains),
-        place_std=frozen(spread[:, 3:]),
-        gain_std=frozen(spread[:, 0]),
-        tilt_std=frozen(spread[:, 1:3]),
-        holder=Holder(*(frozen(part) for part in (found.holder[:3], found.holder[3:], loose[:3], loose[3:]))),
+        gains=freeze(gains),
+        place_std=freeze(spread[:, 3:]),
+        gain_std=freeze(spread[:, 0]),
+        tilt_std=freeze(spread[:, 1:3]),
+        holder=Holder(*(freeze(part) for part in (found.holder[:3], found.holder[3:], loose[:3], loose[3:]))),
         held_out=HeldOut(len(check), before[0], after[0], before[1], after[1]),
     )
 
 
-def _errors(
+def _compute_errors(
     recordings: Sequence[Recording], check: Sequence[tuple[Recording, Pose]], array: SensorArray, device: Device
 ) -> tuple[float, float]:
     """Compute the rms errors per axis of poses located from the known ones: m, rad."""
@@ -254,5 +269,5 @@ def _errors(
     for recording, (_, pose) in zip(recordings, check, strict=True):
         found = localizer.locate(recording, pose)
         places.append(found.position - pose.position)
-        turns.append(rotation_error(np.array(found.orientation), np.array(pose.orientation)))
+        turns.append(compute_rotation_error(np.array(found.orientation), np.array(pose.orientation)))
     return float(np.sqrt(np.mean(np.square(places)))), float(np.sqrt(np.mean(np.square(turns))))

@@ -14,24 +14,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smolbot.core.arrays import FloatArray, frozen
+from smolbot.core.arrays import FloatArray, freeze
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product, rotation_error
+from smolbot.core.rotations import compute_rotation_error, multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Device, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.array.fit import across
-from smolbot.localization.array.terms import OF_DEVICE, PER_SENSOR, ArrayTerms
+from smolbot.localization.array.fit import compute_transverse_axes
+from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE, DEVIATIONS_PER_SENSOR, ArrayTerms
 
-TAKEN_IN_EVERY = 10
+UPDATE_INTERVAL = 10
 """Recordings after which their information on the sensors is added, all at once: it costs as much as for one."""
 
-WORTHWHILE = 1.5e-5
+MIN_POSE_CHANGE = 1.5e-5
 """Change of a pose, in m, from which a new array is built."""
 
-AMPLITUDE_WANDER = 0.02
+AMPLITUDE_VARIATION = 0.02
 """Relative standard deviation of the amplitude from one shot to the next."""
 
-SURE = 4.0
+MIN_SIGMAS = 4.0
 """Standard deviations by which chi-square must exceed its expectation under noise before sensors are corrected.
 
 Without it, noise would move sensors that are where they should be."""
@@ -39,13 +39,13 @@ Without it, noise would move sensors that are where they should be."""
 LEARNED = 0.5
 """Share of the prior variance below which a combination of deviations counts as measured."""
 
-VAGUE = np.array([3e-3] * 3 + [0.3] * 3 + [0.3])
+INITIAL_STD = np.array([3e-3] * 3 + [0.3] * 3 + [0.3])
 """Standard deviations at the start of a track: m, rad, share of the amplitude."""
 
-GATE = 60.0
+MAX_MAHALANOBIS_SQUARED = 60.0
 """Squared Mahalanobis distance of a pose (7 degrees of freedom) above which it is rejected."""
 
-PATIENCE = 3
+MAX_REJECTED = 3
 """Poses rejected in a row after which the track restarts; what was learned of the sensors is kept."""
 
 _POSE = 7
@@ -53,7 +53,7 @@ _POSE = 7
 
 
 @dataclass(frozen=True, eq=False)
-class ArrayBelief:
+class ArrayPrior:
     """The assumed array and device, and the covariance of their deviations from the true ones.
 
     Attributes
@@ -72,11 +72,11 @@ class ArrayBelief:
     frames: FloatArray
 
     def __post_init__(self) -> None:
-        n = PER_SENSOR * len(self.sensors) + OF_DEVICE
+        n = DEVIATIONS_PER_SENSOR * len(self.sensors) + DEVIATIONS_OF_DEVICE
         if self.covariance.shape != (n, n):
             raise InputError(f"ArrayBelief covariance must have shape ({n}, {n}); got {self.covariance.shape}.")
 
-    def array(self, deviations: FloatArray) -> SensorArray:
+    def make_array(self, deviations: FloatArray) -> SensorArray:
         """Make the array whose sensors deviate from the assumed ones.
 
         Parameters
@@ -87,12 +87,12 @@ class ArrayBelief:
         -------
         SensorArray
         """
-        by_sensor, s = deviations[:-OF_DEVICE].reshape(-1, PER_SENSOR), self.sensors
+        by_sensor, s = deviations[:-DEVIATIONS_OF_DEVICE].reshape(-1, DEVIATIONS_PER_SENSOR), self.sensors
         gains = np.exp(by_sensor[:, 0]) * (1.0 if s.gains is None else s.gains)
         axes = s.axes + np.einsum("nj,njk->nk", by_sensor[:, 1:3], self.frames)
         return SensorArray(s.positions + by_sensor[:, 3:], axes, s.bandwidth, gains)
 
-    def moment_and_l0(self, deviations: FloatArray) -> tuple[float, float]:
+    def compute_moment_and_l0(self, deviations: FloatArray) -> tuple[float, float]:
         """Compute moment and l0 of a device that deviates from the assumed one.
 
         Parameters
@@ -108,7 +108,7 @@ class ArrayBelief:
         return float(moment), max(float(l0), 0.0)
 
 
-def tilt_frames(sensors: SensorArray) -> FloatArray:
+def compute_tilt_frames(sensors: SensorArray) -> FloatArray:
     """Compute the directions of each sensor's tilts.
 
     Parameters
@@ -119,23 +119,23 @@ def tilt_frames(sensors: SensorArray) -> FloatArray:
     -------
     ndarray, shape (n, 2, 3)
     """
-    return frozen(np.stack([across(axis) for axis in sensors.axes]))
+    return freeze(np.stack([compute_transverse_axes(axis) for axis in sensors.axes]))
 
 
 class ArrayFilter:
     """Kalman filter of a device's position, orientation and amplitude, and of the deviations of sensors and device.
 
-    Before every recording, call `moved` with the predicted motion of the robot, then `update` with the recording's
+    Before every recording, call `predict` with the predicted motion of the robot, then `update` with the recording's
     terms. When `update` returns True, enough was learned: use `sensors`, `moment` and `l0` from then on; later
     terms must be of fits with those.
 
     Parameters
     ----------
-    belief : ArrayBelief
+    prior : ArrayBelief
 
     Attributes
     ----------
-    belief : ArrayBelief
+    prior : ArrayBelief
     deviations : ndarray, shape (n,)
         Of sensors and device, as estimated.
     sensors, moment, l0 : SensorArray, float in A·m², float in m
@@ -144,16 +144,16 @@ class ArrayFilter:
         Number of recordings used.
     """
 
-    def __init__(self, belief: ArrayBelief) -> None:
-        n = len(belief.covariance)
-        self.belief = belief
+    def __init__(self, prior: ArrayPrior) -> None:
+        n = len(prior.covariance)
+        self.prior = prior
         self.deviations = np.zeros(n)
-        self.sensors, self.moment, self.l0 = belief.sensors, belief.device.moment, belief.device.l0
+        self.sensors, self.moment, self.l0 = prior.sensors, prior.device.moment, prior.device.l0
         self.recordings = 0
         self._applied = np.zeros(n)
         self._told = False
         self._covariance = np.zeros((_POSE + n, _POSE + n))
-        self._covariance[_POSE:, _POSE:] = belief.covariance
+        self._covariance[_POSE:, _POSE:] = prior.covariance
         self._position: FloatArray | None = None
         self._orientation = np.array([1.0, 0.0, 0.0, 0.0])
         self._amplitude = 0.0
@@ -165,7 +165,7 @@ class ArrayFilter:
         """Covariance of the remaining deviations, shape (n, n)."""
         return self._covariance[_POSE:, _POSE:].copy()
 
-    def moved(self, step: FloatArray, turn: FloatArray, variance: FloatArray) -> None:
+    def predict(self, step: FloatArray, turn: FloatArray, variance: FloatArray) -> None:
         """Predict: add the motion of the robot.
 
         Parameters
@@ -178,7 +178,7 @@ class ArrayFilter:
         if self._position is None:
             return
         self._position = self._position + step
-        self._orientation = quaternion_product(quaternion_from_rotation_vector(turn), self._orientation)
+        self._orientation = multiply_quaternions(quaternion_from_rotation_vector(turn), self._orientation)
         index = np.arange(6)
         self._covariance[index, index] += variance
 
@@ -198,62 +198,62 @@ class ArrayFilter:
             Whether the localizer's array and device should be replaced.
         """
         if self._position is None:
-            self._begin(pose, terms)
-        self._covariance[6, 6] += (AMPLITUDE_WANDER * self._amplitude) ** 2
-        if not self._correct(pose, terms):
+            self._restart(pose, terms)
+        self._covariance[6, 6] += (AMPLITUDE_VARIATION * self._amplitude) ** 2
+        if not self._update_pose(pose, terms):
             self._left_out += 1
-            if self._left_out <= PATIENCE:
+            if self._left_out <= MAX_REJECTED:
                 return False
-            self._begin(pose, terms)
-            self._correct(pose, terms)
+            self._restart(pose, terms)
+            self._update_pose(pose, terms)
         self._left_out = 0
         self.recordings += 1
         self._information += terms.information
         self._right += terms.right + terms.information @ self._applied
         self._waiting += 1
-        if self._waiting < TAKEN_IN_EVERY:
+        if self._waiting < UPDATE_INTERVAL:
             return False
-        self._take_in()
-        self._told = self._told or surprising(self.deviations, self.covariance, self.belief.covariance)
+        self._update_deviations()
+        self._told = self._told or is_significant(self.deviations, self.covariance, self.prior.covariance)
         if not self._told:
             return False
-        change = terms.lean[:3] @ (self.deviations - self._applied)
-        if not float(np.linalg.norm(change)) > WORTHWHILE:
+        change = terms.sensitivity[:3] @ (self.deviations - self._applied)
+        if not float(np.linalg.norm(change)) > MIN_POSE_CHANGE:
             return False
         self._applied = self.deviations.copy()
-        self.sensors = self.belief.array(self._applied)
-        self.moment, self.l0 = self.belief.moment_and_l0(self._applied)
+        self.sensors = self.prior.make_array(self._applied)
+        self.moment, self.l0 = self.prior.compute_moment_and_l0(self._applied)
         return True
 
-    def _begin(self, pose: Pose, terms: ArrayTerms) -> None:
+    def _restart(self, pose: Pose, terms: ArrayTerms) -> None:
         self._position, self._orientation = np.array(pose.position), np.array(pose.orientation)
         self._amplitude = terms.amplitude
         self._covariance[:_POSE] = 0.0
         self._covariance[:, :_POSE] = 0.0
-        spread = VAGUE.copy()
+        spread = INITIAL_STD.copy()
         spread[6] *= self._amplitude
         self._covariance[np.arange(_POSE), np.arange(_POSE)] = spread**2
         self._left_out = 0
 
-    def _correct(self, pose: Pose, terms: ArrayTerms) -> bool:
+    def _update_pose(self, pose: Pose, terms: ArrayTerms) -> bool:
         """Update with a pose; return False, with nothing changed, if it fails the gate."""
         assert self._position is not None
         off = self.deviations - self._applied
-        innovation = terms.pose + terms.lean @ off
+        innovation = terms.pose + terms.sensitivity @ off
         innovation[:3] += pose.position - self._position
-        innovation[3:6] += rotation_error(pose.orientation, self._orientation)
+        innovation[3:6] += compute_rotation_error(pose.orientation, self._orientation)
         innovation[6] += terms.amplitude - self._amplitude
         # found = true - lean @ deviations: the measurement matrix is (1, -lean)
-        cross = self._covariance[:, :_POSE] - self._covariance[:, _POSE:] @ terms.lean.T
-        total = cross[:_POSE] - terms.lean @ cross[_POSE:] + terms.covariance
+        cross = self._covariance[:, :_POSE] - self._covariance[:, _POSE:] @ terms.sensitivity.T
+        total = cross[:_POSE] - terms.sensitivity @ cross[_POSE:] + terms.covariance
         gain = np.linalg.solve(total, cross.T).T
-        if not float(innovation @ np.linalg.solve(total, innovation)) < GATE:
+        if not float(innovation @ np.linalg.solve(total, innovation)) < MAX_MAHALANOBIS_SQUARED:
             return False
-        self._shift(gain @ innovation)
+        self._apply_change(gain @ innovation)
         self._covariance -= gain @ cross.T
         return True
 
-    def _take_in(self) -> None:
+    def _update_deviations(self) -> None:
         """Update the deviations with what no pose could explain in the recordings since the last time."""
         information, right = self._information, self._right
         n = len(right)
@@ -263,21 +263,21 @@ class ArrayFilter:
         change = np.linalg.solve(np.eye(n) + information @ own, information @ toward.T)
         self._covariance -= toward @ change
         self._covariance = 0.5 * (self._covariance + self._covariance.T)
-        self._shift(self._covariance[:, _POSE:] @ (right - information @ self.deviations))
+        self._apply_change(self._covariance[:, _POSE:] @ (right - information @ self.deviations))
         self._information[:] = 0.0
         self._right[:] = 0.0
         self._waiting = 0
 
-    def _shift(self, change: FloatArray) -> None:
+    def _apply_change(self, change: FloatArray) -> None:
         assert self._position is not None
         self._position = self._position + change[:3]
-        self._orientation = quaternion_product(quaternion_from_rotation_vector(change[3:6]), self._orientation)
+        self._orientation = multiply_quaternions(quaternion_from_rotation_vector(change[3:6]), self._orientation)
         self._orientation /= np.linalg.norm(self._orientation)
         self._amplitude += float(change[6])
         self.deviations = self.deviations + change[_POSE:]
 
 
-def surprising(deviations: FloatArray, covariance: FloatArray, prior: FloatArray) -> bool:
+def is_significant(deviations: FloatArray, covariance: FloatArray, prior: FloatArray) -> bool:
     """Return whether estimated deviations are significant: larger than noise alone would make them.
 
     Only directions are tested of which more is known now than before: there a deviation of zero would be estimated
@@ -306,4 +306,4 @@ def surprising(deviations: FloatArray, covariance: FloatArray, prior: FloatArray
         return False
     seen = vectors[:, known].T @ (deviations[free] / scale)
     square = float(np.sum(seen**2 / (values[known] * (1.0 - values[known]))))
-    return square > count + SURE * math.sqrt(2.0 * count)
+    return square > count + MIN_SIGMAS * math.sqrt(2.0 * count)

@@ -9,22 +9,22 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import matrix_from_quaternion, multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Device, Recording, SensorArray
-from smolbot.localization.device.fit import power_coefficients
-from smolbot.localization.device.thinning import Hum, Thinned, thin
+from smolbot.localization.device.fit import compute_power_coefficients
+from smolbot.localization.device.thinning import Hum, ThinnedRecording, thin_recording
 
-PER_SENSOR = 6
+UNKNOWNS_PER_SENSOR = 6
 """Unknowns of a sensor: ln gain, two tilts, three coordinates."""
 
-HOLDER = 6
+UNKNOWNS_OF_HOLDER = 6
 """Unknowns of the holder: position (m) and rotation (rad) of the device in it, body frame."""
 
 
-LOOSE = 1e-2
+AMPLITUDE_PRIOR_WEIGHT = 1e-2
 """Weight of the prior on the change of an amplitude's logarithm: less than the information of any sensor."""
 
-FARTHEST = 20.0
+MAX_PRIOR_SIGMAS = 20.0
 """Standard deviations of the priors to which the unknowns are clipped."""
 
 DIPOLE_POWER = 3.0
@@ -56,7 +56,7 @@ class Unknowns:
     amplitudes: FloatArray
 
 
-def held(pose: Pose, holder: FloatArray) -> Pose:
+def compute_pose_in_holder(pose: Pose, holder: FloatArray) -> Pose:
     """Compute the pose of a device that is displaced and turned in its holder.
 
     Parameters
@@ -70,13 +70,13 @@ def held(pose: Pose, holder: FloatArray) -> Pose:
     -------
     Pose
     """
-    turn = quaternion_product(np.array(pose.orientation), quaternion_from_rotation_vector(holder[3:]))
+    turn = multiply_quaternions(np.array(pose.orientation), quaternion_from_rotation_vector(holder[3:]))
     place = pose.position + matrix_from_quaternion(np.array(pose.orientation)) @ holder[:3]
     return Pose(pose.time, place, turn, pose.covariance)
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class ReducedRecording:
     """One recording reduced to the size of each power of the deflection in each sensor.
 
     Attributes
@@ -95,14 +95,16 @@ class Heard:
     """
 
     pose: Pose
-    thinned: Thinned
+    thinned: ThinnedRecording
     first: FloatArray
     higher: FloatArray
     amplitude: float
     noise: float
 
     @classmethod
-    def of(cls, recording: Recording, pose: Pose, sensors: SensorArray, device: Device, hum: Hum | None) -> Heard:
+    def from_recording(
+        cls, recording: Recording, pose: Pose, sensors: SensorArray, device: Device, hum: Hum | None
+    ) -> ReducedRecording:
         """Reduce one recording.
 
         Parameters
@@ -119,21 +121,21 @@ class Heard:
         -------
         Heard
         """
-        thinned = thin(recording, sensors, device.frequency, hum)
-        sizes = power_coefficients(sensors, device, pose.position, pose.orientation)[thinned.used]
-        wave = thinned.waves(device, [(1, 1)])[0]
+        thinned = thin_recording(recording, sensors, device.frequency, hum)
+        sizes = compute_power_coefficients(sensors, device, pose.position, pose.orientation)[thinned.used]
+        wave = thinned.compute_waves(device, [(1, 1)])[0]
         columns = thinned.whiten(np.stack([wave.real, -wave.imag]))
         along = thinned.data.T @ sizes[:, 0] / float(sizes[:, 0] @ sizes[:, 0])
         solved = np.linalg.lstsq(columns.T, along, rcond=None)[0]
         amplitude, phase = float(np.hypot(*solved)), float(np.arctan2(solved[1], solved[0]))
-        waves = thinned.whiten(thinned.power_waves(device, phase))
+        waves = thinned.whiten(thinned.compute_power_waves(device, phase))
         scaled = sizes * amplitude ** np.arange(1, sizes.shape[1] + 1)
         residual = thinned.data - scaled @ waves
         left = residual - np.outer(residual @ waves[0], waves[0]) / float(waves[0] @ waves[0])
         noise = float(np.sqrt(np.sum(left**2) / max(left.size - len(left), 1) / float(waves[0] @ waves[0])))
         return cls(pose, thinned, waves[0], waves[1:], amplitude, noise)
 
-    def first_size(self, coefficients: FloatArray, amplitude: float) -> FloatArray:
+    def measure_first_power(self, coefficients: FloatArray, amplitude: float) -> FloatArray:
         """Measure the size of the first power in each used sensor, with the higher powers taken from the model.
 
         Parameters
@@ -153,20 +155,20 @@ class Heard:
         return size
 
 
-def step(
-    heard: Sequence[Heard],
+def compute_gauss_newton_step(
+    recordings: Sequence[ReducedRecording],
     sensors: SensorArray,
     device: Device,
     frames: FloatArray,
     now: Unknowns,
     deviations: tuple[FloatArray, FloatArray],
-    track: float,
+    track_error: float,
 ) -> tuple[Unknowns, FloatArray, FloatArray]:
     """Compute one Gauss-Newton step.
 
     Parameters
     ----------
-    heard : sequence of Heard
+    recordings : sequence of Heard
     sensors : SensorArray
         As assumed.
     device : Device
@@ -176,7 +178,7 @@ def step(
         Before the step.
     deviations : two ndarrays, shapes (PER_SENSOR,) and (HOLDER,)
         Standard deviations of the priors of sensors and holder.
-    track : float, in m
+    track_error : float, in m
         Error of the known positions.
 
     Returns
@@ -188,21 +190,25 @@ def step(
     holder_std : ndarray, shape (HOLDER,)
     """
     n = len(sensors)
-    own = n * PER_SENSOR
-    base = _sizes(heard, sensors, device, frames, now.sensors, now.holder)
-    slopes, moves = _slopes(heard, sensors, device, frames, now, deviations, base[:, :, 0])
-    n_unknown = own + HOLDER + len(heard)
+    own = n * UNKNOWNS_PER_SENSOR
+    base = _compute_sizes(recordings, sensors, device, frames, now.sensors, now.holder)
+    slopes, moves = _compute_slopes(recordings, sensors, device, frames, now, deviations, base[:, :, 0])
+    n_unknown = own + UNKNOWNS_OF_HOLDER + len(recordings)
     # one row per recording and used sensor: derivatives of its first harmonic, weighted by its standard error
     normal, right = np.zeros((n_unknown, n_unknown)), np.zeros(n_unknown)
-    for r, item in enumerate(heard):
+    for r, item in enumerate(recordings):
         amplitude = now.amplitudes[r]
         away = np.linalg.norm(sensors.positions - item.pose.position, axis=1)
-        measured = item.first_size(base[r], amplitude)
+        measured = item.measure_first_power(base[r], amplitude)
         scale = amplitude * np.abs(base[r, :, 0]).mean()
         for row, s in enumerate(np.flatnonzero(item.thinned.used)):
             model = amplitude * base[r, s, 0]
-            error = np.hypot(item.noise, DIPOLE_POWER * track / away[s] * max(abs(model), scale))
-            index = [*range(s * PER_SENSOR, (s + 1) * PER_SENSOR), *range(own, own + HOLDER), own + HOLDER + r]
+            error = np.hypot(item.noise, DIPOLE_POWER * track_error / away[s] * max(abs(model), scale))
+            index = [
+                *range(s * UNKNOWNS_PER_SENSOR, (s + 1) * UNKNOWNS_PER_SENSOR),
+                *range(own, own + UNKNOWNS_OF_HOLDER),
+                own + UNKNOWNS_OF_HOLDER + r,
+            ]
             gradient = np.array([*(amplitude * slopes[:, r, s]), *(amplitude * moves[:, r, s]), model]) / error
             normal[np.ix_(index, index)] += np.outer(gradient, gradient)
             right[index] += gradient * (measured[row] - model) / error
@@ -212,24 +218,24 @@ def step(
     normal[believed, believed] += weights
     right[believed] -= weights * np.concatenate([now.sensors.ravel(), now.holder])
     loud = np.arange(len(weights), n_unknown)
-    normal[loud, loud] += LOOSE  # bounds an amplitude that the model cannot explain
+    normal[loud, loud] += AMPLITUDE_PRIOR_WEIGHT  # bounds an amplitude that the model cannot explain
     covariance = np.linalg.inv(normal)
     change, spread = covariance @ right, np.sqrt(np.diag(covariance))
     moved = Unknowns(
-        _within(now.sensors + change[:own].reshape(n, PER_SENSOR), deviations[0]),
-        _within(now.holder + change[own : own + HOLDER], deviations[1]),
-        now.amplitudes * np.exp(np.clip(change[own + HOLDER :], -MAX_GROWTH, MAX_GROWTH)),
+        _clip_to_priors(now.sensors + change[:own].reshape(n, UNKNOWNS_PER_SENSOR), deviations[0]),
+        _clip_to_priors(now.holder + change[own : own + UNKNOWNS_OF_HOLDER], deviations[1]),
+        now.amplitudes * np.exp(np.clip(change[own + UNKNOWNS_OF_HOLDER :], -MAX_GROWTH, MAX_GROWTH)),
     )
-    return moved, spread[:own].reshape(n, PER_SENSOR), spread[own : own + HOLDER]
+    return moved, spread[:own].reshape(n, UNKNOWNS_PER_SENSOR), spread[own : own + UNKNOWNS_OF_HOLDER]
 
 
-def _within(values: FloatArray, deviations: FloatArray) -> FloatArray:
+def _clip_to_priors(values: FloatArray, deviations: FloatArray) -> FloatArray:
     """Clip values to `FARTHEST` deviations, so that recordings of another track cannot cause an overflow."""
-    return np.clip(values, -FARTHEST * deviations, FARTHEST * deviations)
+    return np.clip(values, -MAX_PRIOR_SIGMAS * deviations, MAX_PRIOR_SIGMAS * deviations)
 
 
-def _slopes(
-    heard: Sequence[Heard],
+def _compute_slopes(
+    recordings: Sequence[ReducedRecording],
     sensors: SensorArray,
     device: Device,
     frames: FloatArray,
@@ -239,19 +245,19 @@ def _slopes(
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the change of every size per unknown of sensor and of holder, shapes (6, n_recordings, n_sensors)."""
     slopes, moves = [], []
-    for j in range(PER_SENSOR):
+    for j in range(UNKNOWNS_PER_SENSOR):
         small, moved = STEP_SHARE * deviations[0][j], now.sensors.copy()
         moved[:, j] += small  # a sensor's unknowns concern its own rows only, so all move at once
-        slopes.append((_sizes(heard, sensors, device, frames, moved, now.holder)[:, :, 0] - base) / small)
-    for j in range(HOLDER):
+        slopes.append((_compute_sizes(recordings, sensors, device, frames, moved, now.holder)[:, :, 0] - base) / small)
+    for j in range(UNKNOWNS_OF_HOLDER):
         small, moved = STEP_SHARE * deviations[1][j], now.holder.copy()
         moved[j] += small
-        moves.append((_sizes(heard, sensors, device, frames, now.sensors, moved)[:, :, 0] - base) / small)
+        moves.append((_compute_sizes(recordings, sensors, device, frames, now.sensors, moved)[:, :, 0] - base) / small)
     return np.stack(slopes), np.stack(moves)
 
 
-def _sizes(
-    heard: Sequence[Heard],
+def _compute_sizes(
+    recordings: Sequence[ReducedRecording],
     sensors: SensorArray,
     device: Device,
     frames: FloatArray,
@@ -259,13 +265,13 @@ def _sizes(
     holder: FloatArray,
 ) -> FloatArray:
     """Compute the power coefficients, gains included, shape (n_recordings, n_sensors, POWERS)."""
-    array, gains = corrected_array(sensors, frames, values), np.exp(values[:, 0])
-    poses = [held(h.pose, holder) for h in heard]
-    found = [power_coefficients(array, device, p.position, p.orientation) for p in poses]
+    array, gains = correct_array(sensors, frames, values), np.exp(values[:, 0])
+    poses = [compute_pose_in_holder(h.pose, holder) for h in recordings]
+    found = [compute_power_coefficients(array, device, p.position, p.orientation) for p in poses]
     return np.stack(found) * gains[None, :, None]
 
 
-def corrected_array(sensors: SensorArray, frames: FloatArray, values: FloatArray) -> SensorArray:
+def correct_array(sensors: SensorArray, frames: FloatArray, values: FloatArray) -> SensorArray:
     """Make the array whose sensors deviate from the assumed ones in tilt and position.
 
     Parameters
@@ -285,7 +291,7 @@ def corrected_array(sensors: SensorArray, frames: FloatArray, values: FloatArray
     return SensorArray(sensors.positions + values[:, 3:], axes, sensors.bandwidth)
 
 
-def across(axis: FloatArray) -> FloatArray:
+def compute_transverse_axes(axis: FloatArray) -> FloatArray:
     """Compute two unit vectors perpendicular to an axis and to each other.
 
     Parameters

@@ -27,22 +27,22 @@ from smolbot.localization.problem import Fit, Problem
 
 _kernels: Any = compiled
 
-PER_SENSOR = 6
+DEVIATIONS_PER_SENSOR = 6
 """Deviations of a sensor: ln gain, two tilts (rad), three coordinates (m)."""
 
-OF_DEVICE = 2
+DEVIATIONS_OF_DEVICE = 2
 """Deviations of the device, which come after those of all sensors: ln moment, l0 (m)."""
 
-_KEPT = np.array([0, 1, 2, 3, 4, 5, 7])  # of the eight fitted parameters: all but the phase
-_STEP = 1e-6  # m: step of the difference quotient for l0
+_POSE_AND_AMPLITUDE = np.array([0, 1, 2, 3, 4, 5, 7])  # of the eight fitted parameters: all but the phase
+_L0_STEP = 1e-6  # m: step of the difference quotient for l0
 _FITTED = compiled.N_PARAMETERS
 
-TURNING = 2e-3
+TURN_STD = 2e-3
 """Standard deviation, in rad, of a device's rotation while it is recorded: 0.2 rad/s for 10 ms.
 
 It changes the static field; left out, that change would be attributed to the sensors."""
 
-OFF_RESONANCE = (0.08, 0.06)
+RESONANCE_STD = (0.08, 0.06)
 """Standard deviations of frequency (Hz) and damping (relative) within which they are not relearned; see
 `smolbot.flight.tracking.resonance_filter`."""
 
@@ -69,7 +69,7 @@ class ArrayTerms:
         From the fit's pose to the one found with the device's turn left free.
     covariance : ndarray, shape (7, 7)
         Of that pose, for sensors as assumed.
-    lean : ndarray, shape (7, n)
+    sensitivity : ndarray, shape (7, n)
         Sensitivity L of the found pose to the deviations q (n,), negated: true = found + L q.
     information : ndarray, shape (n, n)
     right : ndarray, shape (n,)
@@ -80,13 +80,13 @@ class ArrayTerms:
 
     pose: FloatArray
     covariance: FloatArray
-    lean: FloatArray
+    sensitivity: FloatArray
     information: FloatArray
     right: FloatArray
     amplitude: float
 
 
-def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | None:
+def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | None:
     """Compute the terms of a finished whitened fit.
 
     Parameters
@@ -106,29 +106,31 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
     n, size = len(positions), angles.shape[0]
     values, slopes, spare = np.empty((4, n, size)), np.empty((n, size, 6)), np.empty((n, size, 6))
     place = (fit.position, fit.rotation)
-    _kernels.series(positions, axes, moment, l0, angles, powers, *place, values[0], slopes)
+    _kernels.compute_series(positions, axes, moment, l0, angles, powers, *place, values[0], slopes)
     for k in range(3):
         along = np.zeros((n, 3))
         along[:, k] = 1.0
-        _kernels.series(positions, along, moment, l0, angles, powers, *place, values[1 + k], spare)
-    out, jacobian = model.response(*place, fit.phase, fit.amplitude)
-    rows = sensor_slopes(matrix, labels, values, slopes, frames[model.used], float(fit.phase), float(fit.amplitude))
+        _kernels.compute_series(positions, along, moment, l0, angles, powers, *place, values[1 + k], spare)
+    out, jacobian = model.compute_response(*place, fit.phase, fit.amplitude)
+    rows = compute_sensor_slopes(
+        matrix, labels, values, slopes, frames[model.used], float(fit.phase), float(fit.amplitude)
+    )
     longer = np.zeros_like(out)
     _kernels.model(
-        matrix, labels, positions, axes, moment, l0 + _STEP, angles, powers, *place, fit.phase, fit.amplitude, longer,
+        matrix, labels, positions, axes, moment, l0 + _L0_STEP, angles, powers, *place, fit.phase, fit.amplitude, longer,
         np.zeros((compiled.N_PARAMETERS, len(out))),
     )  # fmt: skip
     # nuisances: rotation during the recording, and errors of frequency and damping
-    turning = TURNING * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of the device at rest
-    spread = OFF_RESONANCE[0], OFF_RESONANCE[1] * model.device.damping
+    turning = TURN_STD * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of the device at rest
+    spread = RESONANCE_STD[0], RESONANCE_STD[1] * model.device.damping
     retuned = np.stack(
         [
-            size * model.response(*place, fit.phase, fit.amplitude, slope)[0]
+            size * model.compute_response(*place, fit.phase, fit.amplitude, slope)[0]
             for size, slope in zip(spread, model.slopes, strict=True)
         ]
     )
-    found, step, covariance, lean, information, right, left = separated(
-        np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _STEP]),
+    found, step, covariance, lean, information, right, left = separate_pose_and_deviations(
+        np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _L0_STEP]),
         np.concatenate([turning, retuned]),
         problem.data - out,
     )
@@ -138,7 +140,9 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
         return None
     doubt = misfit if misfit > 1.0 + DOUBT_SIGMAS * math.sqrt(2.0 / freedom) else 1.0
     if n < len(model.used):  # zeros for the sensors that were not used
-        kept = np.concatenate([np.repeat(model.used, PER_SENSOR), np.ones(OF_DEVICE, dtype=np.bool_)])
+        kept = np.concatenate(
+            [np.repeat(model.used, DEVIATIONS_PER_SENSOR), np.ones(DEVIATIONS_OF_DEVICE, dtype=np.bool_)]
+        )
         count = len(kept)
         wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
         wide_lean[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = lean, right, information
@@ -147,7 +151,7 @@ def array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | 
 
 
 @njit(cache=True, error_model="python", fastmath=True)
-def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
+def compute_sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
     """Compute the change of the data vector per deviation of each sensor.
 
     Parameters
@@ -171,7 +175,7 @@ def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
     ndarray, shape (PER_SENSOR * n_channels, n_out)
     """
     n_functions, n, n_out = matrix.shape
-    out = np.zeros((PER_SENSOR * n, n_out))
+    out = np.zeros((DEVIATIONS_PER_SENSOR * n, n_out))
     wave, tilt = np.empty(n_out), np.empty(2)
     for j in range(n):
         first = 0
@@ -195,7 +199,7 @@ def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
                 for axis in range(3):
                     tilt[q] += frames[j, q, axis] * values[1 + axis, j, k]
             v, s0, s1, s2 = values[0, j, k], slopes[j, k, 0], slopes[j, k, 1], slopes[j, k, 2]
-            at = PER_SENSOR * j
+            at = DEVIATIONS_PER_SENSOR * j
             for i in range(n_out):
                 w = wave[i]
                 out[at, i] += v * w
@@ -209,7 +213,7 @@ def sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitude):
 
 
 @njit(cache=True, error_model="python", fastmath=True)
-def products(a, b):
+def compute_inner_products(a, b):
     """Compute the inner products of the rows of two matrices.
 
     Parameters
@@ -231,13 +235,13 @@ def products(a, b):
     return out
 
 
-def _inverse(matrix: FloatArray) -> FloatArray:
+def _invert(matrix: FloatArray) -> FloatArray:
     factors, pivots, _ = lapack.dgetrf(matrix)
     return np.asarray(lapack.dgetri(factors, pivots)[0])
 
 
-def separated(
-    rows: FloatArray, strays: FloatArray, residual: FloatArray
+def separate_pose_and_deviations(
+    rows: FloatArray, disturbances: FloatArray, residual: FloatArray
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """Separate pose and sensor deviations in one recording's data.
 
@@ -245,7 +249,7 @@ def separated(
     ----------
     rows : ndarray, shape (8 + m, n_out)
         Change of the data per pose, phase and amplitude, then per deviation.
-    strays : ndarray, shape (k, n_out)
+    disturbances : ndarray, shape (k, n_out)
         Changes of the data by disturbances that count as noise, each of unit variance.
     residual : ndarray, shape (n_out,)
 
@@ -267,22 +271,26 @@ def separated(
         Squared residual that remains.
     """
     data = residual.reshape(1, -1)
-    inner = _inverse(np.eye(len(strays)) + products(strays, strays))
-    across = products(rows, strays) @ inner
-    rest = rows - across @ strays  # C^-1 times the rows, C = 1 + strays^T strays
-    normal = products(rows, rest)
-    right, heard = products(rest, data)[:, 0], products(strays, data)[:, 0]
-    square = products(data, data)[0, 0] - heard @ inner @ heard
+    inner = _invert(np.eye(len(disturbances)) + compute_inner_products(disturbances, disturbances))
+    across = compute_inner_products(rows, disturbances) @ inner
+    rest = rows - across @ disturbances  # C^-1 times the rows, C = 1 + strays^T strays
+    normal = compute_inner_products(rows, rest)
+    right, heard = compute_inner_products(rest, data)[:, 0], compute_inner_products(disturbances, data)[:, 0]
+    square = compute_inner_products(data, data)[0, 0] - heard @ inner @ heard
     information = normal[_FITTED:, _FITTED:]
     scale = 1.0 / np.sqrt(np.maximum(normal.diagonal()[:_FITTED], TINY))
     scaled = normal[:_FITTED, :_FITTED] * scale[:, None] * scale
     if not lapack.dsyevd(scaled, compute_v=0)[0][0] >= MIN_EIGENVALUE:
         nothing = np.zeros(7), np.zeros((7, 7)), np.zeros((7, len(information)))
         return False, *nothing, information, right[_FITTED:], square
-    whole = _inverse(scaled)
+    whole = _invert(scaled)
     whole *= scale[:, None] * scale
     step, mixed = whole @ right[:_FITTED], normal[:_FITTED, _FITTED:]
     shift = whole @ mixed  # (8, m)
-    pose, lean, covariance = step[_KEPT], -shift[_KEPT], whole[_KEPT[:, None], _KEPT]
+    pose, lean, covariance = (
+        step[_POSE_AND_AMPLITUDE],
+        -shift[_POSE_AND_AMPLITUDE],
+        whole[_POSE_AND_AMPLITUDE[:, None], _POSE_AND_AMPLITUDE],
+    )
     information = information - mixed.T @ shift  # Schur complement: the pose is eliminated
     return True, pose, covariance, lean, information, right[_FITTED:] - mixed.T @ step, square - right[:_FITTED] @ step

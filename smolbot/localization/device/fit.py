@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Device, Recording, SensorArray
-from smolbot.localization.device.least_squares import minimised
-from smolbot.localization.device.thinning import BLOCK_NOISE, POWERS, Hum, Thinned, thin
-from smolbot.localization.forward import sensor_field
+from smolbot.localization.device.least_squares import minimize
+from smolbot.localization.device.thinning import BLOCK_NOISE, POWERS, Hum, ThinnedRecording, thin_recording
+from smolbot.localization.forward import compute_sensor_field
 
 REFERENCE = float(np.radians(30.0))
 """Deflection, in rad, that scales the powers."""
@@ -81,7 +81,7 @@ class DeviceFit:
     r_squared: float
 
 
-def power_coefficients(
+def compute_power_coefficients(
     sensors: SensorArray, device: Device, position: FloatArray, orientation: FloatArray
 ) -> FloatArray:
     """Compute the field along each sensor's axis as a power series of theta / `REFERENCE`.
@@ -100,13 +100,13 @@ def power_coefficients(
     ndarray, shape (n_sensors, POWERS), in T
         Of the powers 1 to `POWERS`; the constant is not observable. Exact to 1e-6 of the signal within 40 degrees.
     """
-    nodes, inverse = _series()
-    values = sensor_field(sensors, device, position, orientation, nodes * REFERENCE)
+    nodes, inverse = _compute_nodes_and_inverse()
+    values = compute_sensor_field(sensors, device, position, orientation, nodes * REFERENCE)
     coefficients: FloatArray = (values @ inverse.T)[:, 1:]
     return coefficients
 
 
-def _series() -> tuple[FloatArray, FloatArray]:
+def _compute_nodes_and_inverse() -> tuple[FloatArray, FloatArray]:
     nodes = NODE_SPREAD * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
     inverse: FloatArray = np.linalg.inv(np.vander(nodes, POWERS + 1, increasing=True)).astype(np.float64)
     return nodes, inverse
@@ -116,17 +116,17 @@ def _series() -> tuple[FloatArray, FloatArray]:
 class _FullModel:
     """Residuals of the full model; parameters (x, y, z, e, phase, ln amplitude, frequency, ln damping)."""
 
-    thinned: Thinned
+    thinned: ThinnedRecording
     sensors: SensorArray
     device: Device
     position: FloatArray
     orientation: FloatArray
     free: list[int]
     start: FloatArray
-    kept: dict[tuple[float, ...], FloatArray] = field(default_factory=dict)
+    wave_cache: dict[tuple[float, ...], FloatArray] = field(default_factory=dict)
 
     @cached_property
-    def heard(self) -> SensorArray:
+    def used_sensors(self) -> SensorArray:
         used = self.thinned.used
         gains = None if self.sensors.gains is None else self.sensors.gains[used]
         return SensorArray(self.sensors.positions[used], self.sensors.axes[used], self.sensors.bandwidth, gains)
@@ -137,7 +137,7 @@ class _FullModel:
         frequency = np.clip(full[8], *(FREQUENCY_RANGE * self.device.frequency))
         damping = float(np.exp(np.clip(full[9], *LOG_DAMPING_RANGE)))
         device = replace(self.device, frequency=float(frequency), damping=damping)
-        orientation = quaternion_product(quaternion_from_rotation_vector(full[3:6]), self.orientation)
+        orientation = multiply_quaternions(quaternion_from_rotation_vector(full[3:6]), self.orientation)
         return (
             device,
             self.position + full[:3],
@@ -146,21 +146,21 @@ class _FullModel:
             float(np.exp(np.clip(full[7], *LOG_AMPLITUDE_RANGE))),
         )
 
-    def residual(self, values: FloatArray) -> FloatArray:
+    def compute_residual(self, values: FloatArray) -> FloatArray:
         device, position, orientation, phase, amplitude = self.unpack(values)
-        waves = self._waves(device, phase)
-        sizes = power_coefficients(self.heard, device, position, orientation)
+        waves = self._compute_waves(device, phase)
+        sizes = compute_power_coefficients(self.used_sensors, device, position, orientation)
         sizes = sizes * (amplitude / REFERENCE) ** np.arange(1, POWERS + 1)
         return np.ravel(self.thinned.data - sizes @ waves) / BLOCK_NOISE
 
-    def _waves(self, device: Device, phase: float) -> FloatArray:
+    def _compute_waves(self, device: Device, phase: float) -> FloatArray:
         """Return the waves, cached since most steps of a Jacobian change only the pose."""
         key = (device.frequency, device.damping, phase)
-        if key not in self.kept:
-            if len(self.kept) > KEPT_WAVES:
-                self.kept.clear()
-            self.kept[key] = self.thinned.whiten(self.thinned.power_waves(device, phase))
-        return self.kept[key]
+        if key not in self.wave_cache:
+            if len(self.wave_cache) > KEPT_WAVES:
+                self.wave_cache.clear()
+            self.wave_cache[key] = self.thinned.whiten(self.thinned.compute_power_waves(device, phase))
+        return self.wave_cache[key]
 
 
 def fit_device(
@@ -205,14 +205,14 @@ def fit_device(
     InputError
         As for `thin`.
     """
-    thinned = thin(recording, sensors, device.frequency, hum, duration)
+    thinned = thin_recording(recording, sensors, device.frequency, hum, duration)
     # parameters: shift (0..2, m), rotation (3..5, rad), phase 6, ln amplitude 7, frequency 8, ln damping 9
     free = [0, 1, *([] if fix_height else [2]), 3, 4, 5, 6, 7, *([] if fix_time else [8, 9])]
     start = np.zeros(10)
     start[7:] = [np.log(FIRST_AMPLITUDE * device.theta_max), device.frequency, np.log(max(device.damping, MIN_DAMPING))]
     model = _FullModel(thinned, sensors, device, np.array(position), np.array(orientation), free, start)
-    start[6:8] = _phase_and_amplitude(model)
-    values, covariance, cost = minimised(model.residual, start[free], STEPS[free])
+    start[6:8] = _estimate_phase_and_amplitude(model)
+    values, covariance, cost = minimize(model.compute_residual, start[free], STEPS[free])
     made, place, turned, phase, amplitude = model.unpack(values)
     n_data = thinned.data.size
     spread = np.sqrt(np.diag(covariance) * cost / max(n_data - len(free), 1))
@@ -225,11 +225,14 @@ def fit_device(
     return DeviceFit(made, place, turned, amplitude, phase, std, sse, n_data, 1.0 - sse / max(total, TINY))
 
 
-def _phase_and_amplitude(model: _FullModel) -> tuple[float, float]:
+def _estimate_phase_and_amplitude(model: _FullModel) -> tuple[float, float]:
     """Estimate phase and logarithm of the amplitude at the starting pose, from the first harmonic."""
-    wave = model.thinned.waves(model.device, [(1, 1)])[0]
+    wave = model.thinned.compute_waves(model.device, [(1, 1)])[0]
     columns = model.thinned.whiten(np.stack([wave.real, -wave.imag]))
-    sizes = power_coefficients(model.heard, model.device, model.position, model.orientation)[:, 0] / REFERENCE
+    sizes = (
+        compute_power_coefficients(model.used_sensors, model.device, model.position, model.orientation)[:, 0]
+        / REFERENCE
+    )
     solved = np.linalg.lstsq(columns.T, model.thinned.data.T @ sizes / max(float(sizes @ sizes), TINY), rcond=None)[0]
     low, high = FIRST_AMPLITUDE_RANGE
     size = min(max(float(np.hypot(*solved)), low), high)

@@ -18,7 +18,7 @@ TINY = 1e-30
 """Keeps the normal matrix invertible where a parameter has no influence."""
 
 
-def minimised(
+def minimize(
     residual: Callable[[FloatArray], FloatArray], start: FloatArray, steps: FloatArray, iterations: int = 30
 ) -> tuple[FloatArray, FloatArray, float]:
     """Minimize by the Levenberg-Marquardt method, until a step is below 1 % of a standard deviation.

@@ -12,8 +12,8 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import DampingModel, Device, Recording, SensorArray
-from smolbot.localization.device.least_squares import minimised
-from smolbot.localization.device.thinning import BLOCK_NOISE, Hum, Thinned, thin
+from smolbot.localization.device.least_squares import minimize
+from smolbot.localization.device.thinning import BLOCK_NOISE, Hum, ThinnedRecording, thin_recording
 
 _FIRST_TWO = ((1, 1), (2, 2), (2, 0))
 """Power and harmonic of the waves in a fit: fundamental, second harmonic, shift of the mean."""
@@ -67,7 +67,7 @@ class RingDownFit:
     signal_to_noise: float
 
 
-def measure(
+def measure_ring_down(
     recording: Recording,
     sensors: SensorArray,
     device: Device,
@@ -105,14 +105,14 @@ def measure(
     """
     model = damping_model or device.damping_model
     base = replace(device, damping_model=model)
-    thinned = thin(recording, sensors, device.frequency, hum)
+    thinned = thin_recording(recording, sensors, device.frequency, hum)
 
     def made(values: FloatArray) -> Device:
         frequency = np.clip(values[0], *(FREQUENCY_RANGE * device.frequency))
         return replace(base, frequency=float(frequency), damping=float(np.exp(np.clip(values[1], *LOG_DAMPING_RANGE))))
 
     def residual(values: FloatArray) -> FloatArray:
-        basis = _harmonic_basis(thinned, made(values))
+        basis = _compute_harmonic_basis(thinned, made(values))
         return np.ravel(thinned.data - (thinned.data @ basis) @ basis.T) / BLOCK_NOISE
 
     span = min(search, SEARCH_SHARE * device.frequency)
@@ -120,18 +120,19 @@ def measure(
     grid = [
         np.array([f, rate])
         for rate in rates
-        for f in device.frequency + np.linspace(-span, span, 2 * int(span / _resolution(thinned, np.exp(rate))) + 1)
+        for f in device.frequency
+        + np.linspace(-span, span, 2 * int(span / _choose_grid_step(thinned, np.exp(rate))) + 1)
     ]
-    heard = [float(np.sum((thinned.data @ _harmonic_basis(thinned, made(values))) ** 2)) for values in grid]
+    heard = [float(np.sum((thinned.data @ _compute_harmonic_basis(thinned, made(values))) ** 2)) for values in grid]
     best = grid[int(np.argmax(heard))]
-    values, covariance, cost = minimised(residual, best, FIT_STEPS)
+    values, covariance, cost = minimize(residual, best, FIT_STEPS)
     found = made(values)
     channels, blocks = thinned.data.shape
     excess = cost / max(channels * (blocks - N_WAVES) - 2, 1)  # relative to the expected noise
     spread = np.sqrt(np.diag(covariance) * excess)
-    basis = _harmonic_basis(thinned, found)
+    basis = _compute_harmonic_basis(thinned, found)
     explained = float(np.sum((thinned.data @ basis) ** 2))
-    wave = thinned.waves(found, [(1, 1)])[0]
+    wave = thinned.compute_waves(found, [(1, 1)])[0]
     columns = thinned.whiten(np.stack([wave.real, wave.imag]))
     sizes = np.linalg.lstsq(columns.T, basis @ (thinned.data @ basis).T, rcond=None)[0]
     return RingDownFit(
@@ -145,15 +146,15 @@ def measure(
     )
 
 
-def _resolution(thinned: Thinned, damping: float) -> float:
+def _choose_grid_step(thinned: ThinnedRecording, damping: float) -> float:
     """Choose the step, in Hz, of a frequency grid that misses no peak."""
     heard = min(float(thinned.time[-1] - thinned.time[0]), 2.0 / damping)
     return max(GRID_SHARE / heard, MIN_GRID)
 
 
-def _harmonic_basis(thinned: Thinned, device: Device) -> FloatArray:
+def _compute_harmonic_basis(thinned: ThinnedRecording, device: Device) -> FloatArray:
     """Compute a whitened orthonormal basis (n_blocks, 5) of the oscillation at f, 2f and 0, with any phase."""
-    first, second, mean = thinned.waves(device, _FIRST_TWO)
+    first, second, mean = thinned.compute_waves(device, _FIRST_TWO)
     rows = thinned.whiten(np.stack([first.real, first.imag, second.real, second.imag, mean.real]))
     size = np.linalg.norm(rows, axis=1, keepdims=True)
     basis, _ = np.linalg.qr((rows / np.maximum(size, TINY)).T)

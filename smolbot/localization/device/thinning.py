@@ -19,14 +19,14 @@ import numpy.typing as npt
 from smolbot.core.arrays import BoolArray, FloatArray
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.forward import envelope
+from smolbot.localization.forward import compute_envelope
 
 ComplexArray = npt.NDArray[np.complex128]
 
 BLOCKS_PER_PERIOD = 20
 """Block averages per period of the device to which a recording is reduced."""
 
-LEAST_RATE = 10.0
+MIN_SAMPLES_PER_PERIOD = 10.0
 """Samples per period of the device below which its oscillation is not resolved."""
 
 BLOCK_NOISE = 2e-10
@@ -64,7 +64,7 @@ class Hum:
 
 
 @dataclass(frozen=True, eq=False)
-class Thinned:
+class ThinnedRecording:
     """A recording ready to be fitted: block averages without nuisances.
 
     Attributes
@@ -110,7 +110,7 @@ class Thinned:
         left: FloatArray = rows - ((rows @ self.nuisance) * self.share) @ self.nuisance.T
         return left
 
-    def waves(self, device: Device, pairs: Sequence[tuple[int, int]]) -> ComplexArray:
+    def compute_waves(self, device: Device, pairs: Sequence[tuple[int, int]]) -> ComplexArray:
         """Compute D^k exp(i h w t), low-passed and block-averaged.
 
         Exact for exponential damping; linear damping to first order in its decrease within a block and within
@@ -127,7 +127,7 @@ class Thinned:
         ndarray of complex, shape (n_pairs, n_blocks)
         """
         omega = 2.0 * np.pi * device.frequency
-        damping = envelope(device, self.time)
+        damping = compute_envelope(device, self.time)
         turn = np.exp(1j * omega * self.time)
         corner = 2.0 * np.pi * self.bandwidth
         out = np.empty((len(pairs), len(self.time)), dtype=np.complex128)
@@ -135,7 +135,7 @@ class Thinned:
             linear = device.damping_model == "linear"
             slope = complex(0.0 if linear else -k * device.damping, h * omega)
             lag = 1.0 + slope / corner
-            out[row] = _block_mean(slope * self.step, self.block) / lag * turn**h
+            out[row] = _compute_block_mean(slope * self.step, self.block) / lag * turn**h
             if linear:
                 fall = k * device.damping / corner / lag
                 out[row] *= np.where(damping > 0, damping**k + fall * damping ** (k - 1), 0.0)
@@ -143,7 +143,7 @@ class Thinned:
                 out[row] *= damping**k
         return out
 
-    def power_waves(self, device: Device, phase: float) -> FloatArray:
+    def compute_power_waves(self, device: Device, phase: float) -> FloatArray:
         """Compute (D cos(w t + phase))^k for k = 1 to `POWERS`, low-passed and block-averaged.
 
         Parameters
@@ -156,7 +156,7 @@ class Thinned:
         ndarray, shape (POWERS, n_blocks)
         """
         out = np.zeros((POWERS, len(self.time)))
-        for (k, h), wave in zip(_PAIRS, self.waves(device, _PAIRS), strict=True):
+        for (k, h), wave in zip(_PAIRS, self.compute_waves(device, _PAIRS), strict=True):
             weight = comb(k, (k - h) // 2) / 2.0**k * (1.0 if h == 0 else 2.0)
             out[k - 1] += weight * np.real(wave * np.exp(1j * h * phase))
         return out
@@ -165,16 +165,16 @@ class Thinned:
 _PAIRS = tuple((k, h) for k in range(1, POWERS + 1) for h in range(k % 2, k + 1, 2))
 
 
-def _block_mean(turn: complex, block: int) -> complex:
+def _compute_block_mean(turn: complex, block: int) -> complex:
     """Compute the mean of exp(turn j) over `block` integer steps j around 0."""
     if abs(turn) < NO_TURN:
         return 1.0 + 0.0j
     return complex(np.sinh(0.5 * block * turn) / (block * np.sinh(0.5 * turn)))
 
 
-def thin(
+def thin_recording(
     recording: Recording, sensors: SensorArray, frequency: float, hum: Hum | None = None, duration: float | None = None
-) -> Thinned:
+) -> ThinnedRecording:
     """Reduce a recording to block averages and remove the nuisances.
 
     Parameters
@@ -217,10 +217,10 @@ def thin(
             f"Only {int(used.sum())} channels can be used, at least {MIN_CHANNELS} are needed; "
             f"saturated, dead or not finite: {', '.join(str(i) for i in np.flatnonzero(~used))}."
         )
-    if recording.sample_rate < LEAST_RATE * frequency:
+    if recording.sample_rate < MIN_SAMPLES_PER_PERIOD * frequency:
         raise InputError(
             f"The recording has {recording.sample_rate:g} samples per second; a device of {frequency:g} Hz needs at "
-            f"least {LEAST_RATE * frequency:g}. Is the rate in Hz?"
+            f"least {MIN_SAMPLES_PER_PERIOD * frequency:g}. Is the rate in Hz?"
         )
     block = max(1, int(recording.sample_rate / (BLOCKS_PER_PERIOD * frequency)))
     count = samples.shape[1] // block
@@ -234,13 +234,15 @@ def thin(
     step = 1.0 / recording.sample_rate
     local = (np.arange(count) * block + 0.5 * (block - 1)) * step
     lines = tuple(sorted(hum.sizes.items()))
-    vectors, share = _nuisances(count, block * step, hum.frequency, lines, hum.uncertainty)
-    bare = Thinned(means, used, recording.time_since_drive + local, block, step, sensors.bandwidth, vectors, share)
+    vectors, share = _make_nuisances(count, block * step, hum.frequency, lines, hum.uncertainty)
+    bare = ThinnedRecording(
+        means, used, recording.time_since_drive + local, block, step, sensors.bandwidth, vectors, share
+    )
     return replace(bare, data=bare.whiten(means))
 
 
 @lru_cache(maxsize=16)
-def _nuisances(
+def _make_nuisances(
     count: int, spacing: float, mains: float, sizes: tuple[tuple[int, float], ...], uncertainty: float
 ) -> tuple[FloatArray, FloatArray]:
     """Make the orthonormal nuisances (n, q) of a window, and the share that whitening removes of each."""

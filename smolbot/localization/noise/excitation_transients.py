@@ -10,16 +10,16 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
 
-QUIET_AFTER = 12.0
+SEPARABLE_AFTER = 12.0
 """Time constants after which a learned ring-down can be separated from a signal."""
 
-AUDIBLE = 20.0
+NEGLIGIBLE_AFTER = 20.0
 """Time constants after which a ring-down is negligible in every sensor."""
 
-ALIKE = 0.03
+MIN_RELATIVE_DIFFERENCE = 0.03
 """Relative difference below which two time constants count as one."""
 
-_RANGE = (1e-4, 2e-2)
+_TIME_CONSTANT_RANGE = (1e-4, 2e-2)
 """Time constants, in s, between which one is searched."""
 
 _GRID_POINTS, _SEARCH_STEPS = 60, 40
@@ -62,9 +62,9 @@ def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
         raise InputError("A ring-down is learned from at least one probe; got none.")
 
     def misfit(tau: float) -> float:
-        return sum(_left(probe, tau, frequency) for probe in probes)
+        return sum(_compute_squared_residual(probe, tau, frequency) for probe in probes)
 
-    grid = np.geomspace(*_RANGE, _GRID_POINTS)
+    grid = np.geomspace(*_TIME_CONSTANT_RANGE, _GRID_POINTS)
     values = [misfit(t) for t in grid]
     best = int(np.argmin(values))
     if not 0 < best < len(grid) - 1 or values[best] > _MIN_GAIN * max(values):
@@ -80,7 +80,7 @@ def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
     return float(np.exp(0.5 * (low + high)))
 
 
-def decay_sizes(probe: Recording, tau: float, frequency: float) -> FloatArray:
+def fit_decay_sizes(probe: Recording, tau: float, frequency: float) -> FloatArray:
     """Fit the size of a decay at the first sample of a recording.
 
     Parameters
@@ -95,21 +95,21 @@ def decay_sizes(probe: Recording, tau: float, frequency: float) -> FloatArray:
     -------
     ndarray, shape (n_sensors,), in T
     """
-    time, blocks = _blocks(probe)
-    sizes: FloatArray = np.linalg.lstsq(_design(time, tau, frequency), blocks.T, rcond=None)[0][1]
+    time, blocks = _average_blocks(probe)
+    sizes: FloatArray = np.linalg.lstsq(_make_design_matrix(time, tau, frequency), blocks.T, rcond=None)[0][1]
     return sizes
 
 
-def _left(probe: Recording, tau: float, frequency: float) -> float:
+def _compute_squared_residual(probe: Recording, tau: float, frequency: float) -> float:
     """Compute the squared residual of all usable channels for one time constant."""
-    time, blocks = _blocks(probe)
-    design = _design(time, tau, frequency)
+    time, blocks = _average_blocks(probe)
+    design = _make_design_matrix(time, tau, frequency)
     heard = blocks[~probe.saturated]
     solution = np.linalg.lstsq(design, heard.T, rcond=None)[0]
     return float(np.sum((heard.T - design @ solution) ** 2))
 
 
-def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
+def _average_blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
     """Compute times (n,) in s from the first sample, and means (n_sensors, n) over blocks of 0.2 ms."""
     step = max(int(_BLOCK * probe.sample_rate), 1)
     count = probe.field.shape[1] // step
@@ -117,13 +117,13 @@ def _blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
     return (np.arange(count) + 0.5) * step / probe.sample_rate, blocks
 
 
-def _design(time: FloatArray, tau: float, frequency: float) -> FloatArray:
+def _make_design_matrix(time: FloatArray, tau: float, frequency: float) -> FloatArray:
     """Make the columns of constant, decay, and the oscillations of device and mains, shape (n, 6)."""
     turns = 2.0 * np.pi * np.outer(time, [frequency, _MAINS])
     return np.column_stack([np.ones(len(time)), np.exp(-time / tau), np.cos(turns), np.sin(turns)])
 
 
-def decay_columns(time: FloatArray, constants: tuple[float, ...]) -> FloatArray:
+def make_decay_columns(time: FloatArray, constants: tuple[float, ...]) -> FloatArray:
     """Make the columns of decays for a linear fit.
 
     Time constants closer than `ALIKE` count as one: their difference cannot be measured, and a free pair of
@@ -143,6 +143,6 @@ def decay_columns(time: FloatArray, constants: tuple[float, ...]) -> FloatArray:
     """
     different: list[float] = []
     for tau in sorted(constants):
-        if not different or tau > (1.0 + ALIKE) * different[-1]:
+        if not different or tau > (1.0 + MIN_RELATIVE_DIFFERENCE) * different[-1]:
             different.append(tau)
     return np.array([np.exp(-(time - time[0]) / tau) for tau in different]).reshape(-1, len(time)).T

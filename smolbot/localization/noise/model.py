@@ -122,18 +122,18 @@ class NoiseModel:
         if not bad.any():
             return cls(*learn_spectra(chosen))
         alive = [replace(r, field=r.field[~bad], saturated=r.saturated[~bad]) for r in chosen]
-        return cls(*learn_spectra(alive))._with_strangers(bad)
+        return cls(*learn_spectra(alive))._with_unknown_channels(bad)
 
-    def _with_strangers(self, strange: BoolArray) -> NoiseModel:
-        """Return the model of all channels, those of `strange` with the mean noise of the others."""
+    def _with_unknown_channels(self, unknown: BoolArray) -> NoiseModel:
+        """Return the model of all channels, those of `unknown` with the mean noise of the others."""
 
-        known = np.flatnonzero(~strange)
+        known = np.flatnonzero(~unknown)
 
         def wider(matrices: ComplexArray) -> ComplexArray:
-            out = np.zeros((len(matrices), len(strange), len(strange)), dtype=np.complex128)
+            out = np.zeros((len(matrices), len(unknown), len(unknown)), dtype=np.complex128)
             out[:, known[:, None], known] = matrices
             own = np.real(np.einsum("fjj->fj", matrices)).mean(axis=1)
-            out[:, strange, strange] = own[:, None]
+            out[:, unknown, unknown] = own[:, None]
             return out
 
         return replace(self, lines=wider(self.lines), spectrum=wider(self.spectrum))
@@ -169,7 +169,7 @@ class NoiseModel:
         """
         n = len(sensors)
         orders = np.arange(1, N_HARMONICS + 1)
-        space = field_covariance(sensors, mains, mains_gradient).astype(np.complex128)
+        space = compute_field_covariance(sensors, mains, mains_gradient).astype(np.complex128)
         frequencies = np.concatenate([[0.0], np.geomspace(1.0, 0.5 * BLOCK_RATE, N_FREQUENCIES)])
         density = floor**2 + max(at_1hz**2 - floor**2, 0.0) / np.maximum(frequencies, 1.0)
         if np.isfinite(sensors.bandwidth):
@@ -244,7 +244,7 @@ class NoiseModel:
                 raise
             raise InputError(f"{path}: cannot be read as a noise model: {error}.") from error
 
-    def _on_grid(self, spacing: float) -> tuple[FloatArray, ComplexArray]:
+    def _resample(self, spacing: float) -> tuple[FloatArray, ComplexArray]:
         """Resample the spectrum at most `spacing` apart, so that no lag of a window wraps round."""
         steps = np.diff(self.frequencies)
         if steps.max() <= SAME_SPACING * min(spacing, steps.min()):
@@ -269,7 +269,7 @@ class NoiseModel:
             Sensor by sensor, blocks in order.
         """
         lags = block * np.arange(n_blocks)
-        grid, spectrum = self._on_grid(1.0 / (POINTS_PER_LINE * block * n_blocks))
+        grid, spectrum = self._resample(1.0 / (POINTS_PER_LINE * block * n_blocks))
         # a mean over a block multiplies the spectrum by sinc²; the model's own blocks are taken out
         averaged = np.sinc(grid * block) ** 2 / np.sinc(grid * self.block) ** 2
         wave = np.exp(2j * np.pi * np.outer(lags, grid)) * (grid[1] - grid[0]) * averaged
@@ -287,7 +287,7 @@ class NoiseModel:
         return out.reshape(n * n_blocks, n * n_blocks)
 
 
-def field_covariance(sensors: SensorArray, uniform: float, gradient: float) -> FloatArray:
+def compute_field_covariance(sensors: SensorArray, uniform: float, gradient: float) -> FloatArray:
     """Compute the covariance between sensors of a field with random direction and gradient: the mean of b b^T.
 
     The gradient G is symmetric and free of trace, <G_ab G_cd> = 0.3 g² (d_ac d_bd + d_ad d_bc - 2/3 d_ab d_cd).

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _kernels: Any = compiled
 
-LONGEST = 24
+MAX_BLOCKS = 24
 """Blocks of a recording that are used: the first ones of a long recording."""
 
 NO_FREEDOM = 1e-9
@@ -32,13 +32,13 @@ REGULARISATION = 1e-9
 
 
 @lru_cache(maxsize=4)
-def _foretold(model: LinearModel, noise: NoiseModel, block: float) -> tuple[FloatArray, FloatArray]:
+def _compute_channel_whitener(model: LinearModel, noise: NoiseModel, block: float) -> tuple[FloatArray, FloatArray]:
     """Compute each channel's whitener given the others, and the signals in blocks.
 
     Shapes are (n_channels * n_left, n_channels * n_blocks) and (n_channels * n_blocks, n_functions, n_channels).
     """
     n = int(model.used.sum())
-    n_blocks = min(len(model.chain.first), LONGEST)
+    n_blocks = min(len(model.chain.first), MAX_BLOCKS)
     slope = np.linspace(-1.0, 1.0, n_blocks)
     free = np.column_stack([np.ones(n_blocks), slope, model.free[:n_blocks]])
     left, values, _ = np.linalg.svd(free, full_matrices=True)
@@ -62,7 +62,9 @@ def _foretold(model: LinearModel, noise: NoiseModel, block: float) -> tuple[Floa
     return np.ascontiguousarray(out.reshape(n * m, -1)), answers
 
 
-def energies(model: LinearModel, fit: Fit, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
+def compute_energies(
+    model: LinearModel, fit: Fit, recording: Recording, noise: NoiseModel
+) -> tuple[FloatArray, FloatArray]:
     """Compute the energy of the fit residuals in each channel, in units of the noise, and its expectation.
 
     Parameters
@@ -78,11 +80,13 @@ def energies(model: LinearModel, fit: Fit, recording: Recording, noise: NoiseMod
         Both zero for sensors that took no part. For noise as predicted, `found` is `expected` on average, with a
         variance of twice that.
     """
-    whiten, answers = _foretold(model.of_all_arrays, noise, model.chain.weights.shape[1] / recording.sample_rate)
+    whiten, answers = _compute_channel_whitener(
+        model.array_independent, noise, model.chain.weights.shape[1] / recording.sample_rate
+    )
     n = len(model.positions)
     n_blocks = whiten.shape[1] // n
     place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
-    signal, jacobian = model.response(*place, matrix=answers)
+    signal, jacobian = model.compute_response(*place, matrix=answers)
     heard = _kernels.tapped(np.ascontiguousarray(recording.field[model.used]), model.chain.first, model.chain.weights)
     left = whiten @ (heard[:, :n_blocks].reshape(-1) - signal)
     # degrees of freedom that the fit has used

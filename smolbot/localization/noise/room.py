@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smolbot.core.sensing import SensorArray
-from smolbot.localization.noise.model import N_FREQUENCIES, NoiseModel, field_covariance
+from smolbot.localization.noise.model import N_FREQUENCIES, NoiseModel, compute_field_covariance
 from smolbot.localization.noise.spectra import ComplexArray
 
 
@@ -37,7 +37,7 @@ class NoiseLevels:
     mains_gradient: float
     harmonics: dict[int, float] = field(default_factory=dict)
 
-    def model(self, sensors: SensorArray, top: float = 5000.0) -> NoiseModel:
+    def make_model(self, sensors: SensorArray, top: float = 5000.0) -> NoiseModel:
         """Make the noise model of an average room, with lines equally likely from all directions.
 
         Parameters
@@ -55,7 +55,7 @@ class NoiseLevels:
         frequencies = np.concatenate([[0.0], np.geomspace(1.0, top, N_FREQUENCIES)])
         density = self.floor**2 + max(self.at_1hz**2 - self.floor**2, 0.0) / np.maximum(frequencies, 1.0)
         lines = self.mains_frequency * orders
-        space = field_covariance(sensors, self.mains, self.mains_gradient).astype(np.complex128)
+        space = compute_field_covariance(sensors, self.mains, self.mains_gradient).astype(np.complex128)
         power = sizes**2 / (1.0 + (lines / sensors.bandwidth) ** 2)
         return NoiseModel(
             line_frequencies=lines,
@@ -65,7 +65,7 @@ class NoiseLevels:
             block=0.0,
         )
 
-    def drawn_lines(self, sensors: SensorArray, rng: np.random.Generator) -> ComplexArray:
+    def sample_lines(self, sensors: SensorArray, rng: np.random.Generator) -> ComplexArray:
         """Sample the mains lines of one room: random directions, gradients and phases.
 
         Parameters
@@ -93,7 +93,7 @@ class NoiseLevels:
             out[k] = size * np.einsum("ij,ij->i", sensors.responses, heard)
         return out
 
-    def room(self, sensors: SensorArray, seed: int, top: float = 5000.0) -> NoiseModel:
+    def sample_room_model(self, sensors: SensorArray, seed: int, top: float = 5000.0) -> NoiseModel:
         """Sample one room, and make its noise model as if it had been learned perfectly.
 
         Parameters
@@ -107,5 +107,5 @@ class NoiseLevels:
         -------
         NoiseModel
         """
-        lines = self.drawn_lines(sensors, np.random.default_rng(seed))
-        return replace(self.model(sensors, top), lines=lines[:, :, None] * lines[:, None, :].conj())
+        lines = self.sample_lines(sensors, np.random.default_rng(seed))
+        return replace(self.make_model(sensors, top), lines=lines[:, :, None] * lines[:, None, :].conj())

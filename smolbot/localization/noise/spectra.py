@@ -25,7 +25,7 @@ LINE_CONTRAST = 12.0
 SEGMENT = 0.2
 """Length, in s, of the segments over which the smooth spectrum is averaged."""
 
-PASSES = 4
+LINE_SEARCH_PASSES = 4
 """Number of searches for lines; each removes those found before."""
 
 LOBE = 2.0
@@ -55,7 +55,7 @@ SMOOTHING = 0.12
 
 
 class Spectra(NamedTuple):
-    """Lines and smooth spectrum of background noise; see `NoiseModel`.
+    """Lines and smooth spectrum of background noise; see `N_PARAMETERSoiseModel`.
 
     Attributes
     ----------
@@ -88,15 +88,15 @@ def learn_spectra(quiet: Sequence[Recording]) -> Spectra:
     rate = quiet[0].sample_rate
     size = max(round(rate / BLOCK_RATE), 1)
     block_rate = rate / size
-    pieces = [averaged(np.asarray(r.field), size) for r in quiet]
+    pieces = [average_blocks(np.asarray(r.field), size) for r in quiet]
     found = find_lines(pieces, block_rate)
     phasors, left = remove_lines(pieces, found, block_rate)
-    frequencies, spectrum = cross_spectrum(left, block_rate)
+    frequencies, spectrum = compute_cross_spectrum(left, block_rate)
     lines = np.einsum("plj,plk->ljk", phasors, phasors.conj()) / len(pieces)
     return Spectra(found, lines, frequencies, spectrum, 1.0 / block_rate)
 
 
-def averaged(field: FloatArray, size: int) -> FloatArray:
+def average_blocks(field: FloatArray, size: int) -> FloatArray:
     """Average over blocks of samples, and subtract each channel's mean.
 
     Parameters
@@ -137,17 +137,17 @@ def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
     considered = (grid > LINE_BAND[0] * rate / n) & (grid < LINE_BAND[1] * rate)
     found: list[float] = []
     left = pieces
-    for _ in range(PASSES):
+    for _ in range(LINE_SEARCH_PASSES):
         power = np.zeros(len(grid))
         for piece in left:
             window = np.hanning(piece.shape[1] + 2)[1:-1]
             power += np.sum(np.abs(np.fft.rfft(piece * window, size, axis=1)) ** 2, axis=0) / np.sum(window**2)
-        contrast = np.where(considered, power / _neighbourhood(power, NEIGHBOURHOOD * lobe), 0.0)
+        contrast = np.where(considered, power / _compute_background(power, NEIGHBOURHOOD * lobe), 0.0)
         new: list[float] = []
         while (
             len(found) + len(new) < MAX_LINES and (peak := int(np.argmax(contrast))) and contrast[peak] > LINE_CONTRAST
         ):
-            new.append(_refined(grid, power, peak))
+            new.append(_refine_peak(grid, power, peak))
             contrast[max(peak - 2 * lobe, 0) : peak + 2 * lobe + 1] = 0.0
         if not new:
             break
@@ -156,7 +156,7 @@ def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
     return np.array(sorted(found), dtype=np.float64)
 
 
-def _neighbourhood(power: FloatArray, width: int) -> FloatArray:
+def _compute_background(power: FloatArray, width: int) -> FloatArray:
     """Compute the median power around each bin, from medians of stretches `width` long."""
     count = max(len(power) // width, 1)
     medians = (
@@ -166,7 +166,7 @@ def _neighbourhood(power: FloatArray, width: int) -> FloatArray:
     return np.interp(np.arange(len(power)), middles, medians) + TINY
 
 
-def _refined(grid: FloatArray, power: FloatArray, peak: int) -> float:
+def _refine_peak(grid: FloatArray, power: FloatArray, peak: int) -> float:
     """Interpolate a peak's frequency by a parabola through the logarithm of the peak and its neighbours."""
     if not 0 < peak < len(grid) - 1:
         return float(grid[peak])
@@ -209,7 +209,7 @@ def remove_lines(
     return phasors, left
 
 
-def cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, ComplexArray]:
+def compute_cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, ComplexArray]:
     """Compute the smoothed one-sided cross-spectral density.
 
     Welch's method with half-overlapping Hann segments, then a mean over neighbouring frequencies whose
@@ -245,10 +245,10 @@ def cross_spectrum(pieces: list[FloatArray], rate: float) -> tuple[FloatArray, C
         near = (np.abs(grid - f) <= reach) & (grid > 0)
         smooth[i] = total[near].mean(axis=0)
         used[i] = near.sum()
-    return grid, _significant(smooth, count * used * 0.5)
+    return grid, _drop_insignificant(smooth, count * used * 0.5)
 
 
-def _significant(spectrum: ComplexArray, averages: FloatArray) -> ComplexArray:
+def _drop_insignificant(spectrum: ComplexArray, averages: FloatArray) -> ComplexArray:
     """Set cross terms with insignificant coherence to zero; keep every matrix positive."""
     power = np.real(np.einsum("fjj->fj", spectrum))
     scale = np.sqrt(power[:, :, None] * power[:, None, :]) + TINY

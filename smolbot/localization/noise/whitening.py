@@ -16,18 +16,18 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import DampingModel, Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import basis as time_functions
-from smolbot.localization.chain import Taps, whole_half_periods
-from smolbot.localization.noise.excitation_transients import AUDIBLE, decay_columns
+from smolbot.localization.chain import Taps, count_half_periods
+from smolbot.localization.noise.excitation_transients import NEGLIGIBLE_AFTER, make_decay_columns
 from smolbot.localization.noise.model import NoiseModel
-from smolbot.localization.problem import LinearModel, Problem, require_enough, usable_channels
+from smolbot.localization.problem import LinearModel, Problem, check_enough, find_usable_channels
 
-BLOCK = 0.5e-3
+MAX_BLOCK = 0.5e-3
 """Longest block, in s: its mean keeps 80 % of the fourth harmonic of 180 Hz."""
 
-FAINTEST = 0.1
+MIN_STRENGTH = 0.1
 """Size of a strong signal, in standard deviations of the noise, below which a direction is dropped."""
 
-TYPICAL = 1e-7
+TYPICAL_FIELD = 1e-7
 """First harmonic, in T, of a strong signal."""
 
 POWER_RATIO = 0.6
@@ -43,7 +43,7 @@ CLOCK_DIGITS = 8
 """Decimals, in s, of the time since the drive: 10 ns of rounding do not make a new model."""
 
 
-def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
+def make_block_taps(n_samples: int, sample_rate: float, block: float = MAX_BLOCK) -> Taps:
     """Make the taps of means over equal blocks, with the block length that leaves out the fewest samples.
 
     Parameters
@@ -66,7 +66,7 @@ def blocks(n_samples: int, sample_rate: float, block: float = BLOCK) -> Taps:
 
 
 @lru_cache(maxsize=16)
-def _whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> FloatArray:
+def _compute_whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> FloatArray:
     """Compute the inverse Cholesky factor (m, m) of the noise of all usable channels."""
     used = np.frombuffer(usable, dtype=np.bool_)
     rows = np.repeat(used, n_blocks)
@@ -77,7 +77,7 @@ def _whitener(noise: NoiseModel, usable: bytes, n_blocks: int, block: float) -> 
 
 
 @lru_cache(maxsize=64)
-def whitened_model(
+def make_whitened_model(
     sensors: SensorArray,
     device: Device,
     noise: NoiseModel,
@@ -90,7 +90,7 @@ def whitened_model(
 ) -> LinearModel:
     """Make the whitened chain for recordings of one kind by one array; cached for similar recordings.
 
-    See `any_array`.
+    See `make_common_model`.
 
     Parameters
     ----------
@@ -112,8 +112,10 @@ def whitened_model(
     -------
     LinearModel
     """
-    rhythm = _rhythm(device.frequency, device.damping, device.damping_model)
-    common = any_array(sensors.bandwidth, rhythm, noise, usable, n_samples, sample_rate, since, trend, transients)
+    rhythm = _make_reference_device(device.frequency, device.damping, device.damping_model)
+    common = make_common_model(
+        sensors.bandwidth, rhythm, noise, usable, n_samples, sample_rate, since, trend, transients
+    )
     used = common.used
     return replace(
         common,
@@ -125,13 +127,13 @@ def whitened_model(
 
 
 @lru_cache(maxsize=64)
-def _rhythm(frequency: float, damping: float, damping_model: DampingModel) -> Device:
+def _make_reference_device(frequency: float, damping: float, damping_model: DampingModel) -> Device:
     """Make one device that stands for all with the same frequency and damping."""
     return Device(1.0, np.array([0.0, 0.0, 1.0]), 0.0, 1.0, frequency, damping, damping_model)
 
 
 @lru_cache(maxsize=64)
-def any_array(
+def make_common_model(
     bandwidth: float,
     device: Device,
     noise: NoiseModel,
@@ -176,23 +178,23 @@ def any_array(
     """
     used = np.frombuffer(usable, dtype=np.bool_)
     n_channels = int(used.sum())
-    chain = blocks(n_samples, sample_rate)
+    chain = make_block_taps(n_samples, sample_rate)
     n_blocks, size = chain.weights.shape
-    whiten = _whitener(noise, usable, n_blocks, size / sample_rate)
+    whiten = _compute_whitener(noise, usable, n_blocks, size / sample_rate)
     polynomials = np.vander(np.linspace(-1.0, 1.0, n_blocks), trend + 1, increasing=True)
-    decays = decay_columns(since + (chain.first + 0.5 * size) / sample_rate, transients)
+    decays = make_decay_columns(since + (chain.first + 0.5 * size) / sample_rate, transients)
     free = np.column_stack([polynomials, decays])
     constants = np.linalg.qr(whiten @ np.kron(np.eye(n_channels), free))[0]
-    functions, changes = time_functions.functions_and_slopes(device, chain, sample_rate, since, bandwidth)
+    functions, changes = time_functions.compute_functions_and_slopes(device, chain, sample_rate, since, bandwidth)
     by_channel = whiten.reshape(-1, n_channels, n_blocks)
     answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
     flat = answers.reshape(len(answers), -1)
     flat -= constants @ (constants.T @ flat)
     # directions that a signal can take, weighted by the possible strength of each power of the deflection
-    powers = time_functions.labels()[:, 0]
-    strength = TYPICAL * np.repeat([POWER_RATIO ** (k - 1) / factorial(k) for k in powers], n_channels)
+    powers = time_functions.list_labels()[:, 0]
+    strength = TYPICAL_FIELD * np.repeat([POWER_RATIO ** (k - 1) / factorial(k) for k in powers], n_channels)
     values, vectors = np.linalg.eigh((flat * strength).T @ (flat * strength))
-    kept = values > FAINTEST**2
+    kept = values > MIN_STRENGTH**2
     if not kept.any():
         raise InputError(
             f"No oscillation is measurable {1e3 * since:g} ms after the drive in the noise that was learned. Is that "
@@ -209,7 +211,7 @@ def any_array(
         chain=chain,
         mixing=np.ascontiguousarray(projection),
         matrix=np.ascontiguousarray(matrix),
-        slopes=np.stack([_through(projection, change, n_channels) for change in changes]),
+        slopes=np.stack([_project_functions(projection, change, n_channels) for change in changes]),
         functions=functions,
         free=free,
         separable=False,
@@ -217,7 +219,7 @@ def any_array(
     )
 
 
-def _through(projection: FloatArray, functions: FloatArray, n_channels: int) -> FloatArray:
+def _project_functions(projection: FloatArray, functions: FloatArray, n_channels: int) -> FloatArray:
     """Compute the response (n_rows, n_functions, n_channels) of projected data to time functions."""
     by_channel = projection.reshape(len(projection), n_channels, -1)
     return np.ascontiguousarray(np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True))
@@ -254,20 +256,20 @@ def prepare_whitened(
         If channels do not match the sensors or the noise model, too few of them can be used, the
         recording is shorter than half a period, or no drive preceded it.
     """
-    usable = usable_channels(recording, sensors, device)
+    usable = find_usable_channels(recording, sensors, device)
     if noise.n_sensors != len(sensors):
         raise InputError(f"The noise model has {noise.n_sensors} sensors; the sensor array has {len(sensors)}.")
-    require_enough(int(usable.sum()), "channels", usable)
+    check_enough(int(usable.sum()), "channels", usable)
     n_samples = recording.field.shape[1]
-    if whole_half_periods(n_samples, recording.sample_rate, device.frequency) < 1:
+    if count_half_periods(n_samples, recording.sample_rate, device.frequency) < 1:
         raise InputError(
             f"The recording lasts {recording.duration * 1e3:.2f} ms; a half-period of {device.frequency:g} Hz lasts "
             f"{500.0 / device.frequency:.2f} ms, and at least one is needed."
         )
     since = round(recording.time_since_drive, CLOCK_DIGITS)
-    heard = tuple(tau for tau in transients if since < AUDIBLE * tau)
-    model = whitened_model(
+    heard = tuple(tau for tau in transients if since < NEGLIGIBLE_AFTER * tau)
+    model = make_whitened_model(
         sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, since, trend, heard
     )
     field = recording.field if usable.all() else np.ascontiguousarray(recording.field[usable])
-    return Problem(model, model.vector(field))
+    return Problem(model, model.compute_data_vector(field))

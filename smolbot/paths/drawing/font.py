@@ -13,18 +13,20 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 
-FIRST, LAST = "!", "~"
+FIRST_CHARACTER, LAST_CHARACTER = "!", "~"
 """First and last printable character of the font, which has no space."""
 
-KNOWN = f"the printable ASCII characters, {FIRST} to {LAST} (A to Z, a to z, 0 to 9 and signs)"
+KNOWN_CHARACTERS = (
+    f"the printable ASCII characters, {FIRST_CHARACTER} to {LAST_CHARACTER} (A to Z, a to z, 0 to 9 and signs)"
+)
 
 
 @cache
-def _lines() -> tuple[str, ...]:
+def _read_font_lines() -> tuple[str, ...]:
     return tuple(resources.files("smolbot.paths.drawing").joinpath("sans.jhf").read_text(encoding="ascii").splitlines())
 
 
-def in_font(character: str) -> bool:
+def is_in_font(character: str) -> bool:
     """Return whether the font contains a character.
 
     Parameters
@@ -38,13 +40,13 @@ def in_font(character: str) -> bool:
 
     Examples
     --------
-    >>> [in_font(c) for c in ("S", "~", " ", "ß", "SS")]
+    >>> [is_in_font(c) for c in ("S", "~", " ", "ß", "SS")]
     [True, True, False, False, False]
     """
-    return len(character) == 1 and FIRST <= character <= LAST
+    return len(character) == 1 and FIRST_CHARACTER <= character <= LAST_CHARACTER
 
 
-def strokes(character: str) -> list[FloatArray]:
+def read_strokes(character: str) -> list[FloatArray]:
     """Return the strokes of a character on the font's grid: y up, base line at -9, cap line at 12.
 
     A line of the font file holds the code (5 digits), the number of pairs (3 digits), then pairs of letters: left
@@ -60,7 +62,7 @@ def strokes(character: str) -> list[FloatArray]:
     list of ndarray, each of shape (n, 2)
         With n >= 2.
     """
-    data = _lines()[ord(character) - ord(" ")][10:]
+    data = _read_font_lines()[ord(character) - ord(" ")][10:]
     return [
         np.array(
             [[ord(x) - ord("R"), ord("R") - ord(y)] for x, y in zip(part[::2], part[1::2], strict=True)], dtype=float

@@ -15,19 +15,19 @@ from smolbot.errors import InputError
 PIXELS_PER_INCH = 96.0
 """Of CSS, whose pixel is the unit of SVG."""
 
-MM = 25.4 / PIXELS_PER_INCH
+MM_PER_PIXEL = 25.4 / PIXELS_PER_INCH
 """Size of a CSS pixel, in mm."""
 
 LENGTH_ERROR = 1e-3
 """Error, in pixels, of the length by which a segment is found to have none."""
 
-FLAT = 5e-3
+MAX_CHORD_ERROR = 5e-3
 """Largest distance of a chord from its curve, in mm."""
 
-TURN = np.radians(5.0)
+MAX_CHORD_TURN = np.radians(5.0)
 """Largest turn within a chord, in rad: a bend must not look like corners."""
 
-DEEPEST = 14
+MAX_HALVINGS = 14
 """Largest number of halvings of a curve: a cusp turns within every chord."""
 
 FEWEST = 3
@@ -42,7 +42,7 @@ NO_SIZE = 1e-9
 TINY = 1e-12
 """Length, in mm, that keeps a quotient finite."""
 
-PEN_UP = 1e-3
+MAX_PEN_GAP = 1e-3
 """Gap, in mm, up to which a move of the pen is rounding."""
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -85,18 +85,18 @@ def read_svg(path: Path, element: str | None, width: float | None, height: float
         raise InputError(f"{path}: cannot be read as SVG: {error}.") from error
     if not isinstance(drawing, svgelements.SVG):
         raise InputError(f"{path}: is no SVG: its outermost element is not <svg>.")
-    shape, name = _chosen(path, drawing, element)
-    segments = _segments(shape, f"{path}: {name}")
-    rough = np.vstack([_chords(segment, np.inf) for segment in segments])
+    shape, name = _find_shape(path, drawing, element)
+    segments = _list_segments(shape, f"{path}: {name}")
+    rough = np.vstack([_sample_chords(segment, np.inf) for segment in segments])
     size = np.ptp(rough, axis=0)
-    scale = _scale(size, width, height, f"{path}: {name}")
-    points = [_chords(segment, FLAT / float(np.max(scale))) for segment in segments]
+    scale = _compute_scale(size, width, height, f"{path}: {name}")
+    points = [_sample_chords(segment, MAX_CHORD_ERROR / float(np.max(scale))) for segment in segments]
     whole = np.vstack([points[0], *(chords[1:] for chords in points[1:])]) * scale
     new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > MERGED])
     return whole[new] - 0.5 * (whole.min(axis=0) + whole.max(axis=0))
 
 
-def _chosen(path: Path, drawing: Any, element: str | None) -> tuple[Any, str]:
+def _find_shape(path: Path, drawing: Any, element: str | None) -> tuple[Any, str]:
     """Find the requested shape, and its name for messages."""
     import svgelements
 
@@ -109,7 +109,7 @@ def _chosen(path: Path, drawing: Any, element: str | None) -> tuple[Any, str]:
         inside = [e for e in named[0].select() if isinstance(e, svgelements.Shape)] if _is_group(named[0]) else named
     else:
         inside = list(drawing.elements())
-    shapes = [e for e in inside if isinstance(e, svgelements.Shape) and _drawn(e)]
+    shapes = [e for e in inside if isinstance(e, svgelements.Shape) and _is_drawn(e)]
     where = f"element '{element}'" if element is not None else "the drawing"
     if not shapes:
         raise InputError(
@@ -117,23 +117,23 @@ def _chosen(path: Path, drawing: Any, element: str | None) -> tuple[Any, str]:
             "text and images must be made paths first."
         )
     if len(shapes) > 1:
-        names = ", ".join(str(e.id) if e.id else f"a {_kind(e)} without an id" for e in shapes[:8])
+        names = ", ".join(str(e.id) if e.id else f"a {_format_kind(e)} without an id" for e in shapes[:8])
         more = f" and {len(shapes) - 8} more" if len(shapes) > 8 else ""
         raise InputError(
             f'{path}: {where} holds {len(shapes)} shapes, {names}{more}; choose one by element = "its id".'
         )
-    return shapes[0], f"element '{shapes[0].id}'" if shapes[0].id else f"its {_kind(shapes[0])}"
+    return shapes[0], f"element '{shapes[0].id}'" if shapes[0].id else f"its {_format_kind(shapes[0])}"
 
 
 def _is_group(element: Any) -> bool:
     return isinstance(element, list) and hasattr(element, "select")
 
 
-def _kind(shape: Any) -> str:
+def _format_kind(shape: Any) -> str:
     return type(shape).__name__.lower()
 
 
-def _drawn(shape: Any) -> bool:
+def _is_drawn(shape: Any) -> bool:
     import svgelements
 
     if shape.values.get("visibility") == "hidden":
@@ -141,22 +141,22 @@ def _drawn(shape: Any) -> bool:
     return shape.values.get("d") or any(not isinstance(s, svgelements.Move) for s in svgelements.Path(shape))
 
 
-def _segments(shape: Any, where: str) -> list[Any]:
+def _list_segments(shape: Any, where: str) -> list[Any]:
     """Return the segments of a shape that have a length, in order; refuse those that lift the pen."""
     import svgelements
 
-    fault = _data_fault(shape.values.get("d") or "")
+    fault = _find_data_fault(shape.values.get("d") or "")
     if fault:
         raise InputError(f"{where}: broken path data: {fault}.")
     drawn: list[Any] = []
     for segment in svgelements.Path(shape):
         if isinstance(segment, svgelements.Move):
-            lifted = drawn and abs(segment.end - drawn[-1].end) * MM > PEN_UP
+            lifted = drawn and abs(segment.end - drawn[-1].end) * MM_PER_PIXEL > MAX_PEN_GAP
             if lifted:
                 a, b = drawn[-1].end, segment.end
                 raise InputError(
-                    f"{where}: the line ends at ({a.x * MM:.2f}, {a.y * MM:.2f}) mm of the page and starts again at "
-                    f"({b.x * MM:.2f}, {b.y * MM:.2f}) mm; a robot cannot jump. Draw one line without a gap."
+                    f"{where}: the line ends at ({a.x * MM_PER_PIXEL:.2f}, {a.y * MM_PER_PIXEL:.2f}) mm of the page and starts again at "
+                    f"({b.x * MM_PER_PIXEL:.2f}, {b.y * MM_PER_PIXEL:.2f}) mm; a robot cannot jump. Draw one line without a gap."
                 )
         elif segment.start is not None and segment.end is not None and segment.length(error=LENGTH_ERROR) > 0.0:
             drawn.append(segment)
@@ -165,15 +165,15 @@ def _segments(shape: Any, where: str) -> list[Any]:
     return drawn
 
 
-def _data_fault(data: str) -> str | None:
+def _find_data_fault(data: str) -> str | None:
     """Describe the fault of a path's `d` attribute, which svgelements would otherwise cut there without an error.
 
     Examples
     --------
-    >>> _data_fault("M 0,0 l 3 4 5 6 a 1 1 0 0110-5z")
-    >>> _data_fault("M 0 0 L 10 x 20")
+    >>> _find_data_fault("M 0,0 l 3 4 5 6 a 1 1 0 0110-5z")
+    >>> _find_data_fault("M 0 0 L 10 x 20")
     "'x' at character 12 is no command"
-    >>> _data_fault("M 0 0 C 1 2 3 4")
+    >>> _find_data_fault("M 0 0 C 1 2 3 4")
     'C at character 7 has 4 numbers; it takes 6 each time'
     """
     for letter in re.finditer(r"[^\d\s,.+\-eE]", data):
@@ -199,7 +199,7 @@ def _data_fault(data: str) -> str | None:
     return None
 
 
-def _scale(size: FloatArray, width: float | None, height: float | None, where: str) -> FloatArray:
+def _compute_scale(size: FloatArray, width: float | None, height: float | None, where: str) -> FloatArray:
     wanted = (width, height)
     for have, want, what in zip(size, wanted, ("width", "height"), strict=True):
         if want is not None and have < NO_SIZE:
@@ -209,16 +209,16 @@ def _scale(size: FloatArray, width: float | None, height: float | None, where: s
     return np.array([r if r is not None else (given[0] if given else 1.0) for r in ratios])
 
 
-def _chords(segment: Any, flat: float) -> FloatArray:
+def _sample_chords(segment: Any, flat: float) -> FloatArray:
     """Approximate a segment by points (n, 2), in mm, y up."""
     import svgelements
 
     def place(t: float) -> FloatArray:
         point = segment.point(t)
-        return np.array([point.x * MM, -point.y * MM])
+        return np.array([point.x * MM_PER_PIXEL, -point.y * MM_PER_PIXEL])
 
     if isinstance(segment, svgelements.Line | svgelements.Close):
-        return np.array([[p.x * MM, -p.y * MM] for p in (segment.start, segment.end)])
+        return np.array([[p.x * MM_PER_PIXEL, -p.y * MM_PER_PIXEL] for p in (segment.start, segment.end)])
     found = [place(0.0)]
 
     def halve(a: float, p: FloatArray, b: float, q: FloatArray, depth: int) -> None:
@@ -227,7 +227,7 @@ def _chords(segment: Any, flat: float) -> FloatArray:
         turn = abs(float(np.arctan2(into[0] * out[1] - into[1] * out[0], into @ out)))
         chord = q - p
         beside = abs(float(into[0] * chord[1] - into[1] * chord[0])) / max(float(np.linalg.norm(chord)), TINY)
-        if depth >= DEEPEST or (depth >= FEWEST and turn < TURN and beside <= flat):
+        if depth >= MAX_HALVINGS or (depth >= FEWEST and turn < MAX_CHORD_TURN and beside <= flat):
             found.append(q)
             return
         halve(a, p, m, middle, depth + 1)

@@ -10,8 +10,8 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.optics.alignment import Alignment
-from smolbot.runs.optics.opticaltrack import OpticalTrack
-from smolbot.runs.optics.runposes import RunPoses
+from smolbot.runs.optics.optical_track import OpticalTrack
+from smolbot.runs.optics.run_poses import RunPoses
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class PathAnalysis:
         """Height of the poses minus its mean (n,) in m, as in the paper."""
         return np.asarray(self.poses[:, 2] - self.poses[:, 2].mean())
 
-    def figures(self) -> dict[str, Any]:
+    def compute_figures(self) -> dict[str, Any]:
         """Compute the figures of merit.
 
         ``position_error_mm`` is the paper's: mean and standard deviation of the horizontal distance.
@@ -73,19 +73,19 @@ class PathAnalysis:
         known = np.all(np.isfinite(self.tracked), axis=1)
         out: dict[str, Any] = {
             "poses": len(self.times),
-            "position_error_mm": _spread(1e3 * self.position_errors),
-            "to_optical_path_mm": _spread(1e3 * self.to_path),
-            "x_error_mm": _signed(off[:, 0]),
-            "y_error_mm": _signed(off[:, 1]),
-            "z_error_from_mean_mm": _spread(1e3 * np.abs(self.depth_errors)),
-            "angle_error_deg": _spread(np.degrees(np.abs(self.angle_errors))),
+            "position_error_mm": _summarise(1e3 * self.position_errors),
+            "to_optical_path_mm": _summarise(1e3 * self.to_path),
+            "x_error_mm": _summarise_signed(off[:, 0]),
+            "y_error_mm": _summarise_signed(off[:, 1]),
+            "z_error_from_mean_mm": _summarise(1e3 * np.abs(self.depth_errors)),
+            "angle_error_deg": _summarise(np.degrees(np.abs(self.angle_errors))),
             "angle_bias_deg": float(np.degrees(np.mean(self.angle_errors))),
         }
         if self.plane_known:
-            out["z_error_mm"] = _signed(off[:, 2])
+            out["z_error_mm"] = _summarise_signed(off[:, 2])
         if known.any():
             tracked = np.linalg.norm((self.tracked - self.optical)[known, :2], axis=1)
-            out["tracked_position_error_mm"] = _spread(1e3 * tracked)
+            out["tracked_position_error_mm"] = _summarise(1e3 * tracked)
         return out
 
 
@@ -112,20 +112,20 @@ def analyse(track: OpticalTrack, run: RunPoses, alignment: Alignment, *, plane_k
     InputError
         If no pose is left.
     """
-    seen = track.shifted(alignment.offset)
-    places, headings, known = seen.at(run.times)
+    seen = track.shift(alignment.offset)
+    places, headings, known = seen.interpolate(run.times)
     if not known.any():
         raise InputError("No pose of the run lies between two frames that show the robot.")
     poses = run.positions[known]
     turned = run.headings[known]
     near = headings[known] + np.angle(np.exp(1j * (turned - headings[known])))
     return PathAnalysis(
-        run.times[known], poses, places[known], near, headings[known], _to_path(poses, seen.positions), plane_known,
+        run.times[known], poses, places[known], near, headings[known], _compute_path_distance(poses, seen.positions), plane_known,
         run.tracked[known],
     )  # fmt: skip
 
 
-def _to_path(points: FloatArray, path: FloatArray) -> FloatArray:
+def _compute_path_distance(points: FloatArray, path: FloatArray) -> FloatArray:
     """Compute the horizontal distance (n,) of points to a polyline."""
     a, b = path[:-1, :2], path[1:, :2]
     along = b - a
@@ -137,12 +137,12 @@ def _to_path(points: FloatArray, path: FloatArray) -> FloatArray:
     return out
 
 
-def _spread(values: FloatArray) -> dict[str, float]:
+def _summarise(values: FloatArray) -> dict[str, float]:
     return {
         "mean": float(np.mean(values)), "std": float(np.std(values)), "rms": float(np.sqrt(np.mean(values**2))),
         "p95": float(np.percentile(values, 95)), "max": float(np.max(values)),
     }  # fmt: skip
 
 
-def _signed(values: FloatArray) -> dict[str, float]:
+def _summarise_signed(values: FloatArray) -> dict[str, float]:
     return {"mean": float(np.mean(values)), "std": float(np.std(values)), "max": float(np.max(np.abs(values)))}

@@ -16,14 +16,14 @@ from smolbot.core.arrays import FloatArray, IntArray
 from smolbot.errors import InputError
 from smolbot.runs.optics.video import Video
 
-BRIGHT = 25.0  # grey levels that magnet and background must be apart
-SMALLEST = 30  # pixels of a magnet
-STILL = 0.15  # pixels, rms: what moves less does not swing
-ROUND = 0.03  # relative: how well the radius of the arc must be known for angles to come from it
+MIN_CONTRAST = 25.0  # grey levels that magnet and background must be apart
+MIN_AREA = 30  # pixels of a magnet
+MIN_SWING_RMS = 0.15  # pixels, rms: what moves less does not swing
+MAX_RADIUS_ERROR = 0.03  # relative: how well the radius of the arc must be known for angles to come from it
 
 
 @dataclass(frozen=True, eq=False)
-class Swing:
+class ObservedSwing:
     """Motion of a magnet, frame by frame; frames that do not show it are left out.
 
     Attributes
@@ -62,7 +62,7 @@ class Swing:
         return self.arc if self.by_arc else self.turn
 
 
-def follow_swing(clip: Video) -> Swing:
+def follow_swing(clip: Video) -> ObservedSwing:
     """Find a bright magnet in every frame, the arc on which it swings, and its angles.
 
     Parameters
@@ -80,25 +80,25 @@ def follow_swing(clip: Video) -> Swing:
     """
     frames, rows = [], []
     for number, frame in enumerate(clip):
-        found = _magnet(frame)
+        found = _find_magnet(frame)
         if found is not None:
             frames.append(number)
             rows.append(found)
     if len(rows) < 20:
         raise InputError(
             f"{clip.path}: a bright magnet is seen in {len(rows)} of {clip.frames} frames; it must be "
-            f"{BRIGHT:.0f} grey levels "
-            f"brighter than what is around it, and cover {SMALLEST} pixels or more."
+            f"{MIN_CONTRAST:.0f} grey levels "
+            f"brighter than what is around it, and cover {MIN_AREA} pixels or more."
         )
     table = np.array(rows)
     centers, second, fourth = table[:, :2], table[:, 2] + 1j * table[:, 3], table[:, 4] + 1j * table[:, 5]
     moved = centers - centers.mean(axis=0)
-    if float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) < STILL:
+    if float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) < MIN_SWING_RMS:
         raise InputError(f"{clip.path}: the bright magnet does not move; nothing swings in this clip.")
-    turn = _turn(second, fourth)
-    pivot, radius, sigma = _circle(centers)
+    turn = _compute_rotation(second, fourth)
+    pivot, radius, sigma = _fit_circle(centers)
     arc = np.full(len(centers), math.nan)
-    if sigma < ROUND * radius:
+    if sigma < MAX_RADIUS_ERROR * radius:
         away = centers - pivot
         rest = away.mean(axis=0)
         # angles grow counterclockwise as seen, like the magnet's own turn
@@ -111,14 +111,14 @@ def follow_swing(clip: Video) -> Swing:
             "the magnet has "
             "no corners that tell how it is turned. Come nearer with the camera."
         )
-    return Swing(
+    return ObservedSwing(
         np.array(frames), np.array(frames) / clip.fps,
-        centers - (pivot if sigma < ROUND * radius else centers.mean(axis=0)),
+        centers - (pivot if sigma < MAX_RADIUS_ERROR * radius else centers.mean(axis=0)),
         arc, turn, radius, sigma, clip.frames,
     )  # fmt: skip
 
 
-def _magnet(frame: Any) -> tuple[float, ...] | None:
+def _find_magnet(frame: Any) -> tuple[float, ...] | None:
     """Find centre (right, up) in pixels, and moments of order two and four, of the largest bright object."""
     import cv2
 
@@ -128,7 +128,7 @@ def _magnet(frame: Any) -> tuple[float, ...] | None:
     if count < 2:
         return None
     best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    if stats[best, cv2.CC_STAT_AREA] < SMALLEST:
+    if stats[best, cv2.CC_STAT_AREA] < MIN_AREA:
         return None
     left, top, width, height = (int(v) for v in stats[best, :4])
     a, b = max(left - 3, 0), max(top - 3, 0)
@@ -136,7 +136,7 @@ def _magnet(frame: Any) -> tuple[float, ...] | None:
     patch = grey[window].astype(np.float64)
     own = labels[window] == best
     bright, dark = float(np.median(patch[own])), float(np.median(grey[labels == 0]))
-    if bright - dark < BRIGHT:
+    if bright - dark < MIN_CONTRAST:
         return None
     # how much of a pixel is magnet: 0 to 1 about halfway, so that neither noise within nor light without counts
     cover = np.clip((patch - dark) / (bright - dark) * 2.0 - 0.5, 0.0, 1.0)
@@ -151,7 +151,7 @@ def _magnet(frame: Any) -> tuple[float, ...] | None:
     return u + a, -(v + b), second.real, second.imag, fourth.real, fourth.imag
 
 
-def _turn(second: Any, fourth: Any) -> FloatArray:
+def _compute_rotation(second: Any, fourth: Any) -> FloatArray:
     """Compute the rotation (n,) of a magnet in rad from its mean, by its longer axis or else its corners."""
     for moments, folds, least in ((second, 2, 0.1), (fourth, 4, 0.03)):
         if abs(moments.mean()) > least:
@@ -160,7 +160,7 @@ def _turn(second: Any, fourth: Any) -> FloatArray:
     return np.full(len(second), math.nan)
 
 
-def _circle(points: FloatArray) -> tuple[FloatArray, float, float]:
+def _fit_circle(points: FloatArray) -> tuple[FloatArray, float, float]:
     """Fit a circle to points (n, 2) in pixels; return centre (2,), radius and the radius' standard deviation."""
     from scipy.optimize import least_squares
 

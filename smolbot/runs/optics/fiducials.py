@@ -40,9 +40,9 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.optics.view import View, find_view
 
-LEAST = 2  # markers: one alone says too little of how the camera is tilted
-MISPLACED = 0.5e-3  # m: markers that fit no better do not lie where the file says
-KINDS = [f"{n}x{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000)] + ["apriltag_36h11"]
+MIN_MARKERS = 2  # markers: one alone says too little of how the camera is tilted
+MAX_RESIDUAL = 0.5e-3  # m: markers that fit no better do not lie where the file says
+DICTIONARIES = [f"{n}x{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000)] + ["apriltag_36h11"]
 
 
 class MarkerSection(FileModel):
@@ -61,18 +61,18 @@ class FiducialsSection(FileModel):
     side_mm: Positive
     height_mm: float
     place_tolerance_mm: NotNegative = 0.05
-    markers: Annotated[list[MarkerSection], Field(min_length=LEAST)]
+    markers: Annotated[list[MarkerSection], Field(min_length=MIN_MARKERS)]
 
     @field_validator("dictionary")
     @classmethod
-    def _known(cls, value: str) -> str:
-        if value.lower() not in KINDS:
-            raise ValueError(f"no dictionary is named '{value}'; known: {', '.join(KINDS)}.")
+    def _check_dictionary(cls, value: str) -> str:
+        if value.lower() not in DICTIONARIES:
+            raise ValueError(f"no dictionary is named '{value}'; known: {', '.join(DICTIONARIES)}.")
         return value.lower()
 
     @field_validator("markers")
     @classmethod
-    def _once(cls, value: list[MarkerSection]) -> list[MarkerSection]:
+    def _check_ids_unique(cls, value: list[MarkerSection]) -> list[MarkerSection]:
         ids = [m.id for m in value]
         twice = sorted({i for i in ids if ids.count(i) > 1})
         if twice:
@@ -94,20 +94,20 @@ class FiducialsFile(FileModel):
 
 
 @dataclass(frozen=True)
-class Found:
+class MarkerView:
     """The camera view determined from markers.
 
     Attributes
     ----------
     view : View
-    seen : tuple of int
+    detected : tuple of int
         Ids of the detected markers.
     missing : tuple of int
         Ids of markers of the file that were not detected.
     """
 
     view: View
-    seen: tuple[int, ...]
+    detected: tuple[int, ...]
     missing: tuple[int, ...]
 
 
@@ -130,7 +130,7 @@ def read_fiducials(path: Path) -> FiducialsFile:
     return Document.read(path).validated(FiducialsFile)
 
 
-def corners_of(section: FiducialsSection, marker: MarkerSection) -> FloatArray:
+def compute_corners(section: FiducialsSection, marker: MarkerSection) -> FloatArray:
     """Compute the world positions of a marker's corners: upper left, upper right, lower right, lower left.
 
     Parameters
@@ -151,7 +151,7 @@ def corners_of(section: FiducialsSection, marker: MarkerSection) -> FloatArray:
     return np.asarray(1e-3 * np.column_stack([flat, np.full(4, height)]))
 
 
-def view_by_markers(picture: Any, file: FiducialsFile, camera_height: float | None = None) -> Found:
+def find_view_by_markers(picture: Any, file: FiducialsFile, camera_height: float | None = None) -> MarkerView:
     """Find the markers of a file in a picture, and the camera from them.
 
     Parameters
@@ -175,29 +175,29 @@ def view_by_markers(picture: Any, file: FiducialsFile, camera_height: float | No
     wanted = {m.id: m for m in section.markers}
     here = [i for i in wanted if i in seen]
     missing = tuple(i for i in wanted if i not in seen)
-    if len(here) < LEAST:
+    if len(here) < MIN_MARKERS:
         others = sorted(set(seen) - set(wanted))
         also = f", but {', '.join(map(str, others))} that the file does not name" if others else ""
         raise InputError(
-            f"found {len(here)} of {len(wanted)} markers (ArUco {section.dictionary}; wanted {_listed(wanted)}){also}. "
-            f"{LEAST} or more are needed: are they in the picture, sharp, with a white border, and of that dictionary?"
+            f"found {len(here)} of {len(wanted)} markers (ArUco {section.dictionary}; wanted {_format_ids(wanted)}){also}. "
+            f"{MIN_MARKERS} or more are needed: are they in the picture, sharp, with a white border, and of that dictionary?"
         )
     pixels = np.vstack([seen[i] for i in here])
-    points = np.vstack([corners_of(section, wanted[i]) for i in here])
+    points = np.vstack([compute_corners(section, wanted[i]) for i in here])
     height = camera_height
     if height is None and file.camera.height_mm is not None:
         height = 1e-3 * file.camera.height_mm
     # the corners of a marker err together: so many count as one
     place = 2e-3 * section.place_tolerance_mm
-    view = find_view(pixels, points, (picture.shape[1], picture.shape[0]), height, place=place)
-    off = view.rms / view.scale(points.mean(axis=0))
-    if off > MISPLACED:
+    view = find_view(pixels, points, (picture.shape[1], picture.shape[0]), height, point_sigma=place)
+    off = view.rms / view.compute_scale(points.mean(axis=0))
+    if off > MAX_RESIDUAL:
         raise InputError(
-            f"Markers {_listed(here)} do not lie where the file says: {view.rms:.1f} pixels or {1e3 * off:.2f} mm "
+            f"Markers {_format_ids(here)} do not lie where the file says: {view.rms:.1f} pixels or {1e3 * off:.2f} mm "
             "(rms) "
             "are left. Check ids, places, turn_deg and side_mm; and height_mm of the camera."
         )
-    return Found(view, tuple(here), missing)
+    return MarkerView(view, tuple(here), missing)
 
 
 def _detect(picture: Any, dictionary: str) -> dict[int, FloatArray]:
@@ -211,11 +211,11 @@ def _detect(picture: Any, dictionary: str) -> dict[int, FloatArray]:
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     found: dict[int, FloatArray] = {}
     for number, quad in zip([] if ids is None else ids.ravel(), corners, strict=True):
-        found[int(number)] = _sharpened(grey, quad.reshape(4, 2).astype(np.float64))
+        found[int(number)] = _refine_corners(grey, quad.reshape(4, 2).astype(np.float64))
     return found
 
 
-def _sharpened(grey: Any, quad: FloatArray) -> FloatArray:
+def _refine_corners(grey: Any, quad: FloatArray) -> FloatArray:
     """Compute corners (4, 2) to subpixel accuracy as intersections of lines through a square's edges."""
     import cv2
 
@@ -239,12 +239,12 @@ def _sharpened(grey: Any, quad: FloatArray) -> FloatArray:
             rise[rise < 0.25 * rise.max(axis=1, keepdims=True)] = 0.0
             where = rise @ (0.5 * (steps[1:] + steps[:-1])) / np.maximum(rise.sum(axis=1), 1e-9)
             points = along + np.where(rise.sum(axis=1) > 0, where, 0.0)[:, None] * normal
-            lines.append(_line(points))
-        quad = np.array([_meet(lines[i - 1], lines[i]) for i in range(4)])
+            lines.append(_fit_line(points))
+        quad = np.array([_intersect(lines[i - 1], lines[i]) for i in range(4)])
     return quad
 
 
-def _line(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit_line(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit a line to most of the points; return its middle and direction."""
     kept = points
     for _ in range(3):
@@ -255,10 +255,10 @@ def _line(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return middle, direction
 
 
-def _meet(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> FloatArray:
+def _intersect(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> FloatArray:
     steps = np.linalg.solve(np.column_stack([one[1], -other[1]]), other[0] - one[0])
     return np.asarray(one[0] + steps[0] * one[1])
 
 
-def _listed(ids: Any) -> str:
+def _format_ids(ids: Any) -> str:
     return ", ".join(str(i) for i in ids)

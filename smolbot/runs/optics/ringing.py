@@ -10,9 +10,9 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
-PERIODS = 4  # of free swing that a fit needs
-FRAMES = 6  # a period, likewise
-FULL = 0.97  # share of the largest envelope down to which the drive may still be on
+MIN_PERIODS = 4  # of free swing that a fit needs
+MIN_FRAMES_PER_PERIOD = 6  # a period, likewise
+DRIVEN_SHARE = 0.97  # share of the largest envelope down to which the drive may still be on
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,25 +83,25 @@ def fit_ringing(times: FloatArray, angles: FloatArray, begin: float | None = Non
     """
     from scipy.optimize import least_squares
 
-    rough = _frequency(times, angles)
+    rough = _find_frequency(times, angles)
     step = float(np.median(np.diff(times)))
-    if rough * step * FRAMES > 1.0:
+    if rough * step * MIN_FRAMES_PER_PERIOD > 1.0:
         raise InputError(
             f"The angles vary at {rough:.1f} Hz or more, with {1.0 / (rough * step):.1f} frames a period; "
-            f"{FRAMES} or more are needed. Is --fps what the clip was recorded at?"
+            f"{MIN_FRAMES_PER_PERIOD} or more are needed. Is --fps what the clip was recorded at?"
         )
-    envelope = _envelope(times, angles, rough)
+    envelope = _compute_envelope(times, angles, rough)
     inner = slice(int(0.5 / (rough * step)), len(times) - int(0.5 / (rough * step)))
     largest = float(np.max(envelope[inner])) if envelope[inner].size else float(np.max(envelope))
     if begin is None:
-        full = np.nonzero(envelope[inner] >= FULL * largest)[0]
+        full = np.nonzero(envelope[inner] >= DRIVEN_SHARE * largest)[0]
         begin = float(times[inner][full[-1]]) + 1.0 / rough
     end = float(times[-1]) if end is None else end
     kept = (times >= begin) & (times <= end)
-    if (end - begin) * rough < PERIODS or np.count_nonzero(kept) < FRAMES * PERIODS:
+    if (end - begin) * rough < MIN_PERIODS or np.count_nonzero(kept) < MIN_FRAMES_PER_PERIOD * MIN_PERIODS:
         raise InputError(
             f"From {begin:.4f} to {end:.4f} s there are {max((end - begin) * rough, 0.0):.1f} periods of free "
-            f"swing; {PERIODS} or more "
+            f"swing; {MIN_PERIODS} or more "
             "are needed. Say with --from-s and --to-s where it is free."
         )
     t, y = times[kept] - begin, angles[kept]
@@ -109,8 +109,8 @@ def fit_ringing(times: FloatArray, angles: FloatArray, begin: float | None = Non
     for model in ("exponential", "linear"):
         best = None
         for damping in (0.3, 3.0, 30.0):
-            start = _start(t, y, rough, damping, model)
-            found = least_squares(lambda p, m=model: _swing(p, t, m) - y, start, x_scale="jac", method="lm")
+            start = _guess_start(t, y, rough, damping, model)
+            found = least_squares(lambda p, m=model: _evaluate_swing(p, t, m) - y, start, x_scale="jac", method="lm")
             if best is None or found.cost < best.cost:
                 best = found
         assert best is not None
@@ -129,13 +129,13 @@ def fit_ringing(times: FloatArray, angles: FloatArray, begin: float | None = Non
     )  # fmt: skip
 
 
-def _swing(p: FloatArray, t: FloatArray, model: str) -> FloatArray:
+def _evaluate_swing(p: FloatArray, t: FloatArray, model: str) -> FloatArray:
     amplitude, phase, frequency, damping, rest = p
     decay = np.exp(-damping * t) if model == "exponential" else np.maximum(1.0 - damping * t, 0.0)
     return np.asarray(amplitude * decay * np.cos(2.0 * math.pi * frequency * t + phase) + rest)
 
 
-def _start(t: FloatArray, y: FloatArray, frequency: float, damping: float, model: str) -> FloatArray:
+def _guess_start(t: FloatArray, y: FloatArray, frequency: float, damping: float, model: str) -> FloatArray:
     """Compute start values for a guessed damping and frequency, by linear least squares."""
     rate = damping if model == "exponential" else min(damping, 0.5 / max(float(t[-1]), 1e-9))
     decay = np.exp(-rate * t) if model == "exponential" else 1.0 - rate * t
@@ -145,7 +145,7 @@ def _start(t: FloatArray, y: FloatArray, frequency: float, damping: float, model
     return np.array([math.hypot(c, s), math.atan2(s, c), frequency, rate, rest])
 
 
-def _frequency(times: FloatArray, angles: FloatArray) -> float:
+def _find_frequency(times: FloatArray, angles: FloatArray) -> float:
     """Find the frequency of the strongest line in Hz, by a padded spectrum and a parabola through its maximum."""
     step = float(np.median(np.diff(times)))
     even = np.interp(np.arange(times[0], times[-1], step), times, angles)
@@ -159,7 +159,7 @@ def _frequency(times: FloatArray, angles: FloatArray) -> float:
     return float((top + shift) / (size * step))
 
 
-def _envelope(times: FloatArray, angles: FloatArray, frequency: float) -> FloatArray:
+def _compute_envelope(times: FloatArray, angles: FloatArray, frequency: float) -> FloatArray:
     """Compute the amplitude (n,) over one period around each frame."""
     step = float(np.median(np.diff(times)))
     n = max(round(1.0 / (frequency * step)), 3)

@@ -14,11 +14,11 @@ from smolbot.errors import InputError, MissingFileError, PluginError
 Image = Any
 """An 8-bit colour picture, shape (height, width, 3), blue first; its first pixel's middle is (0, 0)."""
 
-LOOKS = 25
+N_BACKGROUND_FRAMES = 25
 """Frames, evenly spread, of which the median is the background."""
 
-FASTEST = 1e6  # frames per second: what says more has no frame rate
-SLACK = 2  # frames that a container may promise and not hold
+MAX_FPS = 1e6  # frames per second: what says more has no frame rate
+MAX_MISSING_FRAMES = 2  # frames that a container may promise and not hold
 
 
 class Video:
@@ -52,23 +52,23 @@ class Video:
     def __init__(self, path: Path, fps: float | None = None) -> None:
         if not path.is_file():
             raise MissingFileError(f"{path}: no such file.", name=str(path))
-        if fps is not None and not 0 < fps < FASTEST:
+        if fps is not None and not 0 < fps < MAX_FPS:
             raise InputError(f"--fps must be a positive number of frames per second; got {fps:g}.")
         self.path = path
-        self._cv2 = _opencv()
+        self._cv2 = _import_opencv()
         capture = self._open()
         told = float(capture.get(self._cv2.CAP_PROP_FPS))
         promised = capture.get(self._cv2.CAP_PROP_FRAME_COUNT)
         self.size = (
             int(capture.get(self._cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(self._cv2.CAP_PROP_FRAME_HEIGHT))
         )  # fmt: skip
-        if fps is None and not (math.isfinite(told) and 0 < told < FASTEST):
+        if fps is None and not (math.isfinite(told) and 0 < told < MAX_FPS):
             raise InputError(
                 f"{path}: tells a frame rate of {told:g} per second; say with --fps what it was recorded at."
             )
         self.fps = told if fps is None else fps
         self.frames, looks = self._read_through(capture, int(promised) if promised > 0 else None)
-        self.background: Image = _median(looks)
+        self.background: Image = _compute_median(looks)
 
     def __iter__(self) -> Iterator[Image]:
         """Iterate over all frames, in order."""
@@ -96,7 +96,7 @@ class Video:
 
     def _read_through(self, capture: Any, promised: int | None) -> tuple[int, list[Image]]:
         """Decode every frame once; return their number, and some that are evenly spread."""
-        step = max((promised or LOOKS * LOOKS) // LOOKS, 1)
+        step = max((promised or N_BACKGROUND_FRAMES * N_BACKGROUND_FRAMES) // N_BACKGROUND_FRAMES, 1)
         looks: list[Image] = []
         count = 0
         while capture.grab():
@@ -105,10 +105,10 @@ class Video:
                 if good:
                     looks.append(frame)
             count += 1
-            if len(looks) >= 2 * LOOKS:  # the container did not say how long it is
+            if len(looks) >= 2 * N_BACKGROUND_FRAMES:  # the container did not say how long it is
                 looks, step = looks[::2], 2 * step
         capture.release()
-        if promised is not None and count < promised - max(SLACK, promised // 200):
+        if promised is not None and count < promised - max(MAX_MISSING_FRAMES, promised // 200):
             raise InputError(
                 f"{self.path}: truncated: its header tells of {promised} frames, {count} can be read. "
                 "Copy it again, or have a video tool repair it."
@@ -118,7 +118,7 @@ class Video:
         return count, looks
 
 
-def _median(looks: list[Image]) -> Image:
+def _compute_median(looks: list[Image]) -> Image:
     stack = np.stack(looks)
     stack.partition(len(stack) // 2, axis=0)
     return stack[len(stack) // 2].copy()
@@ -144,7 +144,7 @@ def read_picture(path: Path, size: tuple[int, int]) -> Image:
     MissingFileError
         If there is no such file.
     """
-    cv2 = _opencv()
+    cv2 = _import_opencv()
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file.", name=str(path))
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
@@ -157,7 +157,7 @@ def read_picture(path: Path, size: tuple[int, int]) -> Image:
     return picture
 
 
-def _opencv() -> Any:
+def _import_opencv() -> Any:
     try:
         import cv2
     except ImportError as error:

@@ -10,14 +10,14 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
-SHARP = 0.3
+PIXEL_SIGMA = 0.3
 """Pixels, one standard deviation, to which a corner or a click is taken to be known."""
 
-CLICK = 1.0  # pixels: of a click
+CLICK_SIGMA = 1.0  # pixels: of a click
 
-RULER = 3e-3  # m: of a camera height that was given
-ECCENTRIC = 0.01  # of the picture's shorter side: where the lens' axis may lie off its middle
-FOCAL = math.log(2.0)  # spread of the focal length where nothing tells it, about three times the longer side
+HEIGHT_SIGMA = 3e-3  # m: of a camera height that was given
+CENTER_SIGMA_SHARE = 0.01  # of the picture's shorter side: where the lens' axis may lie off its middle
+LOG_FOCAL_SIGMA = math.log(2.0)  # spread of the focal length where nothing tells it, about three times the longer side
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,11 @@ class View:
     rms: float
 
     @property
-    def place(self) -> FloatArray:
+    def position(self) -> FloatArray:
         """Position (3,) of the camera's entrance pupil in the world frame, in m."""
         return self.parameters[4:7]
 
-    def pixels(self, points: FloatArray) -> FloatArray:
+    def project(self, points: FloatArray) -> FloatArray:
         """Project world points to pixels.
 
         Parameters
@@ -55,9 +55,9 @@ class View:
         -------
         ndarray, shape (n, 2), in pixels
         """
-        return _pixels(self.parameters, points)
+        return _project(self.parameters, points)
 
-    def on_plane(self, pixels: FloatArray, height: float) -> FloatArray:
+    def project_to_plane(self, pixels: FloatArray, height: float) -> FloatArray:
         """Project pixels back to the plane z = `height`.
 
         Parameters
@@ -70,9 +70,9 @@ class View:
         ndarray, shape (n, 2), in m
             x and y in the world frame.
         """
-        return _on_plane(self.parameters, pixels, height)
+        return _project_to_plane(self.parameters, pixels, height)
 
-    def scale(self, point: FloatArray) -> float:
+    def compute_scale(self, point: FloatArray) -> float:
         """Compute the pixels per metre of level lengths at a world point.
 
         Parameters
@@ -84,10 +84,10 @@ class View:
         float, in 1/m
         """
         step = 1e-3
-        moved = self.pixels(point + np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]]))
+        moved = self.project(point + np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]]))
         return math.sqrt(abs(float(np.linalg.det(moved[1:] - moved[0])))) / step
 
-    def uncertainty(self, pixel: FloatArray, height: float) -> float:
+    def compute_uncertainty(self, pixel: FloatArray, height: float) -> float:
         """Compute the standard deviation of a position on z = `height` from the uncertainty of the camera.
 
         Parameters
@@ -106,13 +106,15 @@ class View:
             up, down = self.parameters.copy(), self.parameters.copy()
             up[i] += step
             down[i] -= step
-            jacobian[:, i] = (_on_plane(up, pixels, height) - _on_plane(down, pixels, height))[0] / (2 * step)
+            jacobian[:, i] = (_project_to_plane(up, pixels, height) - _project_to_plane(down, pixels, height))[0] / (
+                2 * step
+            )
         return math.sqrt(float(np.trace(jacobian @ self.covariance @ jacobian.T)) / 2)
 
 
 def find_view(
     pixels: FloatArray, points: FloatArray, size: tuple[int, int], camera_height: float | None = None, *,
-    sharp: float = SHARP, place: float = 0.0,
+    pixel_sigma: float = PIXEL_SIGMA, point_sigma: float = 0.0,
 ) -> View:  # fmt: skip
     """Find the most likely camera for known points and their pixels.
 
@@ -130,9 +132,9 @@ def find_view(
         Width and height of the picture in pixels.
     camera_height : float, optional, in m
         z of the lens, measured by ruler.
-    sharp : float, in pixels
+    pixel_sigma : float, in pixels
         Standard deviation of the pixels.
-    place : float, in m
+    point_sigma : float, in m
         Standard deviation of the points.
 
     Returns
@@ -150,27 +152,27 @@ def find_view(
     check_points(pixels, points)
     middle = 0.5 * (np.array(size, dtype=np.float64) - 1.0)
     log_focal = math.log(3.0 * max(size))
-    sharp_middle = ECCENTRIC * min(size)
+    sharp_middle = CENTER_SIGMA_SHARE * min(size)
     per_metre = math.sqrt(float(np.sum((pixels - pixels.mean(axis=0)) ** 2)))
     per_metre /= math.sqrt(float(np.sum((points[:, :2] - points[:, :2].mean(axis=0)) ** 2)))
-    unsure = math.hypot(sharp, place * per_metre)
+    unsure = math.hypot(pixel_sigma, point_sigma * per_metre)
 
     def residuals(p: FloatArray) -> FloatArray:
-        out = [((_pixels(p, points) - pixels) / unsure).ravel(), (p[7:9] - middle) / sharp_middle]
+        out = [((_project(p, points) - pixels) / unsure).ravel(), (p[7:9] - middle) / sharp_middle]
         if camera_height is not None:
-            out.append(np.array([(p[6] - camera_height) / RULER]))
+            out.append(np.array([(p[6] - camera_height) / HEIGHT_SIGMA]))
         else:
-            out.append(np.array([(p[0] - log_focal) / FOCAL]))
+            out.append(np.array([(p[0] - log_focal) / LOG_FOCAL_SIGMA]))
         return np.concatenate(out)
 
     best = None
-    for start in _starts(pixels, points, middle, log_focal, camera_height):
+    for start in _guess_starts(pixels, points, middle, log_focal, camera_height):
         found = least_squares(residuals, start, x_scale="jac", method="trf", max_nfev=300)
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
     information = best.jac.T @ best.jac
-    left = _pixels(best.x, points) - pixels
+    left = _project(best.x, points) - pixels
     rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
     scale = max(1.0, rms / (unsure * math.sqrt(2.0))) ** 2  # points that fit badly are known badly
     return View(best.x, scale * np.linalg.inv(information), rms)
@@ -211,7 +213,7 @@ def check_points(pixels: FloatArray, points: FloatArray) -> None:
             )
 
 
-def _starts(
+def _guess_starts(
     pixels: FloatArray, points: FloatArray, middle: FloatArray, log_focal: float, camera_height: float | None
 ) -> list[FloatArray]:
     """List start parameters: upright cameras of some focal lengths, turned as the points are."""
@@ -232,17 +234,17 @@ def _starts(
     for height in heights:
         off = (middle - pixels.mean(axis=0)) / scale
         place = np.array([*(points[:, :2].mean(axis=0) + rotation[:2, :2].T @ off), ground + height])
-        out.append(np.array([math.log(height * scale), *_vector(rotation), *place, *middle]))
+        out.append(np.array([math.log(height * scale), *_as_rotation_vector(rotation), *place, *middle]))
     return out
 
 
-def _vector(rotation: FloatArray) -> FloatArray:
+def _as_rotation_vector(rotation: FloatArray) -> FloatArray:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
-def _matrix(vector: FloatArray) -> FloatArray:
+def _as_matrix(vector: FloatArray) -> FloatArray:
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3)
@@ -251,11 +253,11 @@ def _matrix(vector: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
 
 
-def _pixels(p: FloatArray, points: FloatArray) -> FloatArray:
-    seen = (points - p[4:7]) @ _matrix(p[1:4]).T
+def _project(p: FloatArray, points: FloatArray) -> FloatArray:
+    seen = (points - p[4:7]) @ _as_matrix(p[1:4]).T
     return np.asarray(math.exp(p[0]) * seen[:, :2] / seen[:, 2:] + p[7:9])
 
 
-def _on_plane(p: FloatArray, pixels: FloatArray, height: float) -> FloatArray:
-    rays = np.column_stack([(pixels - p[7:9]) / math.exp(p[0]), np.ones(len(pixels))]) @ _matrix(p[1:4])
+def _project_to_plane(p: FloatArray, pixels: FloatArray, height: float) -> FloatArray:
+    rays = np.column_stack([(pixels - p[7:9]) / math.exp(p[0]), np.ones(len(pixels))]) @ _as_matrix(p[1:4])
     return np.asarray(p[4:6] + (height - p[6]) / rays[:, 2:] * rays[:, :2])

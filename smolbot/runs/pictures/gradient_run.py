@@ -14,16 +14,16 @@ from smolbot.runs.pictures.style import (
     LOCATED,
     PLANNED,
     TRUE,
-    dots,
-    from_above,
-    limit_line,
-    nothing,
-    sheet,
-    true_way,
+    draw_dots,
+    draw_empty_note,
+    draw_limit_line,
+    draw_true_way,
+    format_map_axes,
+    open_sheet,
 )
 from smolbot.runs.run import Run
-from smolbot.runs.summary import label_of, tracking_distance
-from smolbot.runs.trace import Trace, compared, located
+from smolbot.runs.summary import compute_tracking_distance, format_label
+from smolbot.runs.trace import Trace, get_located_poses, pair_with_truth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
     path : Path
         File to write.
     """
-    with sheet(path, headline(mission, run), subline(run.summary)) as figure:
+    with open_sheet(path, format_headline(mission, run), format_subline(run.summary)) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.0, 1.25], height_ratios=[1.0, 1.0, 1.0], wspace=0.2, hspace=0.28,
             left=0.06, right=0.975, top=0.845, bottom=0.085,
@@ -60,7 +60,7 @@ def draw_run(mission: Mission, run: Run, trace: Trace, path: Path) -> None:
             draw_currents(low, mission, trace)
 
 
-def headline(mission: Mission, run: Run) -> str:
+def format_headline(mission: Mission, run: Run) -> str:
     """Format the title: what was flown and how it ended.
 
     Parameters
@@ -73,10 +73,10 @@ def headline(mission: Mission, run: Run) -> str:
     -------
     str
     """
-    return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{label_of(run.summary)}"
+    return f"{mission.name}: {run.status}, verdict {run.summary['verdict']}{format_label(run.summary)}"
 
 
-def subline(summary: dict[str, Any]) -> str:
+def format_subline(summary: dict[str, Any]) -> str:
     """Format the line below the title: the main figures of merit.
 
     Parameters
@@ -89,7 +89,7 @@ def subline(summary: dict[str, Any]) -> str:
     """
     parts = [f"{summary['duration_s']:.0f} s", f"{summary['cycles']} cycles at {summary['loop_rate_hz']:.1f} Hz"]
     if "turns" in summary:
-        parts = [f"{summary['duration_s']:.0f} s", *helixpicture.subline_parts(summary)]
+        parts = [f"{summary['duration_s']:.0f} s", *helixpicture.format_subline_parts(summary)]
     if "tracking_error_mm" in summary:
         t = summary["tracking_error_mm"]
         parts.append(f"tracking error {t['mean']:.2f} mm mean, {t['max']:.2f} max")
@@ -110,13 +110,13 @@ def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
     """
     planned = mission.path.points * 1e3
     axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
-    heard = located(trace.moments)
+    heard = get_located_poses(trace.moments)
     if heard:
         places = np.array([p.position for p in heard]) * 1e3
-        dots(axes, places[:, 0], places[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
-    true_way(axes, trace.true_positions() * 1e3, (6, -13))
+        draw_dots(axes, places[:, 0], places[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
+    draw_true_way(axes, trace.true_positions() * 1e3, (6, -13))
     axes.margins(0.08)
-    from_above(axes)
+    format_map_axes(axes)
 
 
 def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
@@ -131,10 +131,10 @@ def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
     moments = [m for m in trace.following if m.truth_at_end is not None]
     if moments:
         times = [t for m in moments for t in (m.truth.time if m.truth else m.cycle.shot.end, m.cycle.shot.end)]
-        axes.plot(times, tracking_distance(mission, moments) * 1e3, color=TRUE, lw=1.3)
-        limit_line(axes, mission.tolerance * 1e3, " arrival ")
+        axes.plot(times, compute_tracking_distance(mission, moments) * 1e3, color=TRUE, lw=1.3)
+        draw_limit_line(axes, mission.tolerance * 1e3, " arrival ")
     else:
-        nothing(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
+        draw_empty_note(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -148,18 +148,18 @@ def draw_localization(axes: Axes, trace: Trace) -> None:
     axes : Axes
     trace : Trace
     """
-    known = compared(trace.moments)
+    known = pair_with_truth(trace.moments)
     if known:
         times = [truth.time for _, truth in known]
         raw = [np.linalg.norm(pose.position - truth.position) * 1e3 for pose, truth in known]
-        dots(axes, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
+        draw_dots(axes, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
         both = [(m.truth.time, np.linalg.norm(m.cycle.tracked.position - m.truth.position) * 1e3)
                 for m in trace.moments if m.cycle.trusted and m.cycle.tracked and m.truth]  # fmt: skip
         axes.plot(*np.array(both).T, color=TRUE, lw=1.3, label="tracked")
         axes.set_ylim(0.0, 1.15 * float(np.percentile(raw, 99.5)))
         axes.legend(loc="upper right", ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
     else:
-        nothing(axes, "no truth on this rig")
+        draw_empty_note(axes, "no truth on this rig")
     axes.set_title("Localization error, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
 
@@ -177,7 +177,7 @@ def draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
     starts, _, currents = trace.currents(len(names))
     for index, name in enumerate(names):
         if len(starts):
-            dots(axes, starts, currents[:, index], 2.2, COILS[index % len(COILS)], label=name)
+            draw_dots(axes, starts, currents[:, index], 2.2, COILS[index % len(COILS)], label=name)
     axes.set_ylim(0.0 if mission.rig.limits.unipolar else None, mission.rig.limits.max_current * 1.08)
     axes.set_title("Coil currents while actuating, in A", loc="left", fontsize=11)
     axes.set_xlabel("time in s")

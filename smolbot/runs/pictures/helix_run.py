@@ -9,14 +9,14 @@ import numpy as np
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Rotate
-from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, from_above, nothing, true_way
-from smolbot.runs.summary import axis_angle
-from smolbot.runs.trace import Moment, Trace, compared
+from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, draw_empty_note, draw_true_way, format_map_axes
+from smolbot.runs.summary import compute_axis_angle
+from smolbot.runs.trace import Moment, Trace, pair_with_truth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ARROW = 3.5
+ARROW_LENGTH = 3.5
 """Length of an arrow along a propulsion axis, in mm."""
 
 
@@ -37,19 +37,19 @@ def draw_axes_on_path(axes: Axes, mission: Mission, trace: Trace) -> None:
                       textcoords="data", fontsize=9, color="#9a7b3a")  # fmt: skip
     planned = mission.path.points * 1e3
     axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
-    true_way(axes, trace.true_positions() * 1e3, (8, -4))
-    for moment in pauses(trace):
+    draw_true_way(axes, trace.true_positions() * 1e3, (8, -4))
+    for moment in find_pauses(trace):
         for pose, color, width, order in ((moment.truth, TRUE, 0.006, 5), (moment.cycle.tracked, LOCATED, 0.004, 6)):
             if pose is not None:
-                tip = ARROW * pose.body_axis("z")[:2]
+                tip = ARROW_LENGTH * pose.body_axis("z")[:2]
                 axes.quiver(*(1e3 * pose.position[:2]), *tip, color=color, angles="xy", scale_units="xy", scale=1.0,
                             width=width, headwidth=4.5, headlength=5, zorder=order)  # fmt: skip
     axes.plot([], [], color=LOCATED, lw=2, label="tracked propulsion axis")
     axes.margins(0.08)
-    from_above(axes)
+    format_map_axes(axes)
 
 
-def pauses(trace: Trace) -> list[Moment]:
+def find_pauses(trace: Trace) -> list[Moment]:
     """Find the last cycle of every pause: the one that calls for the magnet, or ends the mission.
 
     Parameters
@@ -76,13 +76,13 @@ def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
     if places and trace.knows_truth:
         arc, distance = mission.path.project(np.vstack(places))
         axes.plot(arc * 1e3, distance * 1e3, color=TRUE, lw=1.3)
-        heard = [m for m in pauses(trace) if m.truth is not None and m.cycle.command.phase == "follow"]
+        heard = [m for m in find_pauses(trace) if m.truth is not None and m.cycle.command.phase == "follow"]
         if heard:
             at, off = mission.path.project(np.array([m.truth.position for m in heard if m.truth]))
             axes.plot(at * 1e3, off * 1e3, "o", color=TRUE, ms=4.5, mfc="white", mew=1.4, label="pauses")
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
     else:
-        nothing(axes, "no truth on this rig")
+        draw_empty_note(axes, "no truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -97,13 +97,13 @@ def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
     mission : Mission
     trace : Trace
     """
-    known = compared(trace.moments)
+    known = pair_with_truth(trace.moments)
     if known:
         arc, _ = mission.path.project(np.array([truth.position for _, truth in known]))
-        angles = np.degrees([axis_angle(pose, truth) for pose, truth in known])
+        angles = np.degrees([compute_axis_angle(pose, truth) for pose, truth in known])
         axes.plot(arc * 1e3, angles, ".", color=LOCATED, ms=5, alpha=0.7)
     else:
-        nothing(axes, "no truth on this rig")
+        draw_empty_note(axes, "no truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("Propulsion axis of each pose against the true one, in degrees", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -137,7 +137,7 @@ def draw_turns(axes: Axes, mission: Mission, trace: Trace) -> None:
     axes.set_xlabel("along the path, in mm")
 
 
-def subline_parts(summary: dict[str, Any]) -> list[str]:
+def format_subline_parts(summary: dict[str, Any]) -> list[str]:
     """Format the figures of a helical robot for the line below the title.
 
     Parameters

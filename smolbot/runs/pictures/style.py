@@ -23,7 +23,7 @@ COILS = ("#1b4965", "#5fa8d3", "#e4572e", "#f2a541", "#7b2d8b", "#4c956c")
 
 
 @contextmanager
-def sheet(
+def open_sheet(
     path: Path, headline: str, subline: str, *, left: float = 0.06, heights: tuple[float, float] = (0.945, 0.905),
     sizes: tuple[float, float, float] = (11, 17, 11.5),
 ) -> Iterator[Figure]:  # fmt: skip
@@ -60,7 +60,7 @@ def sheet(
         plt.close(figure)
 
 
-def from_above(axes: Axes) -> None:
+def format_map_axes(axes: Axes) -> None:
     """Format axes as a map: equal scales, axis labels, a faint grid and a legend above.
 
     Parameters
@@ -74,7 +74,7 @@ def from_above(axes: Axes) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, frameon=False)
 
 
-def true_way(axes: Axes, places: FloatArray, beside: tuple[float, float]) -> None:
+def draw_true_way(axes: Axes, places: FloatArray, beside: tuple[float, float]) -> None:
     """Draw a robot's true positions from above, and its start position.
 
     Parameters
@@ -92,7 +92,7 @@ def true_way(axes: Axes, places: FloatArray, beside: tuple[float, float]) -> Non
         )
 
 
-def two_views(figure: Figure, place: SubplotSpec, box: ContainerSection) -> tuple[Axes, Axes]:
+def make_two_views(figure: Figure, place: SubplotSpec, box: ContainerSection) -> tuple[Axes, Axes]:
     """Add axes for a container from above and, below them, from the front, of about the same scale.
 
     Parameters
@@ -113,7 +113,7 @@ def two_views(figure: Figure, place: SubplotSpec, box: ContainerSection) -> tupl
     return above, front
 
 
-def outline(axes: Axes, box: ContainerSection, across: int) -> None:
+def draw_container(axes: Axes, box: ContainerSection, across: int) -> None:
     """Draw a container from above or from the front, and set the limits of the axes around it.
 
     Parameters
@@ -132,7 +132,7 @@ def outline(axes: Axes, box: ContainerSection, across: int) -> None:
     axes.grid(color="#eeeeee", zorder=0)
 
 
-def limit_line(axes: Axes, value: float, text: str, *, size: float = 9, zorder: float = 2) -> None:
+def draw_limit_line(axes: Axes, value: float, text: str, *, size: float = 9, zorder: float = 2) -> None:
     """Draw a dashed grey line at a limit, with a label.
 
     Parameters
@@ -149,7 +149,7 @@ def limit_line(axes: Axes, value: float, text: str, *, size: float = 9, zorder: 
               transform=axes.get_yaxis_transform())  # fmt: skip
 
 
-def dots(
+def draw_dots(
     axes: Axes,
     x: Any,
     y: Any,
@@ -197,7 +197,7 @@ def dots(
     axes.autoscale_view()
 
 
-def ellipse(covariance: FloatArray, sigmas: float = 1.0, n: int = 49) -> FloatArray:
+def compute_ellipse(covariance: FloatArray, sigmas: float = 1.0, n: int = 49) -> FloatArray:
     """Compute the ellipse of a covariance about the origin.
 
     A fraction exp(-sigmas² / 2) of normal errors lies outside: 1.1 % for three sigmas.
@@ -221,7 +221,7 @@ def ellipse(covariance: FloatArray, sigmas: float = 1.0, n: int = 49) -> FloatAr
     return found
 
 
-def nothing(axes: Axes, text: str) -> None:
+def draw_empty_note(axes: Axes, text: str) -> None:
     """Write in the middle of empty axes why they are empty.
 
     Parameters

@@ -75,15 +75,15 @@ class Converter:
         if self.bits > 16 or len(field) != len(self.gains) or not field.size:
             return FIELD, None
         counts = np.empty(field.shape, np.int16)
-        for part, into in zip(_blocks(field), _blocks(counts), strict=True):
+        for part, into in zip(_split_blocks(field), _split_blocks(counts), strict=True):
             with np.errstate(invalid="ignore"):
                 rounded = np.rint(part * self.gains[:, None] / self._tesla)
-            if not _fits(rounded):
+            if not _is_int16(rounded):
                 return FIELD, None
             into[:] = rounded
         for scaling in (TESLA, VOLTS, BOTH):
-            pairs = zip(_blocks(counts), _blocks(field), strict=True)
-            if all(_same_bits(self.field(scaling, counted), part) for counted, part in pairs):
+            pairs = zip(_split_blocks(counts), _split_blocks(field), strict=True)
+            if all(_has_same_bits(self.field(scaling, counted), part) for counted, part in pairs):
                 return scaling, counts
         return FIELD, None
 
@@ -116,16 +116,16 @@ class Converter:
         }
 
 
-def _blocks(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
+def _split_blocks(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
     """Yield views of some columns at a time, small enough for the processor's cache."""
     return (values[:, start : start + _BLOCK] for start in range(0, values.shape[1], _BLOCK))
 
 
-def _fits(counts: FloatArray) -> bool:
+def _is_int16(counts: FloatArray) -> bool:
     """Return whether all numbers fit into 16 bits; nan and infinity do not."""
     return bool(counts.min() >= -(2.0**15) and counts.max() <= 2.0**15 - 1)
 
 
-def _same_bits(a: FloatArray, b: FloatArray) -> bool:
+def _has_same_bits(a: FloatArray, b: FloatArray) -> bool:
     """Return whether two arrays are equal bit for bit; a zero has a sign."""
     return np.array_equal(a.view(np.int64), np.ascontiguousarray(b).view(np.int64))

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from smolbot.errors import InputError
 from smolbot.runs.recording.reader import RecordedRun
-from smolbot.runs.recording.tables import Column, Table, facts, samples, tables, volts
+from smolbot.runs.recording.tables import (
+    Column,
+    RunTable,
+    collect_facts,
+    compute_volts,
+    make_samples_table,
+    make_tables,
+)
 
 FORMATS = ("h5", "csv", "mat")
 
@@ -26,7 +33,7 @@ _ABOUT = (
 )
 
 
-def export(run: RecordedRun, kind: str, out: Path, *, force: bool = False, with_samples: bool = True) -> None:
+def export_run(run: RecordedRun, kind: str, out: Path, *, force: bool = False, with_samples: bool = True) -> None:
     """Write a run to a file or (csv) a folder; the numbers equal those of the record bit for bit.
 
     Parameters
@@ -45,13 +52,17 @@ def export(run: RecordedRun, kind: str, out: Path, *, force: bool = False, with_
     InputError
         For an unknown format, if `out` exists (unless `force`), or if it cannot be written.
     """
-    writers: dict[str, Callable[[RecordedRun, Path, bool], None]] = {"h5": _hdf5, "csv": _csv, "mat": _mat}
+    writers: dict[str, Callable[[RecordedRun, Path, bool], None]] = {
+        "h5": _write_hdf5,
+        "csv": _write_csv,
+        "mat": _write_mat,
+    }
     if kind not in writers:
         raise InputError(f"--format {kind}: is not known; known: {', '.join(FORMATS)}.")
-    write_aside(out, lambda part: writers[kind](run, part, with_samples), force=force)
+    write_via_temporary(out, lambda part: writers[kind](run, part, with_samples), force=force)
 
 
-def write_aside(out: Path, write: Callable[[Path], None], *, force: bool) -> None:
+def write_via_temporary(out: Path, write: Callable[[Path], None], *, force: bool) -> None:
     """Write a file or folder under another name first, so that `out` is complete or absent.
 
     Parameters
@@ -90,12 +101,12 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _hdf5(run: RecordedRun, path: Path, with_samples: bool) -> None:
+def _write_hdf5(run: RecordedRun, path: Path, with_samples: bool) -> None:
     import h5py
 
     with h5py.File(path, "w") as file:
         file.attrs["about"] = _ABOUT
-        for name, fact in facts(run).items():
+        for name, fact in collect_facts(run).items():
             if name.endswith("_json"):  # may be longer than an attribute
                 file.create_dataset(name, data=fact, dtype=h5py.string_dtype())
             else:
@@ -104,9 +115,9 @@ def _hdf5(run: RecordedRun, path: Path, with_samples: bool) -> None:
         kept = file.create_group("files")
         for name, content in sorted(run.begin.files.items()):
             kept[name] = np.frombuffer(content, np.uint8)
-        found = tables(run)
+        found = make_tables(run)
         if with_samples:
-            found["recordings"], field = samples(run)
+            found["recordings"], field = make_samples_table(run)
             packed: dict[str, Any] = {
                 "compression": "gzip",
                 "compression_opts": 4,
@@ -120,20 +131,20 @@ def _hdf5(run: RecordedRun, path: Path, with_samples: bool) -> None:
             for column, values in table.columns.items():
                 text = h5py.string_dtype() if isinstance(values, list) else None
                 group.create_dataset(column, data=values, dtype=text)
-                if unit := _unit(column):
+                if unit := _get_unit(column):
                     group[column].attrs["unit"] = unit
 
 
-def _mat(run: RecordedRun, path: Path, with_samples: bool) -> None:
+def _write_mat(run: RecordedRun, path: Path, with_samples: bool) -> None:
     held: dict[str, Any] = {
         "about": _ABOUT,
-        "facts": facts(run),
+        "facts": collect_facts(run),
         "sensor_gains": run.converter.gains,
         "files": [{"name": n, "content": np.frombuffer(c, np.uint8)} for n, c in sorted(run.begin.files.items())],
     }
-    found = tables(run)
+    found = make_tables(run)
     if with_samples:
-        found["recordings"], held["field_t"] = samples(run)
+        found["recordings"], held["field_t"] = make_samples_table(run)
     held |= {name: table.columns for name, table in found.items()}
     if max((v.nbytes for v in held.values() if isinstance(v, np.ndarray)), default=0) > LARGEST_MAT:
         from smolbot.runs.recording.matlab73 import write_matlab73
@@ -143,17 +154,17 @@ def _mat(run: RecordedRun, path: Path, with_samples: bool) -> None:
     from scipy.io import savemat
 
     with path.open("wb") as file:
-        savemat(file, _matlab(held), long_field_names=True, do_compression=True, oned_as="column")
+        savemat(file, _to_matlab(held), long_field_names=True, do_compression=True, oned_as="column")
 
 
-def _matlab(value: Any) -> Any:
+def _to_matlab(value: Any) -> Any:
     """Convert to MATLAB's types: a list of text to a cell column, a list of dictionaries to a struct array."""
     if isinstance(value, dict):
-        return {name: _matlab(part) for name, part in value.items()}
+        return {name: _to_matlab(part) for name, part in value.items()}
     if isinstance(value, list):
         cells: NDArray[np.object_] = np.empty((len(value), 1), object)
         for index, part in enumerate(value):
-            cells[index, 0] = _matlab(part)
+            cells[index, 0] = _to_matlab(part)
         return cells
     return value
 
@@ -161,66 +172,71 @@ def _matlab(value: Any) -> Any:
 _INDEX = "facts.csv"
 
 
-def _csv(run: RecordedRun, path: Path, with_samples: bool) -> None:
+def _write_csv(run: RecordedRun, path: Path, with_samples: bool) -> None:
     path.mkdir()
-    _write_rows(path / _INDEX, [("name", "value"), *facts(run).items()])
+    _write_rows(path / _INDEX, [("name", "value"), *collect_facts(run).items()])
     for name, content in sorted(run.begin.files.items()):
         (path / name).write_bytes(content)
-    found = tables(run)
+    found = make_tables(run)
     for name, table in found.items():
         _write_table(path / f"{name}.csv", table)
     if with_samples:
-        recordings, _ = samples(run)
+        recordings, _ = make_samples_table(run)
         _write_table(path / "recordings.csv", recordings)
         (path / "samples").mkdir()
         for played, recording in run.recordings():
             head = {"sample_rate_hz": recording.sample_rate, "clock_s": recording.clock}
             if np.isfinite(recording.time_since_drive):
                 head["time_since_drive_ms"] = 1e3 * recording.time_since_drive
-            write_samples_csv(path / "samples" / f"shot_{played.number:05d}.csv", volts(run, recording), head)
+            write_samples_csv(path / "samples" / f"shot_{played.number:05d}.csv", compute_volts(run, recording), head)
 
 
-def write_samples_csv(path: Path, volts_: NDArray[np.float64], head: dict[str, float]) -> None:
+def write_samples_csv(path: Path, voltages: NDArray[np.float64], head: dict[str, float]) -> None:
     """Write one recording in the format that ``smolbot localize`` reads.
 
     Parameters
     ----------
     path : Path
-    volts_ : ndarray, shape (n_sensors, n), in V
+    voltages : ndarray, shape (n_sensors, n), in V
     head : dict of str to float
         Values of the header lines.
     """
     lines = [f"# {name} = {value!r}" for name, value in head.items()]
-    lines.append(",".join(f"sensor_{i}_v" for i in range(len(volts_))))
-    lines += [",".join(map(repr, row)) for row in volts_.T.tolist()]
+    lines.append(",".join(f"sensor_{i}_v" for i in range(len(voltages))))
+    lines += [",".join(map(repr, row)) for row in voltages.T.tolist()]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_table(path: Path, table: Table) -> None:
+def _write_table(path: Path, table: RunTable) -> None:
     names: list[str] = []
     columns: list[Sequence[Any]] = []
     for name, values in table.columns.items():
-        parts = _flat(name, values)
+        parts = _split_columns(name, values)
         names += [part for part, _ in parts]
         columns += [column for _, column in parts]
     _write_rows(path, [tuple(names), *zip(*columns, strict=True)])
 
 
-def _flat(name: str, values: Column) -> list[tuple[str, Sequence[Any]]]:
+def _split_columns(name: str, values: Column) -> list[tuple[str, Sequence[Any]]]:
     """Split a column of vectors or matrices into several of numbers, the unit at the end of each name."""
     if isinstance(values, list):
         return [(name, values)]
     if values.ndim == 1:
-        return [(name, [_cell(v) for v in values.tolist()])]
-    unit = f"_{name.rsplit('_', 1)[1]}" if _unit(name) else ""
+        return [(name, [_format_cell(v) for v in values.tolist()])]
+    unit = f"_{name.rsplit('_', 1)[1]}" if _get_unit(name) else ""
     parts: list[tuple[str, Sequence[Any]]] = []
     for index in np.ndindex(*values.shape[1:]):
         part = values[(slice(None), *index)]
-        parts.append((f"{name.removesuffix(unit)}_{_label(name, index)}{unit}", [_cell(v) for v in part.tolist()]))
+        parts.append(
+            (
+                f"{name.removesuffix(unit)}_{_label_component(name, index)}{unit}",
+                [_format_cell(v) for v in part.tolist()],
+            )
+        )
     return parts
 
 
-def _label(name: str, index: tuple[int, ...]) -> str:
+def _label_component(name: str, index: tuple[int, ...]) -> str:
     """Label a component: x, y, z of a vector, w, x, y, z of a quaternion, else its index from 0."""
     if name == "orientation":
         return "wxyz"[index[0]]
@@ -229,7 +245,7 @@ def _label(name: str, index: tuple[int, ...]) -> str:
     return "".join(map(str, index))
 
 
-def _cell(value: Any) -> Any:
+def _format_cell(value: Any) -> Any:
     """Format a value as text that reads back to the same number; empty for nan."""
     if isinstance(value, bool):
         return int(value)
@@ -246,5 +262,5 @@ def _write_rows(path: Path, rows: Sequence[Sequence[Any]]) -> None:
 _UNITS = {"s": "s", "m": "m", "a": "A", "hz": "Hz", "t": "T", "v": "V"}
 
 
-def _unit(column: str) -> str:
+def _get_unit(column: str) -> str:
     return _UNITS.get(column.rsplit("_", 1)[1], "") if "_" in column else ""

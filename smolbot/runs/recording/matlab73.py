@@ -54,12 +54,12 @@ def _put(group: Any, refs: Any, name: str, value: Any) -> None:
             made = group.create_dataset(name, (1, len(places)), dtype=h5py.ref_dtype)
             made[0, :] = places
         else:
-            made = _empty(group, name, (0, 1))
+            made = _create_empty(group, name, (0, 1))
         made.attrs["MATLAB_class"] = np.bytes_("cell")
         return
     if isinstance(value, str):
         codes = np.frombuffer(value.encode("utf-16-le"), np.uint16)
-        made = group.create_dataset(name, data=codes[:, None]) if len(codes) else _empty(group, name, (0, 0))
+        made = group.create_dataset(name, data=codes[:, None]) if len(codes) else _create_empty(group, name, (0, 0))
         made.attrs["MATLAB_class"] = np.bytes_("char")
         made.attrs["MATLAB_int_decode"] = np.int32(2)
         return
@@ -67,13 +67,13 @@ def _put(group: Any, refs: Any, name: str, value: Any) -> None:
     kind = _NAMES[array.dtype.kind]
     array = array.reshape(-1, 1) if array.ndim < 2 else array
     stored = array.astype(np.uint8) if kind == "logical" else array
-    made = _empty(group, name, array.shape) if not array.size else group.create_dataset(name, data=stored.T)
+    made = _create_empty(group, name, array.shape) if not array.size else group.create_dataset(name, data=stored.T)
     made.attrs["MATLAB_class"] = np.bytes_(kind)
     if kind == "logical":
         made.attrs["MATLAB_int_decode"] = np.int32(1)
 
 
-def _empty(group: Any, name: str, shape: tuple[int, ...]) -> Any:
+def _create_empty(group: Any, name: str, shape: tuple[int, ...]) -> Any:
     made = group.create_dataset(name, data=np.array(shape, np.uint64))
     made.attrs["MATLAB_empty"] = np.uint8(1)
     return made

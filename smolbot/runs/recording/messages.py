@@ -36,7 +36,7 @@ TOPICS: dict[str, Any] = {
 """Topics of a record, and the type of their messages."""
 
 
-def window_message(window: Window) -> pb.Window:
+def encode_window(window: Window) -> pb.Window:
     """Convert a window of a shot to a message.
 
     Parameters
@@ -64,7 +64,7 @@ def window_message(window: Window) -> pb.Window:
             return pb.Window(move_magnet=pb.Window.MoveMagnet(near=to == "near", expected_duration=duration))
 
 
-def window_of(message: pb.Window) -> Window:
+def decode_window(message: pb.Window) -> Window:
     """Convert a message to a window of a shot.
 
     Parameters
@@ -101,7 +101,7 @@ def window_of(message: pb.Window) -> Window:
             raise ValueError(f"window of an unknown kind: {kind}")
 
 
-def shot_message(number: int, shot: Shot, ended: float, *, heard: bool) -> pb.Shot:
+def encode_shot(number: int, shot: Shot, ended: float, *, has_samples: bool) -> pb.Shot:
     """Convert a played shot to a message.
 
     Parameters
@@ -111,18 +111,18 @@ def shot_message(number: int, shot: Shot, ended: float, *, heard: bool) -> pb.Sh
     shot : Shot
     ended : float, in s
         When the shot ended, on the rig's clock.
-    heard : bool
+    has_samples : bool
         Whether there are samples of it.
 
     Returns
     -------
     pb.Shot
     """
-    windows = [window_message(window) for window in shot.windows]
-    return pb.Shot(number=number, mode=shot.mode, start=shot.start, ended=ended, windows=windows, heard=heard)
+    windows = [encode_window(window) for window in shot.windows]
+    return pb.Shot(number=number, mode=shot.mode, start=shot.start, ended=ended, windows=windows, heard=has_samples)
 
 
-def shot_of(message: pb.Shot) -> Shot:
+def decode_shot(message: pb.Shot) -> Shot:
     """Convert a message to a shot.
 
     Parameters
@@ -133,10 +133,10 @@ def shot_of(message: pb.Shot) -> Shot:
     -------
     Shot
     """
-    return Shot(tuple(window_of(w) for w in message.windows), message.mode, message.start)  # type: ignore[arg-type]
+    return Shot(tuple(decode_window(w) for w in message.windows), message.mode, message.start)  # type: ignore[arg-type]
 
 
-def samples_message(number: int, recording: Recording, converter: Converter) -> pb.Samples:
+def encode_samples(number: int, recording: Recording, converter: Converter) -> pb.Samples:
     """Convert a recording to a message.
 
     Parameters
@@ -167,7 +167,7 @@ def samples_message(number: int, recording: Recording, converter: Converter) -> 
     return message
 
 
-def recording_of(message: pb.Samples, converter: Converter, shot: Shot) -> Recording:
+def decode_recording(message: pb.Samples, converter: Converter, shot: Shot) -> Recording:
     """Convert a message to a recording.
 
     Parameters
@@ -192,7 +192,7 @@ def recording_of(message: pb.Samples, converter: Converter, shot: Shot) -> Recor
     return Recording(field, message.sample_rate, message.time_since_drive, saturated, shot.excite, clock=message.clock)
 
 
-def pose_message(number: int, pose: Pose) -> pb.Pose:
+def encode_pose(number: int, pose: Pose) -> pb.Pose:
     """Convert a pose to a message.
 
     Parameters
@@ -217,7 +217,7 @@ def pose_message(number: int, pose: Pose) -> pb.Pose:
     )
 
 
-def pose_of(message: pb.Pose) -> Pose:
+def decode_pose(message: pb.Pose) -> Pose:
     """Convert a message to a pose.
 
     Parameters
@@ -243,7 +243,7 @@ def pose_of(message: pb.Pose) -> Pose:
     return pose
 
 
-def truth_message(number: int, truth: Pose | None, end: Pose | None, way: FloatArray) -> pb.Truth:
+def encode_truth(number: int, truth: Pose | None, end: Pose | None, way: FloatArray) -> pb.Truth:
     """Convert the ground truth during a cycle to a message.
 
     Parameters
@@ -263,13 +263,13 @@ def truth_message(number: int, truth: Pose | None, end: Pose | None, way: FloatA
     """
     return pb.Truth(
         number=number,
-        pose=None if truth is None else pose_message(number, truth),
-        end=None if end is None else pose_message(number, end),
+        pose=None if truth is None else encode_pose(number, truth),
+        end=None if end is None else encode_pose(number, end),
         way=way.ravel(),
     )
 
 
-def command_message(number: int, command: Command) -> pb.Command:
+def encode_command(number: int, command: Command) -> pb.Command:
     """Convert a command to a message.
 
     Parameters
@@ -287,7 +287,7 @@ def command_message(number: int, command: Command) -> pb.Command:
     windows: Iterable[Window] = () if window is None else window if isinstance(window, tuple) else (window,)
     return pb.Command(
         number=number,
-        windows=[window_message(w) for w in windows],
+        windows=[encode_window(w) for w in windows],
         several=several,
         saturated=command.saturated,
         note=command.note,
@@ -299,7 +299,7 @@ def command_message(number: int, command: Command) -> pb.Command:
     )
 
 
-def command_of(message: pb.Command) -> Command:
+def decode_command(message: pb.Command) -> Command:
     """Convert a message to a command.
 
     Parameters
@@ -310,7 +310,7 @@ def command_of(message: pb.Command) -> Command:
     -------
     Command
     """
-    windows = tuple(window_of(w) for w in message.windows)
+    windows = tuple(decode_window(w) for w in message.windows)
     window: Any = windows if message.several else windows[0] if windows else None
     return Command(
         window,
@@ -324,7 +324,7 @@ def command_of(message: pb.Command) -> Command:
     )
 
 
-def event_message(event: Event) -> pb.Event:
+def encode_event(event: Event) -> pb.Event:
     """Convert an event to a message.
 
     Parameters
@@ -335,15 +335,15 @@ def event_message(event: Event) -> pb.Event:
     -------
     pb.Event
     """
-    return pb.Event(time=event.time, what=event.what, detail=json.dumps(event.detail, default=_plain))
+    return pb.Event(time=event.time, what=event.what, detail=json.dumps(event.detail, default=_to_plain))
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     """Convert a value that JSON does not know: numbers and arrays of numpy to lists and numbers, others to text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
-def event_of(message: pb.Event) -> Event:
+def decode_event(message: pb.Event) -> Event:
     """Convert a message to an event.
 
     Parameters
@@ -357,7 +357,7 @@ def event_of(message: pb.Event) -> Event:
     return Event(message.time, message.what, json.loads(message.detail))
 
 
-def converter_message(converter: Converter) -> pb.Converter:
+def encode_converter(converter: Converter) -> pb.Converter:
     """Convert a converter's description to a message.
 
     Parameters
@@ -376,7 +376,7 @@ def converter_message(converter: Converter) -> pb.Converter:
     )
 
 
-def converter_of(message: pb.Converter) -> Converter:
+def decode_converter(message: pb.Converter) -> Converter:
     """Convert a message to a converter's description.
 
     Parameters

@@ -21,9 +21,9 @@ from smolbot.motion.controller import Command
 from smolbot.runs.recording import messages
 from smolbot.runs.recording import run_pb2 as pb
 from smolbot.runs.recording.converter import Converter
-from smolbot.runs.recording.files import RunFiles
 from smolbot.runs.recording.recorder import RECORD
-from smolbot.runs.recording.scan import Found, Scan
+from smolbot.runs.recording.run_files import RunFiles
+from smolbot.runs.recording.scan import Scan, ScannedMessage
 from smolbot.runs.run import CycleRecord, Event, Run
 from smolbot.runs.trace import Moment, Trace
 
@@ -31,7 +31,7 @@ CUT_SHORT = "the record ends without an end: the process was ended from outside,
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedShot:
     """A played shot.
 
     Attributes
@@ -48,7 +48,7 @@ class Played:
     ended: float
     samples: pb.Samples | None
 
-    def recording(self, converter: Converter) -> Recording | None:
+    def decode_recording(self, converter: Converter) -> Recording | None:
         """Decode the samples, bit for bit as the rig returned them.
 
         Parameters
@@ -60,7 +60,7 @@ class Played:
         Recording or None
             None without samples.
         """
-        return None if self.samples is None else messages.recording_of(self.samples, converter, self.shot)
+        return None if self.samples is None else messages.decode_recording(self.samples, converter, self.shot)
 
 
 @dataclass(repr=False)
@@ -81,15 +81,15 @@ class RecordedRun(Readable):
     events : list of Event
     end : End message, or None
         None if the record was cut short.
-    whole : bool
+    complete : bool
         False if the file was not finished.
     dropped : int
         Number of messages that the recorder could not take.
     messages : int
         Number of messages that were read.
-    nameless : int
+    messages_without_topic : int
         Number of messages that were read, but whose topic is lost.
-    lost : int
+    lost_bytes : int
         Bytes of the file that cannot be read.
     recovered : Recovered message, or None
         Present if ``smolbot recover`` rewrote this record.
@@ -99,16 +99,16 @@ class RecordedRun(Readable):
 
     path: Path
     begin: pb.Begin
-    played: list[Played] = field(default_factory=list)
+    played: list[PlayedShot] = field(default_factory=list)
     moments: list[Moment] = field(default_factory=list)
     shot_of_cycle: list[int] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     end: pb.End | None = None
-    whole: bool = True
+    complete: bool = True
     dropped: int = 0
     messages: int = 0
-    nameless: int = 0
-    lost: int = 0
+    messages_without_topic: int = 0
+    lost_bytes: int = 0
     recovered: pb.Recovered | None = None
     wall: float = 0.0
     number_of_cycle: list[int] = field(default_factory=list)
@@ -127,7 +127,7 @@ class RecordedRun(Readable):
     @cached_property
     def converter(self) -> Converter:
         """The converter that turned fields into counts."""
-        return messages.converter_of(self.begin.converter)
+        return messages.decode_converter(self.begin.converter)
 
     @property
     def files(self) -> RunFiles:
@@ -169,7 +169,7 @@ class RecordedRun(Readable):
         """Whether a witness provided the ground truth."""
         return any(moment.truth is not None or moment.truth_at_end is not None for moment in self.moments)
 
-    def recordings(self) -> Iterator[tuple[Played, Recording]]:
+    def recordings(self) -> Iterator[tuple[PlayedShot, Recording]]:
         """Decode the recording of every shot that has one.
 
         Yields
@@ -178,7 +178,7 @@ class RecordedRun(Readable):
         Recording
         """
         for played in self.played:
-            recording = played.recording(self.converter)
+            recording = played.decode_recording(self.converter)
             if recording is not None:
                 yield played, recording
 
@@ -216,7 +216,7 @@ class RecordedRun(Readable):
         return run
 
 
-def record_path(run: str | Path) -> Path:
+def find_record(run: str | Path) -> Path:
     """Find the record of a run.
 
     Parameters
@@ -237,7 +237,7 @@ def record_path(run: str | Path) -> Path:
     if path.is_dir():
         inside = path / RECORD
         if not inside.is_file():
-            raise InputError(f"{path}: holds no {RECORD}; is it a run folder? It holds: {_listed(path)}.")
+            raise InputError(f"{path}: holds no {RECORD}; is it a run folder? It holds: {_format_listing(path)}.")
         return inside
     if not path.is_file():
         near = sorted(p.name for p in path.parent.iterdir())[-5:] if path.parent.is_dir() else []
@@ -263,15 +263,15 @@ def read_run(run: str | Path) -> RecordedRun:
     Traceback (most recent call last):
     smolbot.errors.InputError: runs/monday: no such run.
     """
-    path = record_path(run)
+    path = find_record(run)
     scan = Scan(path)
-    reading = _Reading(path)
-    for message in scan.messages():
-        reading.take(message)
-    return reading.run(scan)
+    reading = _RunBuilder(path)
+    for message in scan.read_messages():
+        reading.add(message)
+    return reading.build(scan)
 
 
-class _Reading:
+class _RunBuilder:
     """Assemble messages to a run, whichever are missing between them."""
 
     def __init__(self, path: Path) -> None:
@@ -284,12 +284,12 @@ class _Reading:
         self._events: list[pb.Event] = []
         self._nameless = 0
 
-    def take(self, told: Found) -> None:
+    def add(self, told: ScannedMessage) -> None:
         """Add the next message."""
         if told.topic is None:
             self._nameless += 1
             return
-        topic, message = told.topic, _parsed(self._path, told.topic, told.data)
+        topic, message = told.topic, _parse(self._path, told.topic, told.data)
         if topic == "/run/begin":
             if message.format != messages.FORMAT:
                 raise InputError(
@@ -320,32 +320,32 @@ class _Reading:
         if self._found is not None:
             self._found.messages += 1
 
-    def run(self, scan: Scan) -> RecordedRun:
+    def build(self, scan: Scan) -> RecordedRun:
         """Build the run from all messages."""
         found = self._found
         if found is None:
-            raise InputError(f"{self._path}: {self._beginless(scan)}")
-        found.lost, found.nameless = scan.lost, self._nameless
-        found.whole = scan.finished and found.end is not None
+            raise InputError(f"{self._path}: {self._explain_missing_begin(scan)}")
+        found.lost_bytes, found.messages_without_topic = scan.lost_bytes, self._nameless
+        found.complete = scan.finished and found.end is not None
         try:
             self._assemble(found)
         except (ValueError, TypeError, KeyError, IndexError) as error:  # e.g. a pose of five numbers
             raise InputError(f"{self._path}: its messages are none of smolbot's: {error}") from error
         return found
 
-    def _beginless(self, scan: Scan) -> str:
+    def _explain_missing_begin(self, scan: Scan) -> str:
         if self._shots or self._timings or self._nameless:
             return "its beginning, /run/begin, is lost: without it, the rest cannot be understood."
         return f"holds no message of a run{'' if scan.finished else ', and is cut short'}."
 
     def _assemble(self, found: RecordedRun) -> None:
-        found.events = [messages.event_of(event) for event in self._events]
+        found.events = [messages.decode_event(event) for event in self._events]
         for number in sorted(self._shots):
             told = self._shots[number]
             if told.heard and number not in self._samples:
                 continue  # its samples were not flushed any more
-            found.played.append(Played(number, messages.shot_of(told), told.ended, self._samples.get(number)))
-            found.played[-1].recording(found.converter)  # to fail here if it must
+            found.played.append(PlayedShot(number, messages.decode_shot(told), told.ended, self._samples.get(number)))
+            found.played[-1].decode_recording(found.converter)  # to fail here if it must
         shots = {p.number: p.shot for p in found.played}
         for number in sorted(self._timings):
             timing, parts = self._timings[number], self._parts.get(number, {})
@@ -354,13 +354,13 @@ class _Reading:
             wanted |= {"/poses/tracked"} if timing.has_tracked else set()
             if shot is None or not wanted <= parts.keys():
                 continue  # part of it was dropped
-            found.moments.append(_moment(shot, timing, parts))
+            found.moments.append(_make_moment(shot, timing, parts))
             found.shot_of_cycle.append(timing.shot)
             found.number_of_cycle.append(number)
             found.wall = timing.wall
 
 
-def stream(run: str | Path) -> Iterator[tuple[str, bytes]]:
+def stream_messages(run: str | Path) -> Iterator[tuple[str, bytes]]:
     """Iterate over the messages of a record in the order in which they were written, as far as they can be read.
 
     Parameters
@@ -378,27 +378,27 @@ def stream(run: str | Path) -> Iterator[tuple[str, bytes]]:
     InputError
         If there is no record, or it is no MCAP file.
     """
-    scan = Scan(record_path(run))
-    return ((found.topic, found.data) for found in scan.messages() if found.topic is not None)
+    scan = Scan(find_record(run))
+    return ((found.topic, found.data) for found in scan.read_messages() if found.topic is not None)
 
 
-def _moment(shot: Shot, timing: pb.Timing, parts: dict[str, Any]) -> Moment:
+def _make_moment(shot: Shot, timing: pb.Timing, parts: dict[str, Any]) -> Moment:
     def pose(topic: str) -> Pose | None:
-        return messages.pose_of(parts[topic]) if topic in parts else None
+        return messages.decode_pose(parts[topic]) if topic in parts else None
 
-    command: Command = messages.command_of(parts["/commands"])
+    command: Command = messages.decode_command(parts["/commands"])
     record = CycleRecord(
         shot, pose("/poses/raw"), pose("/poses/tracked"), command, timing.compute, timing.ended, timing.rig
     )
     true = parts.get("/poses/true")
     if true is None:
         return Moment(record, None, None)
-    at = messages.pose_of(true.pose) if true.HasField("pose") else None
-    end = messages.pose_of(true.end) if true.HasField("end") else None
+    at = messages.decode_pose(true.pose) if true.HasField("pose") else None
+    end = messages.decode_pose(true.end) if true.HasField("end") else None
     return Moment(record, at, end, np.array(true.way).reshape(-1, 3))
 
 
-def _parsed(path: Path, topic: str, data: bytes) -> Any:
+def _parse(path: Path, topic: str, data: bytes) -> Any:
     from google.protobuf.message import DecodeError
 
     kind = messages.TOPICS.get(topic)
@@ -412,6 +412,6 @@ def _parsed(path: Path, topic: str, data: bytes) -> Any:
         raise InputError(f"{path}: a message of {topic} is none of smolbot's: {error}.") from error
 
 
-def _listed(folder: Path) -> str:
+def _format_listing(folder: Path) -> str:
     names = sorted(p.name for p in folder.iterdir())
     return ", ".join(names[:12]) + (", …" if len(names) > 12 else "") or "nothing"

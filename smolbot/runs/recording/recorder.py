@@ -12,9 +12,9 @@ from smolbot.errors import InputError
 from smolbot.runs.recording import messages
 from smolbot.runs.recording import run_pb2 as pb
 from smolbot.runs.recording.converter import Converter
-from smolbot.runs.recording.files import RunFiles
-from smolbot.runs.recording.jobs import Message
-from smolbot.runs.recording.pump import Pump
+from smolbot.runs.recording.message_queue import MessageQueue
+from smolbot.runs.recording.queue_entries import Message
+from smolbot.runs.recording.run_files import RunFiles
 from smolbot.runs.run import Run
 
 RECORD = "run.mcap"
@@ -77,7 +77,7 @@ class McapFile:
         except OSError as error:
             raise InputError(f"{path}: the record cannot be made: {error.strerror or error}.") from error
         lock(self._file)
-        self._made = _Made()
+        self._made = _WriteBuffer()
         self._context = foxglove.Context()
         options = MCAPWriteOptions(chunk_size=CHUNK, compression_threads=0, profile=PROFILE, disable_seeking=True)
         self._writer = foxglove.open_mcap(self._made, context=self._context, writer_options=options)  # type: ignore[arg-type]
@@ -105,13 +105,13 @@ class McapFile:
             Time on the rig's clock.
         data : bytes
         """
-        self._channel(topic).log(data, log_time=nanoseconds)
+        self._get_channel(topic).log(data, log_time=nanoseconds)
         self._count += 1
 
     def flush(self) -> None:
         """Pass everything written so far to the operating system."""
         self._writer.flush()
-        self._hand_on()
+        self._pass_on()
         if self._flushed is not None:
             self._flushed(self._count)
 
@@ -120,7 +120,7 @@ class McapFile:
         try:
             self._writer.close()
             if not self._torn:
-                self._hand_on()
+                self._pass_on()
                 os.fsync(self._file.fileno())
         finally:
             self._file.close()
@@ -128,8 +128,8 @@ class McapFile:
                 channel.close()
             self._channels.clear()
 
-    def _hand_on(self) -> None:
-        made = memoryview(self._made.taken())
+    def _pass_on(self) -> None:
+        made = memoryview(self._made.take())
         while made:
             try:
                 made = made[self._file.write(made) :]
@@ -137,19 +137,19 @@ class McapFile:
                 self._torn = True
                 raise
 
-    def _channel(self, topic: str) -> Any:
+    def _get_channel(self, topic: str) -> Any:
         known = self._channels.get(topic)
         if known is None:
             from foxglove import Channel, Schema
 
             name = messages.TOPICS[topic].DESCRIPTOR.full_name
-            schema = Schema(name=name, encoding="protobuf", data=_schema())
+            schema = Schema(name=name, encoding="protobuf", data=_make_schema())
             known = Channel(topic, schema=schema, message_encoding="protobuf", context=self._context)
             self._channels[topic] = known
         return known
 
 
-class _Made:
+class _WriteBuffer:
     """A write buffer that looks to the MCAP library like a file that is only appended to."""
 
     def __init__(self) -> None:
@@ -169,14 +169,14 @@ class _Made:
     def flush(self) -> None:
         """Do nothing: the buffer is emptied by `taken`."""
 
-    def taken(self) -> bytes:
+    def take(self) -> bytes:
         taken = bytes(self._bytes)
         self._before += len(taken)
         self._bytes.clear()
         return taken
 
 
-def _schema() -> bytes:
+def _make_schema() -> bytes:
     """Return the description of every message in the form that MCAP requires."""
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
@@ -185,7 +185,7 @@ def _schema() -> bytes:
     return found.SerializeToString()
 
 
-class Recorder(Pump):
+class Recorder(MessageQueue):
     """The record of one run in its folder, notified of shots and events as a recorder sink, and of every cycle.
 
     Parameters
@@ -196,7 +196,7 @@ class Recorder(Pump):
     flushed : callable, optional
         Called after each flush with the number of messages in the file.
     **options : object
-        See `Pump`.
+        See `MessageQueue`.
     """
 
     def __init__(
@@ -206,7 +206,7 @@ class Recorder(Pump):
         super().__init__(McapFile(self.path, flushed), converter, **options)
 
 
-def begin_message(files: RunFiles, provenance: dict[str, Any], converter: Converter) -> pb.Begin:
+def make_begin_message(files: RunFiles, provenance: dict[str, Any], converter: Converter) -> pb.Begin:
     """Build the first message of a record: files, provenance and converter.
 
     Parameters
@@ -224,11 +224,11 @@ def begin_message(files: RunFiles, provenance: dict[str, Any], converter: Conver
         files=files.contents,
         names=files.names,
         provenance=json.dumps(provenance, default=str),
-        converter=messages.converter_message(converter),
+        converter=messages.encode_converter(converter),
     )
 
 
-def end_message(run: Run) -> pb.End:
+def make_end_message(run: Run) -> pb.End:
     """Build the last message of a record: how the run ended.
 
     Parameters

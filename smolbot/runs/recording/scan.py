@@ -18,7 +18,7 @@ _BEFORE_ZSTD = 37  # bytes of a chunk record before the name of its compression
 _FOOTER_SIZE = 9 + 20
 
 
-class Found(NamedTuple):
+class ScannedMessage(NamedTuple):
     """A message.
 
     Attributes
@@ -44,7 +44,7 @@ class Scan:
 
     Attributes
     ----------
-    lost : int
+    lost_bytes : int
         Number of unreadable bytes, after all is read.
     finished : bool
         Whether the file has its end and no byte of it is damaged, after all is read.
@@ -57,19 +57,19 @@ class Scan:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.lost = 0
+        self.lost_bytes = 0
         self.finished = False
         self._topics: dict[int, str] = {}
         try:
             with path.open("rb") as file:
                 start = file.read(len(MAGIC))
                 if start != MAGIC:
-                    raise InputError(f"{path}: is no MCAP file{_instead(start)}.")
+                    raise InputError(f"{path}: is no MCAP file{_describe_start(start)}.")
                 self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from error
 
-    def messages(self) -> Iterator[Found]:
+    def read_messages(self) -> Iterator[ScannedMessage]:
         """Read every intact message.
 
         Yields
@@ -77,21 +77,21 @@ class Scan:
         Found
         """
         data, size = self._data, len(self._data)
-        self._topics = self._repeated_channels()
+        self._topics = self._read_summary_channels()
         position = sound = len(MAGIC)  # up to `sound`, lengths are known to be right
         whole = True
         while position + 9 <= size:
             opcode, length = struct.unpack_from("<BQ", data, position)
             end = position + 9 + length
             if opcode == CHUNK and end <= size:
-                records = _unpacked(data[position + 9 : end])
+                records = _unpack(data[position + 9 : end])
                 if records is not None:
-                    yield from self._inside(records)
+                    yield from self._read_records(records)
                     position = sound = end
                     continue
                 whole = False
-                if self._begins_record(end):
-                    self.lost += end - position
+                if self._is_record_start(end):
+                    self.lost_bytes += end - position
                     position = sound = end
                     continue
             elif 0 < opcode <= LAST_OPCODE and end <= size:
@@ -104,39 +104,39 @@ class Scan:
                     self.finished = whole and told in (0, zlib.crc32(data[begun or position : end - 4]))
                     return
                 else:
-                    yield from self._record(opcode, body)
+                    yield from self._read_record(opcode, body)
                 position = end
                 continue
             whole = False
-            found = self._next_chunk(sound)
+            found = self._find_next_chunk(sound)
             if found is None:
                 break
-            self.lost += found - sound
+            self.lost_bytes += found - sound
             position = sound = found
-        self.lost += size - position
+        self.lost_bytes += size - position
 
-    def _inside(self, records: bytes) -> Iterator[Found]:
+    def _read_records(self, records: bytes) -> Iterator[ScannedMessage]:
         """Yield the messages of an unpacked chunk."""
         position = 0
         while position + 9 <= len(records):
             opcode, length = struct.unpack_from("<BQ", records, position)
             position += 9
-            yield from self._record(opcode, records[position : position + length])
+            yield from self._read_record(opcode, records[position : position + length])
             position += length
 
-    def _record(self, opcode: int, body: bytes) -> Iterator[Found]:
+    def _read_record(self, opcode: int, body: bytes) -> Iterator[ScannedMessage]:
         if opcode == CHANNEL:
             self._learn(body)
         elif opcode == MESSAGE and len(body) >= 22:
             channel, _, time, _ = struct.unpack_from("<HIQQ", body)
-            yield Found(self._topics.get(channel), time, body[22:])
+            yield ScannedMessage(self._topics.get(channel), time, body[22:])
 
     def _learn(self, body: bytes) -> None:
         if len(body) >= 8:
             number, _, length = struct.unpack_from("<HHI", body)
             self._topics[number] = body[8 : 8 + length].decode("utf-8", "replace")
 
-    def _repeated_channels(self) -> dict[int, str]:
+    def _read_summary_channels(self) -> dict[int, str]:
         """Read the topics by channel from the end of a finished file: their first mention may be damaged."""
         data, size = self._data, len(self._data)
         self._topics = {}
@@ -150,13 +150,13 @@ class Scan:
                 position += 9 + length
         return self._topics
 
-    def _begins_record(self, position: int) -> bool:
+    def _is_record_start(self, position: int) -> bool:
         if position + 9 > len(self._data):
             return position == len(self._data)
         opcode, length = struct.unpack_from("<BQ", self._data, position)
         return 0 < opcode <= LAST_OPCODE and position + 9 + length <= len(self._data)
 
-    def _next_chunk(self, position: int) -> int | None:
+    def _find_next_chunk(self, position: int) -> int | None:
         """Search byte by byte for the start of the next intact chunk."""
         data, size = self._data, len(self._data)
         hit = data.find(_ZSTD, position)
@@ -165,13 +165,13 @@ class Scan:
             if start >= position and data[start] == CHUNK:
                 (length,) = struct.unpack_from("<Q", data, start + 1)
                 end = start + 9 + length
-                if end <= size and _unpacked(data[start + 9 : end]) is not None:
+                if end <= size and _unpack(data[start + 9 : end]) is not None:
                     return start
             hit = data.find(_ZSTD, hit + 1)
         return None
 
 
-def _unpacked(chunk: bytes) -> bytes | None:
+def _unpack(chunk: bytes) -> bytes | None:
     """Unpack the records of a chunk; None if it is damaged."""
     import zstandard
 
@@ -190,5 +190,5 @@ def _unpacked(chunk: bytes) -> bytes | None:
     return records
 
 
-def _instead(start: bytes) -> str:
+def _describe_start(start: bytes) -> str:
     return f"; it begins with {start!r}" if start else ", but empty"

@@ -12,18 +12,18 @@ import numpy as np
 from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rotate, Window
-from smolbot.errors import InputError, writing
+from smolbot.errors import InputError, report_write_errors
 from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.interpolated_track import Track, ways
-from smolbot.runs.report.svg import FAINT, GRID, INK, page_style
-from smolbot.runs.trace import located
+from smolbot.runs.report.interpolated_track import InterpolatedTrack, collect_true_way
+from smolbot.runs.report.recorded_flight import RecordedFlight
+from smolbot.runs.report.svg import FAINT, GRID, INK, apply_page_style
+from smolbot.runs.trace import get_located_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-KINDS = (".gif", ".mp4")
+SUFFIXES = (".gif", ".mp4")
 
 SIZE = (6.4, 4.8)
 """In inches, at `DPI`."""
@@ -32,7 +32,7 @@ DPI = 90
 SHADES = 6
 """Of each colour in a GIF, from white: few colours make a small file."""
 
-HEADING = 0.07
+HEADING_LENGTH = 0.07
 """Length of the line along the robot's heading, as a share of the picture's width."""
 
 _REST = 1.0  # s for which the last picture stays
@@ -93,26 +93,26 @@ def make_animation(run: str | Path, path: Path, seconds: float = 10.0, fps: int 
         written.
     """
     _check(path)
-    flight = Flight.read(run)
+    flight = RecordedFlight.read(run)
     if not flight.trace.moments:
         raise InputError(f"{flight.record.path}: holds no whole cycle; there is nothing to show.")
     count = max(round(seconds * fps), 2)
-    begin, end = _span(flight)
+    begin, end = _find_span(flight)
     speed = (end - begin) / ((count - 1) / fps)
-    with page_style():
-        scene = Scene(flight, speed)
+    with apply_page_style():
+        scene = AnimationScene(flight, speed)
         times = np.linspace(begin, end, count)
-        with writing(path, "the animation"):
+        with report_write_errors(path, "the animation"):
             if path.suffix.lower() == ".gif":
-                _write_gif(path, scene.pictures(times), fps)
+                _write_gif(path, scene.draw_pictures(times), fps)
             else:
                 _write_mp4(path, scene, times, fps)
     return Animation(count / fps, fps, speed, path.stat().st_size)
 
 
 def _check(path: Path) -> None:
-    if path.suffix.lower() not in KINDS:
-        raise InputError(f"{path}: an animation is one of {', '.join(KINDS)}; got '{path.suffix}'.")
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: an animation is one of {', '.join(SUFFIXES)}; got '{path.suffix}'.")
     if path.suffix.lower() == ".mp4":
         from matplotlib.animation import FFMpegWriter
 
@@ -122,14 +122,14 @@ def _check(path: Path) -> None:
         raise InputError(f"{path}: there is no folder {path.parent}.")
 
 
-def _span(flight: Flight) -> tuple[float, float]:
+def _find_span(flight: RecordedFlight) -> tuple[float, float]:
     """Return the times of the first pose and of the end of the last shot, in s."""
     moments = flight.trace.moments
     first = next((m.cycle.tracked.time for m in moments if m.cycle.tracked is not None), moments[0].cycle.shot.start)
     return first, max(m.cycle.shot.end for m in moments)
 
 
-class Scene:
+class AnimationScene:
     """The content of the animation, redrawn for each time.
 
     Parameters
@@ -139,24 +139,26 @@ class Scene:
         How many times faster than the run, for the label.
     """
 
-    def __init__(self, flight: Flight, speed: float) -> None:
+    def __init__(self, flight: RecordedFlight, speed: float) -> None:
         from matplotlib.figure import Figure
 
         self.figure: Figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
         self._flight = flight
         self._speed = speed
         device = flight.mission.robot.device
-        ahead = np.array([0.0, 0.0, 1.0]) if flight.helical else device.moment_in_body
+        ahead = np.array([0.0, 0.0, 1.0]) if flight.is_helical else device.moment_in_body
         moments = flight.trace.moments
         truths = [p for m in moments for p in (m.truth, m.truth_at_end) if p is not None]
-        self._true = Track.of(list({p.time: p for p in truths}.values()), ahead).through(*ways(moments))
-        self._heard = Track.of(located(moments), ahead)
+        self._true = InterpolatedTrack.from_poses(list({p.time: p for p in truths}.values()), ahead).with_positions(
+            *collect_true_way(moments)
+        )
+        self._heard = InterpolatedTrack.from_poses(get_located_poses(moments), ahead)
         self._trail = self._true if len(self._true.times) else self._heard
         self._axes, self._bars = self._lay_out()
-        self._names, self._limit, self._windows = _bars_of(flight)
+        self._names, self._limit, self._windows = _choose_bars(flight)
         self._draw_still()
 
-    def pictures(self, times: FloatArray) -> Iterator[Any]:
+    def draw_pictures(self, times: FloatArray) -> Iterator[Any]:
         """Draw a picture at each time.
 
         Parameters
@@ -186,24 +188,24 @@ class Scene:
         time : float, in s
             On the rig's clock.
         """
-        place, ahead = self._trail.at(time)
+        place, ahead = self._trail.interpolate(time)
         seen = self._trail.times <= time
-        trail = 1e3 * np.vstack([self._trail.places[seen], place[None, :]])
+        trail = 1e3 * np.vstack([self._trail.positions[seen], place[None, :]])
         self._way.set_data(trail[:, 0], trail[:, 1])
         self._robot.set_data([1e3 * place[0]], [1e3 * place[1]])
         length = max(float(np.hypot(*ahead)), 1e-9)
         low, high = self._axes.get_xlim()
-        tip = 1e3 * place[:2] + HEADING * (high - low) * ahead / length
+        tip = 1e3 * place[:2] + HEADING_LENGTH * (high - low) * ahead / length
         self._heading.set_data([1e3 * place[0], tip[0]], [1e3 * place[1], tip[1]])
         past = self._heard.times <= time
-        latest = 1e3 * self._heard.places[past]
+        latest = 1e3 * self._heard.positions[past]
         self._poses.set_data(latest[-60:, 0], latest[-60:, 1])
         if len(latest):
             self._located.set_data([latest[-1, 0]], [latest[-1, 1]])
-        for bar, value in zip(self._drawn, self._values(time), strict=True):
+        for bar, value in zip(self._drawn, self._compute_values(time), strict=True):
             bar.set_height(value)
         self._clock.set_text(f"{time:.1f} s")
-        self._said.set_text(self._note(time))
+        self._said.set_text(self._describe(time))
 
     def _lay_out(self) -> tuple[Axes, Axes]:
         axes = self.figure.add_axes((0.1, 0.1, 0.66, 0.76))
@@ -226,7 +228,7 @@ class Scene:
         (self._located,) = axes.plot([], [], "o", color=LOCATED, ms=7, mfc="none", mew=1.8, label="localized")
         (self._heading,) = axes.plot([], [], color=TRUE, lw=2.4, solid_capstyle="round", zorder=5)
         (self._robot,) = axes.plot([], [], "o", color=TRUE, ms=8, zorder=6)
-        _fit(axes, *_limits(flight, self._trail, self._heard))
+        _set_limits(axes, *_compute_limits(flight, self._trail, self._heard))
         axes.set_xlabel("x in mm")
         axes.set_ylabel("y in mm")
         axes.grid()
@@ -235,10 +237,10 @@ class Scene:
         bars.set_xticks(range(len(self._names)), self._names, fontsize=8.5)
         low = 0.0 if flight.mission.rig.limits.unipolar or not flight.mission.rig.coil_names else -self._limit
         bars.set_ylim(low, self._limit)
-        bars.set_title("turns so far" if flight.helical else "current, A", fontsize=9)
+        bars.set_title("turns so far" if flight.is_helical else "current, A", fontsize=9)
         bars.tick_params(labelsize=8)
 
-    def _values(self, time: float) -> list[float]:
+    def _compute_values(self, time: float) -> list[float]:
         """Return the heights of the bars: of the shot played at that time, or the last before."""
         values = [0.0] * len(self._names)
         for start, window in self._windows:
@@ -252,7 +254,7 @@ class Scene:
                 values[0] += window.turns * min(1.0, (time - start) / window.duration)
         return values
 
-    def _note(self, time: float) -> str:
+    def _describe(self, time: float) -> str:
         """Return the mode of the shot, or what the magnet does."""
         now = next((m.cycle.shot for m in reversed(self._flight.trace.moments) if m.cycle.shot.start <= time), None)
         if now is None:
@@ -264,12 +266,12 @@ class Scene:
         return now.mode
 
 
-def _bars_of(flight: Flight) -> tuple[tuple[str, ...], float, list[tuple[float, Window]]]:
+def _choose_bars(flight: RecordedFlight) -> tuple[tuple[str, ...], float, list[tuple[float, Window]]]:
     """Return names and limit of the bars, and the windows that give their heights."""
     limits, names = flight.mission.rig.limits, flight.mission.rig.coil_names
     kind: type = Actuate
     top = limits.max_current
-    if flight.helical:
+    if flight.is_helical:
         kind, names, top = Rotate, ("magnet",), 1.0
     elif not names or flight.steered is None:
         kind, names, top = Excite, ("x", "y"), limits.max_excitation_current
@@ -279,12 +281,12 @@ def _bars_of(flight: Flight) -> tuple[tuple[str, ...], float, list[tuple[float, 
         for at, window in m.cycle.shot.timed()
         if isinstance(window, kind)
     ]
-    if flight.helical:
+    if flight.is_helical:
         top = max(sum(w.turns for _, w in windows if isinstance(w, Rotate)), 1.0)
     return names, top, windows
 
 
-def _fit(axes: Axes, low: FloatArray, high: FloatArray) -> None:
+def _set_limits(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     """Set the limits of the axes to show all from `low` (x, y) to `high`, with equal scales."""
     box = axes.get_position()
     shape = np.array([box.width * SIZE[0], box.height * SIZE[1]])
@@ -295,9 +297,11 @@ def _fit(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     axes.set_ylim(y0, y1)
 
 
-def _limits(flight: Flight, trail: Track, heard: Track) -> tuple[FloatArray, FloatArray]:
+def _compute_limits(
+    flight: RecordedFlight, trail: InterpolatedTrack, heard: InterpolatedTrack
+) -> tuple[FloatArray, FloatArray]:
     """Compute the corners of what to show in mm: the track, and the container of an observed device."""
-    shown = [1e3 * trail.places[:, :2], 1e3 * heard.places[:, :2]]
+    shown = [1e3 * trail.positions[:, :2], 1e3 * heard.positions[:, :2]]
     if flight.steered is not None:
         shown.append(1e3 * flight.steered.path.points[:, :2])
     if isinstance(flight.mission, Observation) and flight.mission.sections.observe.measurements is None:
@@ -314,14 +318,14 @@ def _write_gif(path: Path, pictures: Iterator[Any], fps: int) -> None:
     from PIL import Image
 
     palette = Image.new("P", (1, 1))
-    palette.putpalette(_palette())
+    palette.putpalette(_make_palette())
     flat = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     each = round(1000.0 / fps)
     lasting = [each] * (len(flat) - 1) + [round(1000.0 * _REST)]
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=lasting, loop=0, optimize=True, disposal=1)
 
 
-def _palette() -> list[int]:
+def _make_palette() -> list[int]:
     """Return white and shades of every colour of the scene, as bytes of red, green and blue."""
     from matplotlib.colors import to_rgb
 
@@ -332,7 +336,7 @@ def _palette() -> list[int]:
     return [int(value) for value in np.round(255.0 * rows).ravel()]
 
 
-def _write_mp4(path: Path, scene: Scene, times: FloatArray, fps: int) -> None:
+def _write_mp4(path: Path, scene: AnimationScene, times: FloatArray, fps: int) -> None:
     from matplotlib.animation import FFMpegWriter
 
     writer = FFMpegWriter(fps=fps, codec="libx264", extra_args=["-pix_fmt", "yuv420p"])

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.core.coil_heat import CoilHeat, mean_squares
+from smolbot.core.coil_heat import CoilHeat, compute_mean_square_currents
 from smolbot.core.shots import Window
-from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.recorded_flight import RecordedFlight
 
 
 @dataclass(frozen=True)
-class Strain:
+class CoilLoad:
     """Heat and duty of the coils over time.
 
     Attributes
@@ -45,7 +45,7 @@ class Strain:
     window: float
 
 
-def strain_of(flight: Flight) -> Strain:
+def compute_coil_load(flight: RecordedFlight) -> CoilLoad:
     """Compute heat and duty over a run, from the start temperatures in the record.
 
     Parameters
@@ -63,13 +63,13 @@ def strain_of(flight: Flight) -> Strain:
     told: Any = flight.run.safety.get("coil_temperature_begin_c", {})
     heat.temperatures = [float(told.get(name, safety.ambient_c)) for name in names]
     times, driven, temperatures = [0.0], [[0.0] * len(names)], [list(heat.temperatures)]
-    for start, window in _windows(flight):
+    for start, window in _iterate_windows(flight):
         if start > times[-1]:
             heat.advance((), start - times[-1])
             times.append(start)
             driven.append(driven[-1])
             temperatures.append(list(heat.temperatures))
-        squares = mean_squares(window, len(rig.coil_names), len(names) - len(rig.coil_names))
+        squares = compute_mean_square_currents(window, len(rig.coil_names), len(names) - len(rig.coil_names))
         heat.advance(squares, window.duration)
         times.append(start + window.duration)
         driven.append(
@@ -79,7 +79,7 @@ def strain_of(flight: Flight) -> Strain:
     time, total = np.array(times), np.array(driven)
     before = np.stack([np.interp(time - safety.duty_window_s, time, total[:, i]) for i in range(len(names))], axis=1)
     known = np.array([coil is not None for coil in heat.coils], dtype=bool)
-    return Strain(
+    return CoilLoad(
         names,
         time,
         (total - before) / safety.duty_window_s,
@@ -90,7 +90,7 @@ def strain_of(flight: Flight) -> Strain:
     )
 
 
-def _windows(flight: Flight) -> Iterator[tuple[float, Window]]:
+def _iterate_windows(flight: RecordedFlight) -> Iterator[tuple[float, Window]]:
     """Yield every played window with its start in s."""
     for played in flight.record.played:
         for at, window in played.shot.timed():

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.errors import writing
-from smolbot.runs.pictures.style import COILS, PLANNED, dots, nothing
-from smolbot.runs.report.comparison import Comparison, series_of
-from smolbot.runs.report.figures_of_merit import append_unit, number, unit_of
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.html import ELEMENTS, Section, render_page
+from smolbot.errors import report_write_errors
+from smolbot.runs.pictures.style import COILS, PLANNED, draw_dots, draw_empty_note
+from smolbot.runs.report.comparison import Comparison, compute_series
+from smolbot.runs.report.figures_of_merit import append_unit, format_number, get_unit
 from smolbot.runs.report.intervals import METHOD, Estimate
-from smolbot.runs.report.svg import page_style, svg_of, wide_figure
-from smolbot.runs.summary import tracking_distance
-from smolbot.runs.trace import compared
+from smolbot.runs.report.page_elements import ELEMENTS, Section, render_page
+from smolbot.runs.report.recorded_flight import RecordedFlight
+from smolbot.runs.report.svg import apply_page_style, make_wide_figure, to_svg
+from smolbot.runs.summary import compute_tracking_distance
+from smolbot.runs.trace import pair_with_truth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 COLORS = (COILS[0], COILS[2], COILS[5], COILS[3], COILS[4], COILS[1])
 
-_SMOOTH = 40  # stretches of a path over which an error is averaged
+_N_AVERAGES = 40  # stretches of a path over which an error is averaged
 
 
 def write_comparison(found: Comparison, path: Path) -> Path:
@@ -47,13 +47,13 @@ def write_comparison(found: Comparison, path: Path) -> Path:
     InputError
         If it cannot be written.
     """
-    content = comparison_page(found)
-    with writing(path, "the comparison"):
+    content = build_comparison_page(found)
+    with report_write_errors(path, "the comparison"):
         path.write_text(content, encoding="utf-8")
     return path
 
 
-def comparison_page(found: Comparison) -> str:
+def build_comparison_page(found: Comparison) -> str:
     """Build the page of a comparison.
 
     Parameters
@@ -65,20 +65,26 @@ def comparison_page(found: Comparison) -> str:
     str
         HTML.
     """
-    with page_style():
-        sections = [_figures(found), _settings(found), _paths(found), _errors(found), _runs(found)]
+    with apply_page_style():
+        sections = [
+            _build_figures_section(found),
+            _build_settings_section(found),
+            _build_paths_section(found),
+            _build_errors_section(found),
+            _build_runs_section(found),
+        ]
     title = " and ".join(found.labels) if len(found.labels) == 2 else f"{len(found.labels)} runs compared"
     robot = found.flights[0].mission.robot
     told = f"Robot {robot.name} ({robot.kind}). Changes and differences are against the first run."
     return render_page(title, title, [ELEMENTS.paragraph(line) for line in (told, *found.notes)], sections)
 
 
-def _figures(found: Comparison) -> Section:
+def _build_figures_section(found: Comparison) -> Section:
     section = Section("figures", "Figures side by side")
-    shown = [f for f in found.figures if f.key.endswith("_mm.mean") and any(e and e.low is not None for e in f.of_run)]
+    shown = [f for f in found.figures if f.key.endswith("_mm.mean") and any(e and e.low is not None for e in f.values)]
     if shown:
-        section.figure(
-            svg_of(_interval_figure(found, shown), "intervals", "Mean errors with intervals"),
+        section.add_figure(
+            to_svg(_draw_intervals(found, shown), "intervals", "Mean errors with intervals"),
             "Each run's mean error with its 95 % interval. Where intervals of two runs are far apart, the runs differ; "
             "the table says by how much.",
         )
@@ -87,37 +93,43 @@ def _figures(found: Comparison) -> Section:
         header.append(f"{label} minus {found.labels[0]}")
     rows = []
     for figure in found.figures:
-        unit = unit_of(figure.key)
-        own, over = figure.of_run, figure.over_first[1:]
-        rows.append([figure.name, *(said(e, unit) for e in own), *(said(e, unit, signed=True) for e in over)])
+        unit = get_unit(figure.key)
+        own, over = figure.values, figure.differences_to_first[1:]
+        rows.append(
+            [
+                figure.name,
+                *(format_estimate(e, unit) for e in own),
+                *(format_estimate(e, unit, signed=True) for e in over),
+            ]
+        )
     section.add(ELEMENTS.table(rows, header, wide=True))
-    return section.say(METHOD + " A difference marked with a star is one whose interval does not hold zero.")
+    return section.add_paragraph(METHOD + " A difference marked with a star is one whose interval does not hold zero.")
 
 
-def _settings(found: Comparison) -> Section:
+def _build_settings_section(found: Comparison) -> Section:
     section = Section("settings", "What was changed")
     if not found.settings:
-        return section.missing("Nothing: mission, rig, robot, gains, seed and versions are the same.")
+        return section.add_missing_note("Nothing: mission, rig, robot, gains, seed and versions are the same.")
     rows = [[name, *("-" if v is None else v for v in values)] for name, values in found.settings]
     return section.add(ELEMENTS.table(rows, ["setting", *found.labels], wide=True))
 
 
-def _paths(found: Comparison) -> Section:
+def _build_paths_section(found: Comparison) -> Section:
     section = Section("paths", "Paths")
-    return section.figure(
-        svg_of(_path_figure(found), "paths", "Paths of all runs"),
+    return section.add_figure(
+        to_svg(_draw_paths(found), "paths", "Paths of all runs"),
         "From above: grey is what was planned, coloured the true path of each robot; without "
         "ground truth, the tracked one.",
     )
 
 
-def _errors(found: Comparison) -> Section:
+def _build_errors_section(found: Comparison) -> Section:
     section = Section("errors", "Errors")
     along = found.flights[0].steered is not None
-    return section.figure(
-        svg_of(_error_figure(found), "errors", "Errors of all runs"),
+    return section.add_figure(
+        to_svg(_draw_errors(found), "errors", "Errors of all runs"),
         (
-            f"Dots: each value; lines: mean over every {100 / _SMOOTH:g} % of the path. "
+            f"Dots: each value; lines: mean over every {100 / _N_AVERAGES:g} % of the path. "
             if along
             else "Each pose over the time of its run. "
         )
@@ -125,7 +137,7 @@ def _errors(found: Comparison) -> Section:
     )
 
 
-def _runs(found: Comparison) -> Section:
+def _build_runs_section(found: Comparison) -> Section:
     section = Section("runs", "Runs")
     for flight, label in zip(found.flights, found.labels, strict=True):
         s = flight.summary
@@ -134,24 +146,24 @@ def _runs(found: Comparison) -> Section:
     return section
 
 
-def said(estimate: Estimate | None, unit: str, *, signed: bool = False) -> str:
+def format_estimate(estimate: Estimate | None, unit: str, *, signed: bool = False) -> str:
     """An estimate with its interval and unit, for people."""
     if estimate is None:
         return "-"
     plus = "+" if signed and estimate.value > 0 else ""
-    shown = f"{plus}{number(estimate.value)}"
+    shown = f"{plus}{format_number(estimate.value)}"
     if estimate.low is None or estimate.high is None:
         return append_unit(shown, unit)
     star = " *" if signed and estimate.low * estimate.high > 0 else ""
-    return append_unit(f"{shown} ({number(estimate.low)} to {number(estimate.high)})", unit) + star
+    return append_unit(f"{shown} ({format_number(estimate.low)} to {format_number(estimate.high)})", unit) + star
 
 
-def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
+def _draw_intervals(found: Comparison, shown: list[Any]) -> Figure:
     n = len(found.labels)
-    figure = wide_figure(0.7 + 0.42 * n)
+    figure = make_wide_figure(0.7 + 0.42 * n)
     panels: Any = figure.subplots(1, len(shown), squeeze=False, sharey=True)
     for axes, one in zip(panels[0], shown, strict=True):
-        for row, estimate in enumerate(one.of_run):
+        for row, estimate in enumerate(one.values):
             if estimate is None:
                 continue
             color = COLORS[row % len(COLORS)]
@@ -160,13 +172,13 @@ def _interval_figure(found: Comparison, shown: list[Any]) -> Figure:
         axes.set_yticks(range(n), found.labels)
         axes.set_ylim(n - 0.5, -0.5)
         axes.set_xlim(left=0.0)
-        axes.set_title(f"{one.name.capitalize()}, in {unit_of(one.key)}")
+        axes.set_title(f"{one.name.capitalize()}, in {get_unit(one.key)}")
         axes.grid(axis="x")
     return figure
 
 
-def _path_figure(found: Comparison) -> Figure:
-    figure = wide_figure(6.4)
+def _draw_paths(found: Comparison) -> Figure:
+    figure = make_wide_figure(6.4)
     axes = figure.subplots()
     for index, (flight, label) in enumerate(zip(found.flights, found.labels, strict=True)):
         if flight.steered is not None:
@@ -188,10 +200,10 @@ def _path_figure(found: Comparison) -> Figure:
     return figure
 
 
-def _error_figure(found: Comparison) -> Figure:
+def _draw_errors(found: Comparison) -> Figure:
     steered = found.flights[0].steered is not None
     kinds = (["tracking"] if steered else []) + ["localization"]
-    figure = wide_figure(3.0 * len(kinds))
+    figure = make_wide_figure(3.0 * len(kinds))
     rows: Any = figure.subplots(len(kinds), 2, width_ratios=[2.2, 1.0], squeeze=False)
     names = {"tracking": "Tracking error, in mm", "localization": "Localization error of each trusted pose, in mm"}
     for (course, share), kind in zip(rows, kinds, strict=True):
@@ -199,16 +211,16 @@ def _error_figure(found: Comparison) -> Figure:
         share.set_title("Share of values within")
         any_known = False
         for index, (flight, label) in enumerate(zip(found.flights, found.labels, strict=True)):
-            place, value = _course(flight, kind)
+            place, value = _compute_error_curve(flight, kind)
             if not len(value):
                 continue
             any_known = True
-            _draw_course(course, place, value, COLORS[index % len(COLORS)], label, averaged=steered)
-            order = np.sort(series_of(flight).get(kind, value))
+            _draw_error_curve(course, place, value, COLORS[index % len(COLORS)], label, averaged=steered)
+            order = np.sort(compute_series(flight).get(kind, value))
             share.plot(order, np.arange(1, len(order) + 1) / len(order), color=COLORS[index % len(COLORS)], lw=1.5)
         if not any_known:
-            nothing(course, "no truth on this rig")
-            nothing(share, "no truth on this rig")
+            draw_empty_note(course, "no truth on this rig")
+            draw_empty_note(share, "no truth on this rig")
         course.set_ylim(bottom=0.0)
         share.set_xlim(left=0.0)
         share.set_ylim(0.0, 1.02)
@@ -220,27 +232,29 @@ def _error_figure(found: Comparison) -> Figure:
     return figure
 
 
-def _course(flight: Flight, kind: str) -> tuple[FloatArray, FloatArray]:
+def _compute_error_curve(flight: RecordedFlight, kind: str) -> tuple[FloatArray, FloatArray]:
     """Return arc lengths in mm (or times in s, without a path) and errors in mm."""
     mission, moments = flight.steered, flight.trace.moments
     if kind == "tracking" and mission is not None:
         places = np.vstack([np.zeros((0, 3)), *(m.positions for m in flight.trace.following)])
         if not len(places):
             return np.zeros(0), np.zeros(0)
-        return 1e3 * mission.path.project(places)[0], 1e3 * tracking_distance(mission, flight.trace.following)
+        return 1e3 * mission.path.project(places)[0], 1e3 * compute_tracking_distance(mission, flight.trace.following)
     if mission is not None:
         moments = flight.trace.following
-    pairs = compared(moments)
+    pairs = pair_with_truth(moments)
     value = 1e3 * np.array([np.linalg.norm(p.position - t.position) for p, t in pairs])
     if mission is None or not pairs:
         return np.array([p.time for p, _ in pairs]), value
     return 1e3 * mission.path.project(np.array([t.position for _, t in pairs]))[0], value
 
 
-def _draw_course(axes: Axes, place: FloatArray, value: FloatArray, color: str, label: str, *, averaged: bool) -> None:
-    dots(axes, place, value, 1.8, color, alpha=0.35 if averaged else 0.7)
-    edges = np.linspace(place.min(), place.max() + 1e-9, _SMOOTH + 1)
+def _draw_error_curve(
+    axes: Axes, place: FloatArray, value: FloatArray, color: str, label: str, *, averaged: bool
+) -> None:
+    draw_dots(axes, place, value, 1.8, color, alpha=0.35 if averaged else 0.7)
+    edges = np.linspace(place.min(), place.max() + 1e-9, _N_AVERAGES + 1)
     which = np.digitize(place, edges) - 1
-    known = [i for i in range(_SMOOTH) if np.any(which == i)]
+    known = [i for i in range(_N_AVERAGES) if np.any(which == i)]
     means = [float(value[which == i].mean()) for i in known]
     axes.plot(0.5 * (edges[:-1] + edges[1:])[known], means, color=color, lw=1.8, label=label)

@@ -23,7 +23,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate, Window
 from smolbot.motion.gradient import advance
-from smolbot.runs.report.flight import Flight
+from smolbot.runs.report.recorded_flight import RecordedFlight
 from smolbot.runs.trace import Moment
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ PARTS = {
 
 
 @dataclass(frozen=True)
-class Step:
+class BudgetStep:
     """From one pose to the next, with one command in between.
 
     Attributes
@@ -74,7 +74,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Budget:
+class ErrorBudget:
     """The tracking error of each step and its parts.
 
     Attributes
@@ -96,12 +96,12 @@ class Budget:
     @property
     def total_rms(self) -> float:
         """Root mean square of the tracking error, in m."""
-        return _rms(self.error)
+        return _compute_rms(self.error)
 
     @property
     def rms(self) -> dict[str, float]:
         """Root mean square of each part, in m."""
-        return {name: _rms(values) for name, values in self.parts.items()}
+        return {name: _compute_rms(values) for name, values in self.parts.items()}
 
     @property
     def shares(self) -> dict[str, float]:
@@ -113,7 +113,7 @@ class Budget:
         return {name: float(np.mean(self.error * values)) / square for name, values in self.parts.items()}
 
 
-def split(mission: Mission, steps: list[Step]) -> Budget | None:
+def compute_budget(mission: Mission, steps: list[BudgetStep]) -> ErrorBudget | None:
     """Compute the error budget of steps along the mission's path.
 
     Parameters
@@ -150,10 +150,10 @@ def split(mission: Mission, steps: list[Step]) -> Budget | None:
         "aim": np.where(saturated, 0.0, aim),
         "mismatch": along([(s.reached - s.acting) - (s.expected - s.tracked) for s in steps]),
     }
-    return Budget(np.array([step.time for step in steps]), arc, side * distance, parts)
+    return ErrorBudget(np.array([step.time for step in steps]), arc, side * distance, parts)
 
 
-def steps_of(flight: Flight) -> list[Step]:
+def find_steps(flight: RecordedFlight) -> list[BudgetStep]:
     """Find every step of a run from the path's start on.
 
     Left out are steps without ground truth at both ends, and those over a missing cycle.
@@ -173,39 +173,39 @@ def steps_of(flight: Flight) -> list[Step]:
     following = flight.trace.following
     numbers = flight.record.number_of_cycle[len(flight.trace.moments) - len(following) :]
     moments = [(i, m) for i, m in zip(numbers, following, strict=True) if m.cycle.tracked is not None]
-    if flight.helical:
-        return _screwed(moments)
+    if flight.is_helical:
+        return _find_mechanical_steps(moments)
     setup = mission.setup()
     found = []
     for (number, before), (next_number, after) in pairwise(moments):
         believed = before.cycle.tracked
-        if next_number != number + 1 or not _known(before, after) or believed is None:
+        if next_number != number + 1 or not _has_truth(before, after) or believed is None:
             continue
-        step = believed_step(setup.robot, setup.table, believed, after.cycle.shot.windows, setup.device.moment_in_body)
+        step = predict_step(setup.robot, setup.table, believed, after.cycle.shot.windows, setup.device.moment_in_body)
         if step is not None:
-            found.append(_step(before, after, believed.position[:2] + step))
+            found.append(_make_step(before, after, believed.position[:2] + step))
     return found
 
 
-def _screwed(moments: list[tuple[int, Moment]]) -> list[Step]:
+def _find_mechanical_steps(moments: list[tuple[int, Moment]]) -> list[BudgetStep]:
     """Find the steps over each mechanical shot; the tracker's own prediction for it is in the record."""
     found = []
     for (number, before), (_, moved), (last, after) in zip(moments, moments[1:], moments[2:], strict=False):
         if last != number + 2:
             continue
-        if moved.cycle.shot.listen is None and before.cycle.shot.listen is not None and _known(before, after):
+        if moved.cycle.shot.listen is None and before.cycle.shot.listen is not None and _has_truth(before, after):
             assert moved.cycle.tracked is not None
-            found.append(_step(before, after, moved.cycle.tracked.position[:2]))
+            found.append(_make_step(before, after, moved.cycle.tracked.position[:2]))
     return found
 
 
-def _step(before: Moment, after: Moment, expected: FloatArray) -> Step:
+def _make_step(before: Moment, after: Moment, expected: FloatArray) -> BudgetStep:
     believed = before.cycle.tracked
     assert believed is not None
     assert before.truth is not None
     assert before.truth_at_end is not None
     assert after.truth is not None
-    return Step(
+    return BudgetStep(
         believed.position[:2],
         before.truth.position[:2],
         before.truth_at_end.position[:2],
@@ -216,13 +216,13 @@ def _step(before: Moment, after: Moment, expected: FloatArray) -> Step:
     )
 
 
-def _known(before: Moment, after: Moment) -> bool:
+def _has_truth(before: Moment, after: Moment) -> bool:
     """Return whether both cycles have a pose and the ground truth."""
     heard = before.cycle.pose is not None and after.cycle.pose is not None
     return heard and before.truth is not None and before.truth_at_end is not None and after.truth is not None
 
 
-def believed_step(
+def predict_step(
     robot: Robot, table: FieldTable, pose: Pose, windows: tuple[Window, ...], moment_in_body: FloatArray
 ) -> FloatArray | None:
     """Predict the displacement by the actuation windows with the assumed motion model.
@@ -263,5 +263,5 @@ def believed_step(
     return step
 
 
-def _rms(values: FloatArray) -> float:
+def _compute_rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

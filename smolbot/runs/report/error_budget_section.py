@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
-from smolbot.runs.pictures.style import LOCATED, dots
-from smolbot.runs.report.error_budget import PARTS, Budget, split, steps_of
-from smolbot.runs.report.flight import NO_TRUTH, Flight
-from smolbot.runs.report.html import ELEMENTS, Section
-from smolbot.runs.report.svg import FAINT, INK, svg_of, wide_figure
+from smolbot.runs.pictures.style import LOCATED, draw_dots
+from smolbot.runs.report.error_budget import PARTS, ErrorBudget, compute_budget, find_steps
+from smolbot.runs.report.page_elements import ELEMENTS, Section
+from smolbot.runs.report.recorded_flight import NO_TRUTH, RecordedFlight
+from smolbot.runs.report.svg import FAINT, INK, make_wide_figure, to_svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 COLORS = {"localization": LOCATED, "lag": "#7b2d8b", "saturation": "#f2a541", "aim": "#5fa8d3", "mismatch": "#4c956c"}
 
 
-def budget_section(flight: Flight) -> Section:
+def build_budget_section(flight: RecordedFlight) -> Section:
     """Build the section: the error budget of a path, or of the poses of an observation.
 
     Parameters
@@ -33,26 +33,26 @@ def budget_section(flight: Flight) -> Section:
     """
     section = Section("budget", "Error budget")
     if not flight.knows_truth:
-        return section.missing(NO_TRUTH)
+        return section.add_missing_note(NO_TRUTH)
     mission = flight.steered
     if mission is None:
-        return _of_poses(section, flight)
-    budget = split(mission, steps_of(flight))
+        return _add_pose_budget(section, flight)
+    budget = compute_budget(mission, find_steps(flight))
     if budget is None:
-        return section.missing("The path was not reached, so there is no tracking error to take apart.")
-    section.figure(
-        svg_of(budget_figure(budget), "budget", "Parts of the tracking error, and their course along the path"),
+        return section.add_missing_note("The path was not reached, so there is no tracking error to take apart.")
+    section.add_figure(
+        to_svg(draw_budget(budget), "budget", "Parts of the tracking error, and their course along the path"),
         "Left: root mean square of the tracking error and of each part. Right: error and parts along the path, signed, "
         "positive to the left of the way; where a coloured line goes with the black one, that part makes the error.",
     )
     header = ("part", "rms, mm", "mean, mm", "share of mean square", "what it is")
-    section.add(ELEMENTS.table(rows_of(budget), header, wide=True))
-    for line in closing(budget, flight.summary, helical=flight.helical):
-        section.say(line)
+    section.add(ELEMENTS.table(format_rows(budget), header, wide=True))
+    for line in describe_budget(budget, flight.summary, helical=flight.is_helical):
+        section.add_paragraph(line)
     return section.add(ELEMENTS.formula_of_steps())
 
 
-def rows_of(budget: Budget) -> list[tuple[str, str, str, str, str]]:
+def format_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
     """Format a table row for each part and one for the total.
 
     Parameters
@@ -65,23 +65,23 @@ def rows_of(budget: Budget) -> list[tuple[str, str, str, str, str]]:
     """
     rms, shares = budget.rms, budget.shares
     rows = [
-        (name, f"{1e3 * rms[name]:.4f}", _signed(values), _percent(shares[name]), PARTS[name])
+        (name, f"{1e3 * rms[name]:.4f}", _format_signed(values), _format_percent(shares[name]), PARTS[name])
         for name, values in budget.parts.items()
     ]
     total = f"tracking error of {len(budget.error)} steps"
-    whole = _percent(sum(shares.values()))
-    return [*rows, ("total", f"{1e3 * budget.total_rms:.4f}", _signed(budget.error), whole, total)]
+    whole = _format_percent(sum(shares.values()))
+    return [*rows, ("total", f"{1e3 * budget.total_rms:.4f}", _format_signed(budget.error), whole, total)]
 
 
-def _signed(values: FloatArray) -> str:
+def _format_signed(values: FloatArray) -> str:
     return f"{1e3 * float(np.mean(values)):+.4f}"
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     return f"{100.0 * share:.1f} %".replace("-0.0 %", "0.0 %")
 
 
-def closing(budget: Budget, summary: dict[str, Any], *, helical: bool = False) -> list[str]:
+def describe_budget(budget: ErrorBudget, summary: dict[str, Any], *, helical: bool = False) -> list[str]:
     """Describe how well the parts explain the total, and how the total compares with the summary.
 
     Parameters
@@ -115,7 +115,7 @@ def closing(budget: Budget, summary: dict[str, Any], *, helical: bool = False) -
     return lines
 
 
-def budget_figure(budget: Budget) -> Figure:
+def draw_budget(budget: ErrorBudget) -> Figure:
     """Draw the rms of each part as bars, and the parts along the path.
 
     Parameters
@@ -126,7 +126,7 @@ def budget_figure(budget: Budget) -> Figure:
     -------
     Figure
     """
-    figure = wide_figure(3.5)
+    figure = make_wide_figure(3.5)
     bars, course = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
     names = ["total", *budget.parts]
     values = [1e3 * budget.total_rms, *(1e3 * value for value in budget.rms.values())]
@@ -139,11 +139,11 @@ def budget_figure(budget: Budget) -> Figure:
     bars.invert_yaxis()
     bars.set_xlim(0.0, 1.55 * max(values))
     bars.set_title("Rms in mm, and share of the mean square")
-    _draw_course(course, budget)
+    _draw_parts(course, budget)
     return figure
 
 
-def _draw_course(axes: Axes, budget: Budget) -> None:
+def _draw_parts(axes: Axes, budget: ErrorBudget) -> None:
     """Draw error and parts along the path; negligible parts are left out."""
     order = np.argsort(budget.arc, kind="stable")
     arc = 1e3 * budget.arc[order]
@@ -154,7 +154,7 @@ def _draw_course(axes: Axes, budget: Budget) -> None:
         shown = 1e3 * values[order]
         if name in ("saturation", "aim"):  # one or the other in each step
             here = shown != 0.0
-            dots(axes, arc[here], shown[here], 2.4, COLORS[name], alpha=0.8, label=name)
+            draw_dots(axes, arc[here], shown[here], 2.4, COLORS[name], alpha=0.8, label=name)
         else:
             axes.plot(arc, shown, color=COLORS[name], lw=1.0, alpha=0.85, label=name)
     axes.plot(arc, 1e3 * budget.error[order], color=INK, lw=1.5, label="tracking error")
@@ -164,16 +164,18 @@ def _draw_course(axes: Axes, budget: Budget) -> None:
     axes.grid(axis="y")
 
 
-def _of_poses(section: Section, flight: Flight) -> Section:
+def _add_pose_budget(section: Section, flight: RecordedFlight) -> Section:
     """Localization error of a device that is not steered: what is always the same, what is predicted, and the rest."""
-    found = pose_budget(flight.compared)
+    found = compute_pose_budget(flight.compared_poses)
     if found is None:
-        return section.missing("No pose could be trusted, so there is no error to take apart.")
-    section.add(ELEMENTS.table(_pose_rows(found), ("part", "rms, mm", "share of mean square", "what it is"), wide=True))
+        return section.add_missing_note("No pose could be trusted, so there is no error to take apart.")
+    section.add(
+        ELEMENTS.table(_format_pose_rows(found), ("part", "rms, mm", "share of mean square", "what it is"), wide=True)
+    )
     return section.add(ELEMENTS.formula_of_poses())
 
 
-def pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None:
+def compute_pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None:
     """Mean squares, in m², of poses against truths: ``total``, ``bias``, ``predicted``, ``rest``; None without any."""
     if not pairs:
         return None
@@ -184,7 +186,7 @@ def pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None:
     return {"total": total, "bias": bias, "predicted": predicted, "rest": total - bias - predicted}
 
 
-def _pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]]:
+def _format_pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]]:
     said = {
         "bias": "the same in every pose: misplaced sensors, a model error that is the same everywhere",
         "predicted": "noise, as the covariance of each pose predicts it",

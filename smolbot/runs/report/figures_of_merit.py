@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from smolbot.config.load import AnyMission
 from smolbot.config.observation import Observation
-from smolbot.runs.report.html import ELEMENTS
+from smolbot.runs.report.page_elements import ELEMENTS
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -53,7 +53,7 @@ NAMES = {
 _UNITS = {"mm": "mm", "deg": "°", "s": "s", "hz": "Hz", "ms": "ms", "j": "J"}
 
 
-def verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
+def build_verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
     """Build the table of criteria: requested limit, value of the run, and whether it is met.
 
     Parameters
@@ -68,19 +68,19 @@ def verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
     """
     ended = summary["status"]
     rows: list[tuple[str, object, str, bool | None]] = [
-        ("ended as it should", _number("status", ended), "completed", ended == "completed")
+        ("ended as it should", _format_data("status", ended), "completed", ended == "completed")
     ]
-    for key, name, limit, is_maximum in _wanted(mission):
-        value = _at(summary, key)
-        wanted = f"at {'most' if is_maximum else 'least'} {limit:g} {unit_of(key)}"
+    for key, name, limit, is_maximum in _list_criteria(mission):
+        value = _get_value(summary, key)
+        wanted = f"at {'most' if is_maximum else 'least'} {limit:g} {get_unit(key)}"
         if value is None:
             rows.append((name, "not known: no ground truth", wanted, None))
         else:
-            rows.append((name, _number(key, value), wanted, value <= limit if is_maximum else value >= limit))
+            rows.append((name, _format_data(key, value), wanted, value <= limit if is_maximum else value >= limit))
     return ELEMENTS.verdict(rows)
 
 
-def figures_table(summary: dict[str, Any]) -> Markup:
+def build_figures_table(summary: dict[str, Any]) -> Markup:
     """Build the table of all figures of merit of a run.
 
     Parameters
@@ -93,11 +93,11 @@ def figures_table(summary: dict[str, Any]) -> Markup:
         HTML.
     """
     return ELEMENTS.table(
-        [(name, _cells(key, summary[key])) for key, name in NAMES.items() if summary.get(key) is not None]
+        [(name, _format_cells(key, summary[key])) for key, name in NAMES.items() if summary.get(key) is not None]
     )
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """Format a number with three significant digits.
 
     Parameters
@@ -115,7 +115,7 @@ def number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.1f}"
 
 
-def unit_of(key: str) -> str:
+def get_unit(key: str) -> str:
     """Return the unit in the key of a figure.
 
     Parameters
@@ -141,25 +141,25 @@ def append_unit(shown: str, unit: str) -> str:
     return f"{shown}{'' if unit in ('', '°') else ' '}{unit}"
 
 
-def _cells(key: str, value: Any) -> Markup:
+def _format_cells(key: str, value: Any) -> Markup:
     """Each number of a figure that has several, with its name."""
     if isinstance(value, dict):
-        return ELEMENTS.named_figures([(name, _number(f"{key}.{name}", inner)) for name, inner in value.items()])
+        return ELEMENTS.named_figures([(name, _format_data(f"{key}.{name}", inner)) for name, inner in value.items()])
     if isinstance(value, list):
-        return ELEMENTS.listed_figures([_number(f"{key}.{i}", inner) for i, inner in enumerate(value)])
-    return _number(key, value)
+        return ELEMENTS.listed_figures([_format_data(f"{key}.{i}", inner) for i, inner in enumerate(value)])
+    return _format_data(key, value)
 
 
-def _number(key: str, value: Any) -> Markup:
+def _format_data(key: str, value: Any) -> Markup:
     if value is None:
         said = "-"
     else:
-        shown = f"{value:.4f}" if key.startswith("r_squared") else number(value)
-        said = append_unit(shown, unit_of(key))
+        shown = f"{value:.4f}" if key.startswith("r_squared") else format_number(value)
+        said = append_unit(shown, get_unit(key))
     return ELEMENTS.figure_of_merit(key, value, said)
 
 
-def _wanted(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]]:
+def _list_criteria(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]]:
     """Key of the summary, name, limit, and whether the limit is a maximum."""
     asked: list[tuple[str, str, float | None, bool]]
     if isinstance(mission, Observation):
@@ -180,7 +180,7 @@ def _wanted(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]]:
             yield key, name, limit, is_maximum
 
 
-def _at(summary: dict[str, Any], key: str) -> Any:
+def _get_value(summary: dict[str, Any], key: str) -> Any:
     found: Any = summary
     for part in key.split("."):
         found = found.get(part) if isinstance(found, dict) else None

@@ -13,24 +13,24 @@ from smolbot.runs.trace import Moment
 
 
 @dataclass(frozen=True)
-class Track:
+class InterpolatedTrack:
     """Positions and headings over time.
 
     Attributes
     ----------
     times : ndarray, shape (n,), in s
-    places : ndarray, shape (n, 3), in m
+    positions : ndarray, shape (n, 3), in m
         In the world frame.
     headings : ndarray, shape (n, 2)
         Horizontal part of a body direction, in the world frame.
     """
 
     times: FloatArray
-    places: FloatArray
+    positions: FloatArray
     headings: FloatArray
 
     @classmethod
-    def of(cls, poses: list[Pose], body_axis: FloatArray) -> Track:
+    def from_poses(cls, poses: list[Pose], body_axis: FloatArray) -> InterpolatedTrack:
         """Build a track from poses.
 
         Parameters
@@ -48,7 +48,7 @@ class Track:
         places = np.array([p.position for p in ordered]).reshape(-1, 3)
         return cls(np.array([p.time for p in ordered]), places, ahead)
 
-    def through(self, times: FloatArray, places: FloatArray) -> Track:
+    def with_positions(self, times: FloatArray, places: FloatArray) -> InterpolatedTrack:
         """Add positions to the track, with headings interpolated between the known ones.
 
         Parameters
@@ -65,13 +65,13 @@ class Track:
             return self
         headings = np.column_stack([np.interp(times, self.times, column) for column in self.headings.T])
         order = np.argsort(np.concatenate([self.times, times]), kind="stable")
-        return Track(
+        return InterpolatedTrack(
             np.concatenate([self.times, times])[order],
-            np.vstack([self.places, places])[order],
+            np.vstack([self.positions, places])[order],
             np.vstack([self.headings, headings])[order],
         )
 
-    def at(self, time: float) -> tuple[FloatArray, FloatArray]:
+    def interpolate(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Interpolate position and heading linearly.
 
         Parameters
@@ -87,12 +87,12 @@ class Track:
         """
         if not len(self.times):
             return np.full(3, np.nan), np.full(2, np.nan)
-        values = np.column_stack([self.places, self.headings])
+        values = np.column_stack([self.positions, self.headings])
         found = np.array([np.interp(time, self.times, column) for column in values.T])
         return found[:3], found[3:]
 
 
-def ways(moments: list[Moment]) -> tuple[FloatArray, FloatArray]:
+def collect_true_way(moments: list[Moment]) -> tuple[FloatArray, FloatArray]:
     """Collect the true positions during magnet rotation, spread evenly in time.
 
     The record has positions without times, and only those at which the robot moved.

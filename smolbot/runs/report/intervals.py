@@ -39,7 +39,7 @@ class Estimate:
     high: float | None = None
 
 
-def mean(values: FloatArray) -> FloatArray:
+def compute_mean(values: FloatArray) -> FloatArray:
     """Compute the arithmetic mean.
 
     Parameters
@@ -54,7 +54,7 @@ def mean(values: FloatArray) -> FloatArray:
     return found
 
 
-def p95(values: FloatArray) -> FloatArray:
+def compute_p95(values: FloatArray) -> FloatArray:
     """Compute the 95th percentile.
 
     Parameters
@@ -69,7 +69,7 @@ def p95(values: FloatArray) -> FloatArray:
     return found
 
 
-def median(values: FloatArray) -> FloatArray:
+def compute_median(values: FloatArray) -> FloatArray:
     """Compute the median.
 
     Parameters
@@ -84,7 +84,7 @@ def median(values: FloatArray) -> FloatArray:
     return found
 
 
-def alike_for(values: FloatArray) -> float:
+def compute_autocorrelation_time(values: FloatArray) -> float:
     """Compute the integrated autocorrelation time of a series.
 
         tau = 1 + 2 sum_k rho(k), up to Sokal's window k >= 5 tau
@@ -114,7 +114,7 @@ def alike_for(values: FloatArray) -> float:
     return max(total, 1.0)
 
 
-def block_length(values: FloatArray) -> int:
+def compute_block_length(values: FloatArray) -> int:
     """Compute the block length of the bootstrap.
 
     It is twice the autocorrelation time, and at most a quarter of the series.
@@ -128,10 +128,10 @@ def block_length(values: FloatArray) -> int:
     int, in samples
     """
     n = len(values)
-    return max(min(round(max(2.0 * alike_for(values), n ** (1.0 / 3.0))), n // 4), 1)
+    return max(min(round(max(2.0 * compute_autocorrelation_time(values), n ** (1.0 / 3.0))), n // 4), 1)
 
 
-def resampled(values: FloatArray, rng: np.random.Generator, resamples: int = RESAMPLES) -> FloatArray:
+def draw_resamples(values: FloatArray, rng: np.random.Generator, resamples: int = RESAMPLES) -> FloatArray:
     """Draw series from blocks of a series; blocks continue from its end to its beginning.
 
     Parameters
@@ -144,13 +144,13 @@ def resampled(values: FloatArray, rng: np.random.Generator, resamples: int = RES
     -------
     ndarray, shape (resamples, n)
     """
-    n, length = len(values), block_length(values)
+    n, length = len(values), compute_block_length(values)
     starts = rng.integers(0, n, size=(resamples, -(-n // length)))
     index = (starts[:, :, None] + np.arange(length)) % n
     return values[index.reshape(resamples, -1)[:, :n]]
 
 
-def estimated(values: FloatArray, statistic: Statistic) -> Estimate:
+def estimate_with_interval(values: FloatArray, statistic: Statistic) -> Estimate:
     """Compute a statistic of a series with its confidence interval.
 
     Parameters
@@ -167,12 +167,12 @@ def estimated(values: FloatArray, statistic: Statistic) -> Estimate:
     value = float(statistic(values))
     if len(values) < 8:
         return Estimate(value)
-    drawn = statistic(resampled(values, np.random.default_rng(SEED)))
+    drawn = statistic(draw_resamples(values, np.random.default_rng(SEED)))
     low, high = np.percentile(drawn, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
     return Estimate(value, float(low), float(high))
 
 
-def difference(values: FloatArray, others: FloatArray, statistic: Statistic) -> Estimate:
+def estimate_difference(values: FloatArray, others: FloatArray, statistic: Statistic) -> Estimate:
     """Compute the difference of a statistic between two independent series, with its confidence interval.
 
     Parameters
@@ -190,6 +190,6 @@ def difference(values: FloatArray, others: FloatArray, statistic: Statistic) -> 
     if min(len(values), len(others)) < 8:
         return Estimate(value)
     first, second = (np.random.default_rng([SEED, which]) for which in (1, 2))
-    drawn = statistic(resampled(values, first)) - statistic(resampled(others, second))
+    drawn = statistic(draw_resamples(values, first)) - statistic(draw_resamples(others, second))
     low, high = np.percentile(drawn, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
     return Estimate(value, float(low), float(high))

@@ -9,16 +9,16 @@ import numpy as np
 
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot, Window
 from smolbot.runs.pictures.gradient_run import draw_currents
-from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, dots, nothing
-from smolbot.runs.report.coil_load import Strain
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.svg import FAINT, INK, wide_figure
+from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, draw_dots, draw_empty_note
+from smolbot.runs.report.coil_load import CoilLoad
+from smolbot.runs.report.recorded_flight import RecordedFlight
+from smolbot.runs.report.svg import FAINT, INK, make_wide_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-KINDS: dict[type, tuple[str, str]] = {
+WINDOW_STYLES: dict[type, tuple[str, str]] = {
     Actuate: ("actuate", TRUE),
     Excite: ("excite", "#f2a541"),
     RingDown: ("ring-down", PLANNED),
@@ -30,11 +30,11 @@ KINDS: dict[type, tuple[str, str]] = {
 """Name and colour of each kind of window."""
 
 
-_LETTER = 0.0042
+_LETTER_HALF_WIDTH = 0.0042
 """Half the width of a letter of a label, as a share of a figure's width."""
 
 
-def coils_figure(flight: Flight, strain: Strain) -> Figure:
+def draw_coils_figure(flight: RecordedFlight, strain: CoilLoad) -> Figure:
     """Draw currents, duty and heat over time, each with its limit.
 
     Parameters
@@ -47,13 +47,13 @@ def coils_figure(flight: Flight, strain: Strain) -> Figure:
     Figure
     """
     mission = flight.mission
-    figure = wide_figure(6.2)
+    figure = make_wide_figure(6.2)
     currents, duty, heat = figure.subplots(3, 1, sharex=True)
-    if mission.rig.coil_names and flight.steered is not None and not flight.helical:
+    if mission.rig.coil_names and flight.steered is not None and not flight.is_helical:
         draw_currents(currents, flight.steered, flight.trace)
         currents.set_xlabel("")
         currents.set_title("Coil currents while actuating, in A", fontsize=10.5)
-        _limit(currents, mission.rig.limits.max_current, f"limit {mission.rig.limits.max_current:g} A")
+        _draw_limit(currents, mission.rig.limits.max_current, f"limit {mission.rig.limits.max_current:g} A")
     else:
         _draw_bursts(currents, flight)
     for i, name in enumerate(strain.names):
@@ -62,17 +62,17 @@ def coils_figure(flight: Flight, strain: Strain) -> Figure:
         duty.plot(strain.time, 100.0 * strain.duty[:, i], color=color, lw=1.2, ls=style, label=name)
         heat.plot(strain.time, strain.temperature[:, i], color=color, lw=1.2, ls=style)
     duty.set_title(f"Duty: share of the last {strain.window:g} s in which a coil is driven, in %")
-    _limit(duty, 100.0 * strain.max_duty, f"limit {100 * strain.max_duty:g} %")
+    _draw_limit(duty, 100.0 * strain.max_duty, f"limit {100 * strain.max_duty:g} %")
     duty.set_ylim(0.0, 108.0 * strain.max_duty)
     duty.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=6, borderaxespad=0.0)
     limits = sorted({limit for limit in strain.limits if limit is not None})
     for limit in limits:
         those = [name for name, own in zip(strain.names, strain.limits, strict=True) if own == limit]
-        _limit(heat, limit, f"limit {limit:g} °C{'' if len(limits) == 1 else ' of ' + ', '.join(those)}")
+        _draw_limit(heat, limit, f"limit {limit:g} °C{'' if len(limits) == 1 else ' of ' + ', '.join(those)}")
     if limits:
         heat.set_ylim(top=1.06 * max(limits))
     else:
-        nothing(heat, "thermal constants of these coils are not known")
+        draw_empty_note(heat, "thermal constants of these coils are not known")
     heat.set_title("Temperature computed from commanded currents, in °C")
     heat.set_xlabel("time in s")
     for axes in (currents, duty, heat):
@@ -84,7 +84,7 @@ MOST_SHOWN = 1.3
 """Length of a cycle's axis over the cycle: a slow machine's compute time would make the windows narrow."""
 
 
-def cycle_figure(flight: Flight) -> Figure:
+def draw_cycle_figure(flight: RecordedFlight) -> Figure:
     """Draw the timelines of typical shots, each followed by the computing time of its cycle.
 
     Parameters
@@ -95,18 +95,18 @@ def cycle_figure(flight: Flight) -> Figure:
     -------
     Figure
     """
-    shown = typical_shots(flight)
-    figure = wide_figure(0.5 + 1.25 * max(len(shown), 1))
+    shown = find_typical_shots(flight)
+    figure = make_wide_figure(0.5 + 1.25 * max(len(shown), 1))
     rows: Any = figure.subplots(max(len(shown), 1), 1, squeeze=False)
     compute = np.array([cycle.compute for cycle in flight.run.cycles])
     for axes, (shot, times) in zip(rows[:, 0], shown, strict=False):
         _draw_shot(axes, shot, times, compute, flight.mission.rig.turnaround)
     if not shown:
-        nothing(rows[0, 0], "no cycle was played")
+        draw_empty_note(rows[0, 0], "no cycle was played")
     return figure
 
 
-def typical_shots(flight: Flight) -> list[tuple[Shot, int]]:
+def find_typical_shots(flight: RecordedFlight) -> list[tuple[Shot, int]]:
     """Find typical shots: of median length, for the two most frequent sequences of windows.
 
     Parameters
@@ -142,11 +142,11 @@ def _draw_shot(axes: Axes, shot: Shot, times: int, compute: Any, turnaround: flo
 
     free = [-np.inf, -np.inf, -np.inf]  # up to where labels stand above, below, and below that
     for at, window in shot.timed():
-        name, color = KINDS[type(window)]
+        name, color = WINDOW_STYLES[type(window)]
         start, length = scale * at, scale * window.duration
         axes.barh(0.0, length, left=start, height=0.6, color=color, lw=0)
-        said = _said(window, name, length, unit)
-        middle, half = start + 0.5 * length, _LETTER * len(said) * whole
+        said = _format_window(window, name, length, unit)
+        middle, half = start + 0.5 * length, _LETTER_HALF_WIDTH * len(said) * whole
         row = next((i for i, taken in enumerate(free) if middle - half > taken), 2)
         free[row] = middle + half
         side, away = (1, 4) if row == 0 else (-1, 4 if row == 1 else 15)
@@ -171,7 +171,7 @@ def _draw_shot(axes: Axes, shot: Shot, times: int, compute: Any, turnaround: flo
     axes.set_xlabel(f"time in {unit}")
 
 
-def _said(window: Window, name: str, length: float, unit: str) -> str:
+def _format_window(window: Window, name: str, length: float, unit: str) -> str:
     if isinstance(window, Rotate):
         return f"{window.turns:g} turn{'' if window.turns == 1 else 's'}"
     if isinstance(window, MoveMagnet):
@@ -179,7 +179,7 @@ def _said(window: Window, name: str, length: float, unit: str) -> str:
     return f"{name} {length:.3g} {unit}"
 
 
-def _draw_bursts(axes: Axes, flight: Flight) -> None:
+def _draw_bursts(axes: Axes, flight: RecordedFlight) -> None:
     """Draw the peak currents of excitation, for a run without actuation coils."""
     for index, name in enumerate("xy"):
         found = [
@@ -190,15 +190,15 @@ def _draw_bursts(axes: Axes, flight: Flight) -> None:
         ]
         if found:
             starts, sizes = np.array(found).T
-            dots(axes, starts, sizes, 2.2, COILS[index], label=f"excitation {name}")
+            draw_dots(axes, starts, sizes, 2.2, COILS[index], label=f"excitation {name}")
     most = flight.mission.rig.limits.max_excitation_current
-    _limit(axes, most, f"limit {most:g} A")
+    _draw_limit(axes, most, f"limit {most:g} A")
     axes.set_ylim(0.0, 1.12 * most)
     axes.set_title("Excitation currents, peak, in A")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, borderaxespad=0.0)
 
 
-def _limit(axes: Axes, value: float, said: str) -> None:
+def _draw_limit(axes: Axes, value: float, said: str) -> None:
     axes.axhline(value, color="#999999", lw=1, ls="--", zorder=1)
     axes.text(0.0, value, f" {said}", color="#777777", fontsize=8.5, va="bottom", ha="left",
               transform=axes.get_yaxis_transform())  # fmt: skip

@@ -9,13 +9,13 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import SmolbotError
-from smolbot.runs.optics.opticaltrack import OpticalTrack, read_optical_track
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.html import ELEMENTS, Section
-from smolbot.runs.report.svg import svg_of, wide_figure
-from smolbot.runs.run import trusted_poses
-from smolbot.runs.summary import statistics
+from smolbot.runs.optics.optical_track import OpticalTrack, read_optical_track
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, draw_dots
+from smolbot.runs.report.page_elements import ELEMENTS, Section
+from smolbot.runs.report.recorded_flight import RecordedFlight
+from smolbot.runs.report.svg import make_wide_figure, to_svg
+from smolbot.runs.run import get_trusted_poses
+from smolbot.runs.summary import compute_statistics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +25,7 @@ FOLDER, TRACK = "optical", "track.csv"
 
 
 @dataclass(frozen=True)
-class Seen:
+class OpticalComparison:
     """Poses of a run with the optical track at the same times.
 
     Attributes
@@ -35,7 +35,7 @@ class Seen:
         On the run's clock.
     located, optical : ndarray, shape (n, 3), in m
         Positions in the world frame.
-    turned : ndarray, shape (n,), in rad
+    heading_errors : ndarray, shape (n,), in rad
         Located minus optical azimuth of body z, within half a turn.
     """
 
@@ -43,16 +43,16 @@ class Seen:
     times: FloatArray
     located: FloatArray
     optical: FloatArray
-    turned: FloatArray
+    heading_errors: FloatArray
 
     @property
-    def apart(self) -> FloatArray:
+    def distances(self) -> FloatArray:
         """Horizontal distance (n,) between pose and optical position, in m."""
         found: FloatArray = np.linalg.norm((self.located - self.optical)[:, :2], axis=1)
         return found
 
 
-def seen_of(flight: Flight) -> Seen | None:
+def compare_with_track(flight: RecordedFlight) -> OpticalComparison | None:
     """Compare the trusted poses of a flight with its optical track.
 
     Parameters
@@ -73,16 +73,16 @@ def seen_of(flight: Flight) -> Seen | None:
     if not path.is_file():
         return None
     track = read_optical_track(path)
-    poses = trusted_poses(flight.run.cycles)
+    poses = get_trusted_poses(flight.run.cycles)
     times = np.array([pose.time for pose in poses])
-    places, headings, known = track.at(times)
+    places, headings, known = track.interpolate(times)
     ahead = np.array([pose.body_axis("z") for pose in poses]).reshape(-1, 3)
     turned = np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - headings)))
     located = np.array([pose.position for pose in poses]).reshape(-1, 3)
-    return Seen(track, times[known], located[known], places[known], turned[known])
+    return OpticalComparison(track, times[known], located[known], places[known], turned[known])
 
 
-def optical_sections(flight: Flight) -> list[Section]:
+def build_optical_sections(flight: RecordedFlight) -> list[Section]:
     """Build the section on the optical track.
 
     Parameters
@@ -96,24 +96,26 @@ def optical_sections(flight: Flight) -> list[Section]:
     """
     section = Section("optical", "Optical reference")
     try:
-        seen = seen_of(flight)
+        seen = compare_with_track(flight)
     except SmolbotError as error:
-        return [section.missing(f"The optical track of this run cannot be used: {error}")]
+        return [section.add_missing_note(f"The optical track of this run cannot be used: {error}")]
     if seen is None:
         return []
     if not len(seen.times):
-        return [section.missing("No pose of this run lies between two frames of its optical track.")]
-    section.figure(
-        svg_of(optical_figure(flight, seen), "optical", "Poses against the optical track"),
+        return [section.add_missing_note("No pose of this run lies between two frames of its optical track.")]
+    section.add_figure(
+        to_svg(draw_optical_figure(flight, seen), "optical", "Poses against the optical track"),
         "Left: where the camera saw the robot, and where it was located. Right: horizontal distance of each trusted "
         "pose to the camera's place at the same time, and the difference of their headings.",
     )
     return [
-        section.add(ELEMENTS.table(optical_rows(flight, seen), ("", "mean", "std", "rms", "95 %", "max"), numbers=True))
+        section.add(
+            ELEMENTS.table(format_optical_rows(flight, seen), ("", "mean", "std", "rms", "95 %", "max"), numbers=True)
+        )
     ]
 
 
-def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:
+def format_optical_rows(flight: RecordedFlight, seen: OpticalComparison) -> list[list[str]]:
     """Format the errors against the camera: of poses, of headings, and of the robot to its path.
 
     Parameters
@@ -127,8 +129,8 @@ def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:
         A table row for each.
     """
     rows = [
-        ("pose to camera, mm", 1e3 * seen.apart),
-        ("heading to camera, °", np.degrees(np.abs(seen.turned))),
+        ("pose to camera, mm", 1e3 * seen.distances),
+        ("heading to camera, °", np.degrees(np.abs(seen.heading_errors))),
     ]
     following = flight.trace.following
     if flight.steered is not None and following:
@@ -137,10 +139,10 @@ def optical_rows(flight: Flight, seen: Seen) -> list[list[str]]:
             off = flight.steered.path.project(seen.track.positions[since])[1]
             rows.append(("robot as seen to the path, mm", 1e3 * off))
     names = ("mean", "std", "rms", "p95", "max")
-    return [[name, *(f"{value:.3f}" for value in statistics(values, *names).values())] for name, values in rows]
+    return [[name, *(f"{value:.3f}" for value in compute_statistics(values, *names).values())] for name, values in rows]
 
 
-def optical_figure(flight: Flight, seen: Seen) -> Figure:
+def draw_optical_figure(flight: RecordedFlight, seen: OpticalComparison) -> Figure:
     """Draw track and poses from above, and their differences in position and heading over time.
 
     Parameters
@@ -152,24 +154,24 @@ def optical_figure(flight: Flight, seen: Seen) -> Figure:
     -------
     Figure
     """
-    figure = wide_figure(4.6)
+    figure = make_wide_figure(4.6)
     panels: Any = figure.subplot_mosaic([["above", "apart"], ["above", "turned"]], width_ratios=[1.0, 1.2])
     above, apart, turned = panels["above"], panels["apart"], panels["turned"]
     if flight.steered is not None:
         above.plot(*(1e3 * flight.steered.path.points[:, :2].T), color=PLANNED, lw=7, alpha=0.7, label="planned")
     above.plot(*(1e3 * seen.track.positions[:, :2].T), color=TRUE, lw=1.4, label="seen")
-    dots(
+    draw_dots(
         above, 1e3 * seen.located[:, 0], 1e3 * seen.located[:, 1], 2.6, LOCATED, alpha=0.6, label="each pose", zorder=3
     )
     above.set_aspect("equal", adjustable="datalim")
     above.set_xlabel("x in mm")
     above.set_ylabel("y in mm")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3)
-    dots(apart, seen.times, 1e3 * seen.apart, 2.4, LOCATED, alpha=0.7)
-    apart.axhline(1e3 * float(seen.apart.mean()), color=TRUE, lw=1)
+    draw_dots(apart, seen.times, 1e3 * seen.distances, 2.4, LOCATED, alpha=0.7)
+    apart.axhline(1e3 * float(seen.distances.mean()), color=TRUE, lw=1)
     apart.set_title("Pose to camera, horizontally, in mm; line: mean")
     apart.set_ylim(bottom=0.0)
-    dots(turned, seen.times, np.degrees(seen.turned), 2.4, LOCATED, alpha=0.7)
+    draw_dots(turned, seen.times, np.degrees(seen.heading_errors), 2.4, LOCATED, alpha=0.7)
     turned.axhline(0.0, color=TRUE, lw=1)
     turned.set_title("Heading located minus seen, in degrees")
     turned.set_xlabel("time in s")

@@ -8,27 +8,31 @@ from typing import Any
 import numpy as np
 
 from smolbot.config.observation import Observation
-from smolbot.errors import InputError, writing
+from smolbot.errors import InputError, report_write_errors
 from smolbot.runs.report import machine_figures as machinery
 from smolbot.runs.report import position_figures as whereabouts
 from smolbot.runs.report import signal_figures as signals
-from smolbot.runs.report.coil_load import strain_of
-from smolbot.runs.report.error_budget_section import budget_section
-from smolbot.runs.report.figures_of_merit import figures_table, number, verdict_table
-from smolbot.runs.report.flight import NO_SIGNALS, Flight
-from smolbot.runs.report.html import ELEMENTS, Section, render_page
-from smolbot.runs.report.optical_section import optical_sections
-from smolbot.runs.report.provenance_section import events_section, provenance_section
-from smolbot.runs.report.quiet_noise import QuietNoise, heard_noise, quiet_recordings
-from smolbot.runs.report.residuals import windows_of
-from smolbot.runs.report.svg import page_style, svg_of
-from smolbot.runs.summary import label_of
+from smolbot.runs.report.background_spectrum import (
+    BackgroundSpectrum,
+    estimate_background_spectrum,
+    find_background_recordings,
+)
+from smolbot.runs.report.coil_load import compute_coil_load
+from smolbot.runs.report.error_budget_section import build_budget_section
+from smolbot.runs.report.figures_of_merit import build_figures_table, build_verdict_table, format_number
+from smolbot.runs.report.optical_section import build_optical_sections
+from smolbot.runs.report.page_elements import ELEMENTS, Section, render_page
+from smolbot.runs.report.provenance_section import build_events_section, build_provenance_section
+from smolbot.runs.report.recorded_flight import NO_SIGNALS, RecordedFlight
+from smolbot.runs.report.residuals import fit_windows
+from smolbot.runs.report.svg import apply_page_style, to_svg
+from smolbot.runs.summary import format_label
 
 REPORT = "report.html"
 """File of a run folder."""
 
 
-def save_report(flight: Flight, out: Path | None = None) -> Path:
+def save_report(flight: RecordedFlight, out: Path | None = None) -> Path:
     """Write the report of a flight.
 
     Parameters
@@ -48,13 +52,13 @@ def save_report(flight: Flight, out: Path | None = None) -> Path:
         If the page cannot be written.
     """
     path = flight.record.folder / REPORT if out is None else out
-    content = report_of(flight)
-    with writing(path, "the report"):
+    content = build_report(flight)
+    with report_write_errors(path, "the report"):
         path.write_text(content, encoding="utf-8")
     return path
 
 
-def report_of(flight: Flight) -> str:
+def build_report(flight: RecordedFlight) -> str:
     """Build the page of a flight.
 
     Parameters
@@ -66,28 +70,28 @@ def report_of(flight: Flight) -> str:
     str
         HTML.
     """
-    with page_style():
+    with apply_page_style():
         sections = [
-            _verdict(flight),
-            *_where(flight),
-            *optical_sections(flight),
-            budget_section(flight),
-            _machinery(flight),
-            _cycle(flight),
-            *_signal(flight),
-            events_section(flight),
-            provenance_section(flight),
+            _build_verdict_section(flight),
+            *_build_position_sections(flight),
+            *build_optical_sections(flight),
+            build_budget_section(flight),
+            _build_coils_section(flight),
+            _build_cycle_section(flight),
+            *_build_signal_sections(flight),
+            build_events_section(flight),
+            build_provenance_section(flight),
         ]
     summary = flight.summary
     verdict = summary["verdict"]
     heading = ELEMENTS.heading(flight.mission.name, verdict)
-    lead = [*map(ELEMENTS.paragraph, _lead(flight)), ELEMENTS.tiles(key_figures(summary))]
-    return render_page(f"{flight.title}: {verdict}", heading, lead, sections, warning=_warning(flight))
+    lead = [*map(ELEMENTS.paragraph, _build_lead(flight)), ELEMENTS.tiles(choose_key_figures(summary))]
+    return render_page(f"{flight.title}: {verdict}", heading, lead, sections, warning=_describe_warning(flight))
 
 
-def _warning(flight: Flight) -> str:
+def _describe_warning(flight: RecordedFlight) -> str:
     record = flight.record
-    if not record.whole:
+    if not record.complete:
         return (
             f"This record is cut short: it ends after {flight.run.duration:.1f} s without saying how the run ended. "
             "All figures are of what was recorded until then."
@@ -102,17 +106,17 @@ def _warning(flight: Flight) -> str:
     return ""
 
 
-def _lead(flight: Flight) -> list[str]:
+def _build_lead(flight: RecordedFlight) -> list[str]:
     s, mission = flight.summary, flight.mission
     told = mission.base.description
     ended = f"{s['status']}: {s['stop_reason']}" if s["stop_reason"] else s["status"]
     return [
         *([told] if told else []),
-        f"{mission.robot.name} on {mission.rig.name}{label_of(s)}, seed {flight.seed}. {ended[0].upper()}{ended[1:]}.",
+        f"{mission.robot.name} on {mission.rig.name}{format_label(s)}, seed {flight.seed}. {ended[0].upper()}{ended[1:]}.",
     ]
 
 
-def key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
+def choose_key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Choose the most important figures of merit.
 
     Parameters
@@ -144,26 +148,26 @@ def key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
         value = summary.get(key)
         value = value.get(part) if part and isinstance(value, dict) else value
         if value is not None and not isinstance(value, dict):
-            found.append((f"{value:.4f}" if key == "r_squared_median" else number(value), unit, name))
+            found.append((f"{value:.4f}" if key == "r_squared_median" else format_number(value), unit, name))
     return found[:8]
 
 
-def _verdict(flight: Flight) -> Section:
+def _build_verdict_section(flight: RecordedFlight) -> Section:
     section = Section("verdict", "Verdict")
-    section.add(verdict_table(flight.mission, flight.summary))
+    section.add(build_verdict_table(flight.mission, flight.summary))
     for reason in flight.summary["verdict_reasons"]:
-        section.missing(reason)
-    return section.add(ELEMENTS.folded("All figures of this run", figures_table(flight.summary)))
+        section.add_missing_note(reason)
+    return section.add(ELEMENTS.folded("All figures of this run", build_figures_table(flight.summary)))
 
 
-def _where(flight: Flight) -> list[Section]:
+def _build_position_sections(flight: RecordedFlight) -> list[Section]:
     """Build the sections on position and error, which depend on the kind of run."""
     place = Section("path", "Where it went")
     sigmas = f"{whereabouts.SIGMAS:g} standard deviations"
     if isinstance(flight.mission, Observation):
         place.title = "Where it was"
-        place.figure(
-            svg_of(whereabouts.track_figure(flight, flight.mission), "track", "Track of the device"),
+        place.add_figure(
+            to_svg(whereabouts.draw_track_figure(flight, flight.mission), "track", "Track of the device"),
             "Measurements about their mean, with the ellipse of one standard deviation."
             if flight.mission.sections.observe.measurements is not None
             else "The container from above and from the front; arrows are the tip's axis as localized. Right: the "
@@ -175,71 +179,77 @@ def _where(flight: Flight) -> list[Section]:
         error = Section("errors", "How well it was seen")
         return [
             place,
-            error.figure(
-                svg_of(whereabouts.watched_figure(flight, flight.mission), "watched", "Errors and rate over time"),
+            error.add_figure(
+                to_svg(
+                    whereabouts.draw_observation_figure(flight, flight.mission), "watched", "Errors and rate over time"
+                ),
                 "Each dot is a trusted pose against the truth at its time. Below: trusted poses in every second.",
             ),
         ]
-    arrows = " Arrows: propulsion axis, true and tracked, at every pause." if flight.helical else ""
-    place.figure(
-        svg_of(whereabouts.path_figure(flight), "path", "Path planned, true and localized"),
+    arrows = " Arrows: propulsion axis, true and tracked, at every pause." if flight.is_helical else ""
+    place.add_figure(
+        to_svg(whereabouts.draw_path_figure(flight), "path", "Path planned, true and localized"),
         f"Grey: planned. Dark: where the robot truly went. Orange ellipses: {sigmas} of the tracked pose's horizontal "
         "covariance; 1.1 % of normal errors would lie outside. Right: the dotted square closely, where the robot was "
         f"farthest from its path.{arrows}",
     )
     error = Section("errors", "Errors over time and along the path")
-    error.figure(
-        svg_of(whereabouts.errors_figure(flight), "errors", "Tracking and localization error"),
+    error.add_figure(
+        to_svg(whereabouts.draw_errors_figure(flight), "errors", "Tracking and localization error"),
         "Tracking error is the true robot's horizontal distance to the path as a curve, from the path's start on. "
         "Localization error is pose minus truth in space; what is large there but not in the tracking error lies along "
         "the path, or in height.",
     )
     sections = [place, error]
-    if flight.helical:
+    if flight.is_helical:
         helix = Section("helix", "Screwing")
         s = flight.summary
-        helix.figure(
-            svg_of(whereabouts.helix_figure(flight), "helix", "Distance, axis error and turns along the path"),
+        helix.add_figure(
+            to_svg(whereabouts.draw_helix_figure(flight), "helix", "Distance, axis error and turns along the path"),
             "Distance to the path on the way, rings where it paused; the angle between located and true propulsion "
             "axis; turns of the magnet before each pause, of another colour where a step-out made it turn slower.",
         )
-        helix.say(f"{number(s['turns'])} turns, {s['pauses']} pauses, {s['step_outs']} step-outs.")
+        helix.add_paragraph(f"{format_number(s['turns'])} turns, {s['pauses']} pauses, {s['step_outs']} step-outs.")
         sections.append(helix)
     return sections
 
 
-def _machinery(flight: Flight) -> Section:
+def _build_coils_section(flight: RecordedFlight) -> Section:
     section = Section("coils", "Currents, duty and heat")
-    return section.figure(
-        svg_of(machinery.coils_figure(flight, strain_of(flight)), "coils", "Currents, duty and heat over time"),
+    return section.add_figure(
+        to_svg(
+            machinery.draw_coils_figure(flight, compute_coil_load(flight)), "coils", "Currents, duty and heat over time"
+        ),
         "Each with the limit that would have ended the run. Temperature is computed from commanded currents, as the "
         "safety does it in flight: one thermal node for each coil.",
     )
 
 
-def _cycle(flight: Flight) -> Section:
+def _build_cycle_section(flight: RecordedFlight) -> Section:
     section = Section("cycle", "One cycle")
-    return section.figure(
-        svg_of(machinery.cycle_figure(flight), "cycle", "Timeline of a typical cycle"),
+    return section.add_figure(
+        to_svg(machinery.draw_cycle_figure(flight), "cycle", "Timeline of a typical cycle"),
         "Windows of a typical shot, to scale, then the compute time: bar for the median, line to the 99th "
         "percentile, dotted box for the budget (turnaround_ms).",
     )
 
 
-def _signal(flight: Flight) -> list[Section]:
+def _build_signal_sections(flight: RecordedFlight) -> list[Section]:
     """Build the sections on signals and noise."""
     fit, noise = Section("fit", "Signal and fit"), Section("noise", "Noise and mains")
-    windows = list(windows_of(flight))
-    heard: QuietNoise | None = None
-    quiet = quiet_recordings(flight)
+    windows = list(fit_windows(flight))
+    heard: BackgroundSpectrum | None = None
+    quiet = find_background_recordings(flight)
     try:
-        heard = heard_noise(quiet)
+        heard = estimate_background_spectrum(quiet)
     except InputError as error:
-        noise.missing(f"No noise model can be estimated from the quiet recordings: {error}")
+        noise.add_missing_note(f"No noise model can be estimated from the quiet recordings: {error}")
     lines = np.zeros(0) if heard is None else heard.line_frequencies
     if windows:
-        fit.figure(
-            svg_of(signals.fit_figure(flight, windows, lines), "fit", "R², a window, and the spectrum of residuals"),
+        fit.add_figure(
+            to_svg(
+                signals.draw_fit_figure(flight, windows, lines), "fit", "R², a window, and the spectrum of residuals"
+            ),
             "R² is the flight's own. The rest is computed again: the raw samples minus the forward model at each "
             "recorded pose, with the sensors and device parameters assumed then. Where the orange line lies on the "
             "broad one, the residuals are noise alone; where it lies above, the model misses something. A constant, "
@@ -247,22 +257,24 @@ def _signal(flight: Flight) -> list[Section]:
             "is why the lowest frequencies fall.",
         )
     else:
-        fit.missing(NO_SIGNALS)
+        fit.add_missing_note(NO_SIGNALS)
     if heard is not None:
-        noise.figure(
-            svg_of(signals.noise_figure(heard), "noise", "Spectral density of the noise of every channel"),
+        noise.add_figure(
+            to_svg(signals.draw_noise_figure(heard), "noise", "Spectral density of the noise of every channel"),
             f"Recorded in {heard.seconds:.0f} s before the first cycle. Dotted: identified spectral lines. The dashed "
             "floor is the median between lines, from 20 Hz to 200 Hz.",
         )
-        noise.add(ELEMENTS.table(*_lines(heard), numbers=True))
+        noise.add(ELEMENTS.table(*_format_lines(heard), numbers=True))
     elif not quiet and not windows:
-        noise.missing(NO_SIGNALS)
+        noise.add_missing_note(NO_SIGNALS)
     elif not quiet:
-        noise.missing("Nothing was recorded before the first cycle (quiet_s, or an estimator without a noise model).")
+        noise.add_missing_note(
+            "Nothing was recorded before the first cycle (quiet_s, or an estimator without a noise model)."
+        )
     return [fit, noise]
 
 
-def _lines(noise: QuietNoise) -> tuple[list[list[str]], list[str]]:
+def _format_lines(noise: BackgroundSpectrum) -> tuple[list[list[str]], list[str]]:
     """Return rows and header of the table of mains lines and noise floors."""
     channels = range(noise.lines.shape[1])
     rows = [

@@ -12,12 +12,12 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.runs.pictures import gradient_run as picture
 from smolbot.runs.pictures import helix_run as helixpicture
-from smolbot.runs.pictures import observation as observation_picture
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, dots, ellipse, nothing
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.svg import wide_figure
-from smolbot.runs.summary import tracking_distance
-from smolbot.runs.trace import Moment, located
+from smolbot.runs.pictures import observation_run as observation_picture
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, compute_ellipse, draw_dots, draw_empty_note
+from smolbot.runs.report.recorded_flight import RecordedFlight
+from smolbot.runs.report.svg import make_wide_figure
+from smolbot.runs.summary import compute_tracking_distance
+from smolbot.runs.trace import Moment, get_located_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 SIGMAS = 3.0
 """Standard deviations of the ellipses."""
 
-ELLIPSES = 40
+MAX_ELLIPSES = 40
 """Of a whole path; where one place is looked at closely, every pose has its own."""
 
-BELIEVED = "#f2a541"
-_CLOSE = 1.1  # mm to each side of what is looked at closely
+TRACKED_COLOR = "#f2a541"
+_CLOSE_UP_HALF = 1.1  # mm to each side of what is looked at closely
 
 
-def path_figure(flight: Flight) -> Figure:
+def draw_path_figure(flight: RecordedFlight) -> Figure:
     """Draw the path from above, and a close-up of where the robot was farthest from it.
 
     Parameters
@@ -46,24 +46,24 @@ def path_figure(flight: Flight) -> Figure:
     """
     mission = flight.steered
     assert mission is not None
-    figure = wide_figure(6.0)
+    figure = make_wide_figure(6.0)
     whole, close = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
-    if flight.helical:
+    if flight.is_helical:
         helixpicture.draw_axes_on_path(whole, mission, flight.trace)
     else:
         picture.draw_path(whole, mission, flight.trace)
-    draw_ellipses(whole, spread([m.cycle.tracked for m in _listened(flight)], ELLIPSES))
-    worst = _worst(flight, mission)
+    draw_ellipses(whole, choose_spread([m.cycle.tracked for m in _list_listening_cycles(flight)], MAX_ELLIPSES))
+    worst = _find_worst(flight, mission)
     if worst is None:
-        nothing(close, "the path was not reached")
+        draw_empty_note(close, "the path was not reached")
         return figure
-    half = max(_CLOSE, 4.0 * worst[1])
+    half = max(_CLOSE_UP_HALF, 4.0 * worst[1])
     _draw_close(close, flight, worst[0], half, mission)
-    _frame(whole, worst[0], half)
+    _draw_frame(whole, worst[0], half)
     return figure
 
 
-def track_figure(flight: Flight, mission: Observation) -> Figure:
+def draw_track_figure(flight: RecordedFlight, mission: Observation) -> Figure:
     """Draw the track of an observed device from above and from the front, and a close-up.
 
     Parameters
@@ -75,7 +75,7 @@ def track_figure(flight: Flight, mission: Observation) -> Figure:
     -------
     Figure
     """
-    figure = wide_figure(6.0)
+    figure = make_wide_figure(6.0)
     if mission.sections.observe.measurements is not None:
         _draw_measurements(figure, flight)
         return figure
@@ -87,16 +87,16 @@ def track_figure(flight: Flight, mission: Observation) -> Figure:
     front.set_xlabel("x in mm")
     seen = [m for m in flight.trace.moments if m.cycle.tracked is not None and m.cycle.tracked.trusted]
     if seen:
-        off = [_apart(m) for m in seen]
+        off = [_compute_tracked_error(m) for m in seen]
         chosen = seen[int(np.argmax(off))] if max(off) > 0 else seen[len(seen) // 2]
         assert chosen.cycle.tracked is not None
         half = 2.5
         _draw_close(close, flight, 1e3 * chosen.cycle.tracked.position[:2], half, None)
-        _frame(above, 1e3 * chosen.cycle.tracked.position[:2], half)
+        _draw_frame(above, 1e3 * chosen.cycle.tracked.position[:2], half)
     return figure
 
 
-def errors_figure(flight: Flight) -> Figure:
+def draw_errors_figure(flight: RecordedFlight) -> Figure:
     """Draw tracking and localization error, over time and along the path.
 
     Parameters
@@ -109,23 +109,23 @@ def errors_figure(flight: Flight) -> Figure:
     """
     mission = flight.steered
     assert mission is not None
-    figure = wide_figure(5.0)
+    figure = make_wide_figure(5.0)
     rows: Any = figure.subplots(2, 2, sharey="row", sharex="col")
     moments = [m for m in flight.trace.following if m.truth_at_end is not None]
     if moments:
         positions = np.vstack([m.positions for m in moments])
-        off = 1e3 * tracking_distance(mission, moments)
+        off = 1e3 * compute_tracking_distance(mission, moments)
         arc = 1e3 * mission.path.project(positions)[0]
-        times = np.concatenate([_times(m) for m in moments])
+        times = np.concatenate([_list_times(m) for m in moments])
         rows[0, 0].plot(times, off, color=TRUE, lw=1.1)
-        dots(rows[0, 1], arc, off, 2.4, TRUE, alpha=0.8)
+        draw_dots(rows[0, 1], arc, off, 2.4, TRUE, alpha=0.8)
         for axes in rows[0]:
             axes.axhline(float(off.mean()), color=LOCATED, lw=1, ls="--")
             axes.set_ylim(0.0, 1.08 * float(off.max()))
     else:
         for axes in rows[0]:
-            nothing(axes, "path not reached" if flight.knows_truth else "no truth on this rig")
-    draw_localization(rows[1, 0], rows[1, 1], flight)
+            draw_empty_note(axes, "path not reached" if flight.knows_truth else "no truth on this rig")
+    draw_localization_errors(rows[1, 0], rows[1, 1], flight)
     told = f"; dashed: mean, {off.mean():.3f}" if moments else ""
     rows[0, 0].set_title(f"Tracking error: true robot to path, in mm{told}")
     rows[0, 1].set_title("The same along the path")
@@ -138,7 +138,7 @@ def errors_figure(flight: Flight) -> Figure:
     return figure
 
 
-def draw_localization(over_time: Axes, along: Axes, flight: Flight) -> None:
+def draw_localization_errors(over_time: Axes, along: Axes, flight: RecordedFlight) -> None:
     """Draw the error of each trusted pose, and of the tracked ones, over time and along the path.
 
     Parameters
@@ -150,22 +150,22 @@ def draw_localization(over_time: Axes, along: Axes, flight: Flight) -> None:
     known = [m for m in flight.trace.moments if m.cycle.trusted and m.truth]
     if mission is None or not known:
         for axes in (over_time, along):
-            nothing(axes, "no truth on this rig")
+            draw_empty_note(axes, "no truth on this rig")
         return
-    raw = np.array([1e3 * _off(m.cycle.pose, m.truth) for m in known])
-    tracked = np.array([1e3 * _off(m.cycle.tracked, m.truth) for m in known])
+    raw = np.array([1e3 * _compute_error(m.cycle.pose, m.truth) for m in known])
+    tracked = np.array([1e3 * _compute_error(m.cycle.tracked, m.truth) for m in known])
     times = [m.truth.time for m in known if m.truth]
-    dots(over_time, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
+    draw_dots(over_time, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
     over_time.plot(times, tracked, color=TRUE, lw=1.1, label="tracked")
     follows = np.array([m.cycle.command.phase == "follow" for m in known])
     arc = 1e3 * mission.path.project(np.array([m.truth.position for m in known if m.truth]))[0]
-    dots(along, arc[follows], raw[follows], 2.2, LOCATED, alpha=0.6)
-    dots(along, arc[follows], tracked[follows], 2.2, TRUE, alpha=0.8)
+    draw_dots(along, arc[follows], raw[follows], 2.2, LOCATED, alpha=0.6)
+    draw_dots(along, arc[follows], tracked[follows], 2.2, TRUE, alpha=0.8)
     over_time.set_ylim(0.0, 1.1 * float(np.nanpercentile(raw, 99.5)))
     over_time.legend(loc="upper right", ncol=2)
 
 
-def watched_figure(flight: Flight, mission: Observation) -> Figure:
+def draw_observation_figure(flight: RecordedFlight, mission: Observation) -> Figure:
     """Draw errors and pose rate of an observed device over time.
 
     Parameters
@@ -177,9 +177,9 @@ def watched_figure(flight: Flight, mission: Observation) -> Figure:
     -------
     Figure
     """
-    figure = wide_figure(5.4)
+    figure = make_wide_figure(5.4)
     errors, turns, rate = figure.subplots(3, 1, sharex=True)
-    observation_picture.draw_errors(errors, turns, flight.trace, along=mission.robot.device.along_cantilever)
+    observation_picture.draw_errors(errors, turns, flight.trace, along_cantilever=mission.robot.device.along_cantilever)
     observation_picture.draw_rate(rate, mission, flight.trace)
     for axes in (errors, turns, rate):
         axes.set_title(axes.get_title(loc="left"), fontsize=10.5)
@@ -187,7 +187,7 @@ def watched_figure(flight: Flight, mission: Observation) -> Figure:
     return figure
 
 
-def helix_figure(flight: Flight) -> Figure:
+def draw_helix_figure(flight: RecordedFlight) -> Figure:
     """Draw distance, axis error and turns of a helical robot along the path.
 
     Parameters
@@ -199,7 +199,7 @@ def helix_figure(flight: Flight) -> Figure:
     Figure
     """
     assert flight.steered is not None
-    figure = wide_figure(5.4)
+    figure = make_wide_figure(5.4)
     distance, axis, turns = figure.subplots(3, 1, sharex=True)
     helixpicture.draw_distance(distance, flight.steered, flight.trace)
     helixpicture.draw_axis_error(axis, flight.steered, flight.trace)
@@ -227,14 +227,14 @@ def draw_ellipses(axes: Axes, poses: list[Pose], *, width: float = 0.8, label: s
     from matplotlib.path import Path
 
     if label is not None:
-        axes.plot([], [], color=BELIEVED, lw=1.4, label=label)
-    rings = [1e3 * (p.position[:2] + ellipse(p.covariance[:2, :2], SIGMAS)) for p in poses]
+        axes.plot([], [], color=TRACKED_COLOR, lw=1.4, label=label)
+    rings = [1e3 * (p.position[:2] + compute_ellipse(p.covariance[:2, :2], SIGMAS)) for p in poses]
     if rings:
         compound = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
-        axes.add_patch(PathPatch(compound, fill=False, ec=BELIEVED, lw=width, zorder=5))
+        axes.add_patch(PathPatch(compound, fill=False, ec=TRACKED_COLOR, lw=width, zorder=5))
 
 
-def spread(poses: list[Pose | None], most: int) -> list[Pose]:
+def choose_spread(poses: list[Pose | None], most: int) -> list[Pose]:
     """Choose trusted poses at equal steps.
 
     Parameters
@@ -251,25 +251,25 @@ def spread(poses: list[Pose | None], most: int) -> list[Pose]:
     return good[:: max(-(-len(good) // most), 1)]
 
 
-def _draw_close(axes: Axes, flight: Flight, center: FloatArray, half: float, mission: Mission | None) -> None:
+def _draw_close(axes: Axes, flight: RecordedFlight, center: FloatArray, half: float, mission: Mission | None) -> None:
     """Draw a close-up: path, truth, each pose, and tracked poses with their ellipses."""
     if mission is not None:
         planned = 1e3 * mission.path.points
         axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=5, solid_capstyle="round", label="planned", zorder=1)
-    moments = [m for m in _listened(flight) if m.cycle.tracked is not None]
+    moments = [m for m in _list_listening_cycles(flight) if m.cycle.tracked is not None]
     inside = [m for m in moments if m.cycle.tracked and np.all(abs(1e3 * m.cycle.tracked.position[:2] - center) < half)]
     truth = 1e3 * flight.trace.true_positions()
     if len(truth):
         near = np.all(abs(truth[:, :2] - center) < 2.0 * half, axis=1)
         axes.plot(*np.where(near[:, None], truth[:, :2], np.nan).T, color=TRUE, lw=1.6, label="true", zorder=3)
-    heard = located(inside)
+    heard = get_located_poses(inside)
     if heard:
         places = 1e3 * np.array([p.position for p in heard])
-        dots(axes, places[:, 0], places[:, 1], 4.5, LOCATED, alpha=0.6, label="each pose", zorder=4)
-    tracked = spread([m.cycle.tracked for m in inside], 30)
+        draw_dots(axes, places[:, 0], places[:, 1], 4.5, LOCATED, alpha=0.6, label="each pose", zorder=4)
+    tracked = choose_spread([m.cycle.tracked for m in inside], 30)
     if tracked:
         places = 1e3 * np.array([p.position for p in tracked])
-        dots(axes, places[:, 0], places[:, 1], 3.2, BELIEVED, zorder=6)
+        draw_dots(axes, places[:, 0], places[:, 1], 3.2, TRACKED_COLOR, zorder=6)
         draw_ellipses(axes, tracked, label=f"tracked, {SIGMAS:g} sigma")
     axes.set_aspect("equal")
     axes.set_xlim(center[0] - half, center[0] + half)
@@ -280,24 +280,24 @@ def _draw_close(axes: Axes, flight: Flight, center: FloatArray, half: float, mis
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=4)
 
 
-def _draw_measurements(figure: Figure, flight: Flight) -> None:
+def _draw_measurements(figure: Figure, flight: RecordedFlight) -> None:
     above, front = figure.subplots(1, 2)
     observation_picture.draw_measurements(above, front, flight.trace)
 
 
-def _listened(flight: Flight) -> list[Moment]:
+def _list_listening_cycles(flight: RecordedFlight) -> list[Moment]:
     """Return the cycles with a recording; in others the tracker only predicts."""
     return [m for m in flight.trace.moments if m.cycle.shot.listen is not None]
 
 
-def _frame(axes: Axes, center: FloatArray, half: float) -> None:
+def _draw_frame(axes: Axes, center: FloatArray, half: float) -> None:
     from matplotlib.patches import Rectangle
 
     corner = center[0] - half, center[1] - half
     axes.add_patch(Rectangle(corner, 2 * half, 2 * half, fill=False, ec="#777777", lw=1, ls=":", zorder=7))
 
 
-def _worst(flight: Flight, mission: Mission) -> tuple[FloatArray, float] | None:
+def _find_worst(flight: RecordedFlight, mission: Mission) -> tuple[FloatArray, float] | None:
     """Find where (x, y) in mm the robot, or its tracked pose, was farthest from the path, and how far."""
     moments = flight.trace.following
     known = [m.truth if m.truth is not None else m.cycle.tracked for m in moments if m.cycle.tracked is not None]
@@ -309,7 +309,7 @@ def _worst(flight: Flight, mission: Mission) -> tuple[FloatArray, float] | None:
     return 1e3 * places[worst, :2], 1e3 * float(off[worst])
 
 
-def _times(moment: Moment) -> FloatArray:
+def _list_times(moment: Moment) -> FloatArray:
     """Return the times of `Moment.positions`; those without recorded times are spread over the shot."""
     shot = moment.cycle.shot
     on_way = np.linspace(shot.start, shot.end, len(moment.way) + 2)[1:-1]
@@ -317,10 +317,10 @@ def _times(moment: Moment) -> FloatArray:
     return np.concatenate([on_way, known])
 
 
-def _off(pose: Pose | None, truth: Pose | None) -> float:
+def _compute_error(pose: Pose | None, truth: Pose | None) -> float:
     return float("nan") if pose is None or truth is None else float(np.linalg.norm(pose.position - truth.position))
 
 
-def _apart(moment: Moment) -> float:
-    off = _off(moment.cycle.tracked, moment.truth)
+def _compute_tracked_error(moment: Moment) -> float:
+    off = _compute_error(moment.cycle.tracked, moment.truth)
     return off if np.isfinite(off) else 0.0

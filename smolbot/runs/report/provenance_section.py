@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.html import ELEMENTS, Section
-from smolbot.runs.report.setting_differences import flattened
+from smolbot.runs.report.page_elements import ELEMENTS, Section
+from smolbot.runs.report.recorded_flight import RecordedFlight
+from smolbot.runs.report.setting_differences import flatten
 
 _LONG = 160  # characters of an event's detail that are shown
 
@@ -18,7 +18,7 @@ LABELS = {
 """How events are called in a report, where their name in the record says too little."""
 
 
-def events_section(flight: Flight) -> Section:
+def build_events_section(flight: RecordedFlight) -> Section:
     """Build the section on events; a series of equal events is shortened.
 
     Parameters
@@ -34,15 +34,15 @@ def events_section(flight: Flight) -> Section:
     recovered = {kind: times for kind, times in flight.run.recovered.items() if times}
     if recovered:
         told = ", ".join(f"{kind.replace('_', ' ')} {times}" for kind, times in recovered.items())
-        section.say(f"Recovered from during the run: {told}.")
+        section.add_paragraph(f"Recovered from during the run: {told}.")
     if not events:
-        return section.missing("Nothing was recorded.")
+        return section.add_missing_note("Nothing was recorded.")
     rows: list[list[str]] = []
     last, count = "", 0
     for event in events:
         count = count + 1 if event.what == last else 1
         which = f" (number {count} in a row)" if count > 1 else ""
-        row = [f"{event.time:.2f} s", LABELS.get(event.what, event.what) + which, _detail(event.detail)]
+        row = [f"{event.time:.2f} s", LABELS.get(event.what, event.what) + which, _format_detail(event.detail)]
         if count > 2:
             rows[-1] = row
         else:
@@ -51,7 +51,7 @@ def events_section(flight: Flight) -> Section:
     return section.add(ELEMENTS.table(rows, ("time", "what", "detail"), wide=True))
 
 
-def provenance_section(flight: Flight) -> Section:
+def build_provenance_section(flight: RecordedFlight) -> Section:
     """Build the section on version, commit, seed, settings, sampled mismatches, packages, and the files themselves.
 
     Parameters
@@ -71,8 +71,8 @@ def provenance_section(flight: Flight) -> Section:
     rows.append(("record", f"{flight.record.path.name}, {flight.record.path.stat().st_size / 1e6:.1f} MB"))
     section.add(ELEMENTS.table(rows))
     if not settings:
-        section.say("No settings were laid over the files.")
-    drawn = ELEMENTS.table(flattened(world).items()) if world else "Nothing."
+        section.add_paragraph("No settings were laid over the files.")
+    drawn = ELEMENTS.table(flatten(world).items()) if world else "Nothing."
     section.add(ELEMENTS.folded("What the simulated world drew, hidden from controller and localizer", drawn))
     section.add(ELEMENTS.folded("Packages", ELEMENTS.table(sorted(packages.items()))))
     for name, content in sorted(flight.record.begin.files.items()):
@@ -81,17 +81,17 @@ def provenance_section(flight: Flight) -> Section:
     return section
 
 
-def _detail(detail: dict[str, object]) -> str:
+def _format_detail(detail: dict[str, object]) -> str:
     told = {name.replace("_", " "): value for name, value in detail.items() if value not in ("", None)}
-    said = ", ".join(f"{name}: {_short(value)}" for name, value in told.items())
+    said = ", ".join(f"{name}: {_format_short(value)}" for name, value in told.items())
     return said if len(said) <= _LONG else said[: _LONG - 1] + "…"
 
 
-def _short(value: object) -> str:
+def _format_short(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, list) and value and isinstance(value[0], list):
         return f"{len(value)} by {len(value[0])} values"
     if isinstance(value, list):
-        return "[" + ", ".join(_short(v) for v in value[:8]) + (", …]" if len(value) > 8 else "]")
+        return "[" + ", ".join(_format_short(v) for v in value[:8]) + (", …]" if len(value) > 8 else "]")
     return str(value)

@@ -10,24 +10,24 @@ import numpy as np
 from smolbot.core.arrays import BoolArray, FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Recording
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise.excitation_transients import decay_columns
-from smolbot.runs.report.beliefs import Beliefs
-from smolbot.runs.report.flight import Flight
+from smolbot.localization.noise.excitation_transients import make_decay_columns
+from smolbot.runs.report.assumed_models import AssumedModels
+from smolbot.runs.report.recorded_flight import RecordedFlight
 
-BLOCK = 1e-4
+BLOCK_DURATION = 1e-4
 """Length, in s, of the blocks to which samples are averaged before a model is laid over them."""
 
-MOST = 60
+MAX_WINDOWS = 60
 """Windows of a run that are looked at, equally spread."""
 
-_LEAD = 10.0  # time constants of the sensors' low pass that the model begins before the recording
-_ROUNDS = 3
+_LEAD_TIME_CONSTANTS = 10.0  # time constants of the sensors' low pass that the model begins before the recording
+_N_ITERATIONS = 3
 
 
 @dataclass(frozen=True)
-class Window:
+class FittedWindow:
     """One recording and its model, both without the trend that is free in every channel.
 
     Attributes
@@ -36,30 +36,30 @@ class Window:
         Middle of the recording, on the rig's clock.
     seconds : ndarray, shape (n,), in s
         Since the first sample.
-    heard, model : ndarray, shape (n_sensors, n), in T
+    measured, model : ndarray, shape (n_sensors, n), in T
     used : ndarray of bool, shape (n_sensors,)
         False for saturated channels.
     """
 
     time: float
     seconds: FloatArray
-    heard: FloatArray
+    measured: FloatArray
     model: FloatArray
     used: BoolArray
 
     @property
-    def left(self) -> FloatArray:
+    def residuals(self) -> FloatArray:
         """Fit residuals, shape (n_used, n), in T."""
-        return (self.heard - self.model)[self.used]
+        return (self.measured - self.model)[self.used]
 
     @property
     def r_squared(self) -> float:
         """R squared of this fit with equal weights; that of the flight is of whitened samples."""
-        heard = self.heard[self.used]
-        return 1.0 - float(np.sum(self.left**2) / np.sum(heard**2))
+        heard = self.measured[self.used]
+        return 1.0 - float(np.sum(self.residuals**2) / np.sum(heard**2))
 
 
-def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
+def fit_windows(flight: RecordedFlight, most: int = MAX_WINDOWS) -> Iterator[FittedWindow]:
     """Compute model and residuals of some recordings with a trusted pose, with what was assumed at their time.
 
     Parameters
@@ -73,7 +73,7 @@ def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
     Window
         In order of time.
     """
-    beliefs, record, mission = Beliefs.at_start(flight.mission), flight.record, flight.mission
+    beliefs, record, mission = AssumedModels.from_mission(flight.mission), flight.record, flight.mission
     events = sorted(record.events, key=lambda event: event.time)
     played = {shot.number: shot for shot in record.played}
     chosen = [
@@ -87,15 +87,15 @@ def windows_of(flight: Flight, most: int = MOST) -> Iterator[Window]:
     for index in np.unique((np.arange(min(most, len(chosen))) * step).astype(int)):
         pose, shot = chosen[index]
         while events and events[0].time < pose.time:
-            beliefs = beliefs.after(events.pop(0))
+            beliefs = beliefs.with_event(events.pop(0))
         recording = shot.recording(record.converter)
         if recording is None:
             continue
-        recording = beliefs.tails.removed(shot.shot, recording)
-        yield compared(recording, pose, beliefs, degree.free_trend(recording))
+        recording = beliefs.tails.subtract_from(shot.shot, recording)
+        yield fit_window(recording, pose, beliefs, degree.free_trend(recording))
 
 
-def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0) -> Window:
+def fit_window(recording: Recording, pose: Pose, assumed: AssumedModels, trend: int = 0) -> FittedWindow:
     """Compute the model of a recording at a given pose.
 
     Amplitude and phase are fitted, and a polynomial in each channel.
@@ -104,7 +104,7 @@ def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0)
     ----------
     recording : Recording
     pose : Pose
-    beliefs : Beliefs
+    assumed : Beliefs
         Sensors, device and coils as assumed.
     trend : int
         Degree of the polynomial; where coils still ring, their decays are fitted as well.
@@ -113,7 +113,7 @@ def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0)
     -------
     Window
     """
-    size = max(round(BLOCK * recording.sample_rate), 1)
+    size = max(round(BLOCK_DURATION * recording.sample_rate), 1)
     n = recording.field.shape[1] // size
     step = size / recording.sample_rate
     seconds = (np.arange(n) + 0.5) * step - 0.5 / recording.sample_rate
@@ -122,35 +122,37 @@ def compared(recording: Recording, pose: Pose, beliefs: Beliefs, trend: int = 0)
     since = recording.time_since_drive + seconds
     free = np.column_stack(
         [np.linspace(-1.0, 1.0, n) ** k for k in range(trend + 1)]
-        + ([decay_columns(since, beliefs.transients)] if beliefs.transients else [])
+        + ([make_decay_columns(since, assumed.transients)] if assumed.transients else [])
     )
     basis = np.linalg.qr(free)[0]
 
     def without(field: FloatArray) -> FloatArray:
         return field - (field @ basis) @ basis.T
 
-    device, place = beliefs.device, (pose.position, pose.orientation)
-    lag = 1.0 / (2.0 * np.pi * beliefs.sensors.bandwidth)
-    before = int(np.ceil(_LEAD * lag / step))
+    device, place = assumed.device, (pose.position, pose.orientation)
+    lag = 1.0 / (2.0 * np.pi * assumed.sensors.bandwidth)
+    before = int(np.ceil(_LEAD_TIME_CONSTANTS * lag / step))
     times = since[0] + step * np.arange(-before, n)
 
     def model(swing: FloatArray) -> FloatArray:
-        theta = deflection(device, times, float(np.hypot(*swing)), float(np.arctan2(swing[1], swing[0])))
-        return without(low_passed(sensor_field(beliefs.sensors, device, *place, theta), step, lag)[:, before:])
+        theta = compute_deflection(device, times, float(np.hypot(*swing)), float(np.arctan2(swing[1], swing[0])))
+        return without(
+            apply_low_pass(compute_sensor_field(assumed.sensors, device, *place, theta), step, lag)[:, before:]
+        )
 
     heard = without(blocks)
-    swing = _swing(model, heard, used, device.theta_max)
-    return Window(recording.middle, seconds, heard, model(swing), used)
+    swing = _fit_swing(model, heard, used, device.theta_max)
+    return FittedWindow(recording.middle, seconds, heard, model(swing), used)
 
 
-def _swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: BoolArray, top: float) -> FloatArray:
+def _fit_swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: BoolArray, top: float) -> FloatArray:
     """Fit amplitude times (cos, sin) of the phase, in rad, by Gauss-Newton from the linearized solution."""
     tiny = 1e-3 * top
     rest = model(np.zeros(2))[used]
     columns = np.column_stack([(model(tiny * axis)[used] - rest).ravel() / tiny for axis in np.eye(2)])
     first: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - rest).ravel(), rcond=None)[0])
     swing: FloatArray = first * min(1.0, top / max(float(np.hypot(*first)), 1e-12))
-    for _ in range(_ROUNDS):
+    for _ in range(_N_ITERATIONS):
         now = model(swing)[used]
         columns = np.column_stack([(model(swing + tiny * axis)[used] - now).ravel() / tiny for axis in np.eye(2)])
         step: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - now).ravel(), rcond=None)[0])
@@ -158,7 +160,7 @@ def _swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: B
     return swing
 
 
-def low_passed(field: FloatArray, step: float, lag: float) -> FloatArray:
+def apply_low_pass(field: FloatArray, step: float, lag: float) -> FloatArray:
     """Apply the sensors' first-order low pass, exact for a field that is linear between samples.
 
     Parameters
@@ -185,7 +187,7 @@ def low_passed(field: FloatArray, step: float, lag: float) -> FloatArray:
     return out
 
 
-def density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatArray]:
+def compute_density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatArray]:
     """Compute the spectral density, rms over channels and windows.
 
     Parameters
@@ -206,7 +208,7 @@ def density(windows: list[FloatArray], rate: float) -> tuple[FloatArray, FloatAr
     return spectra[0][0], np.sqrt(np.mean([power.mean(axis=0) for _, power in spectra], axis=0))
 
 
-def cut_quiet(recordings: list[Recording], n: int, trend: int) -> list[FloatArray]:
+def cut_background(recordings: list[Recording], n: int, trend: int) -> list[FloatArray]:
     """Cut background noise recordings into windows, each without the polynomial that a fit leaves free.
 
     Parameters
@@ -224,7 +226,7 @@ def cut_quiet(recordings: list[Recording], n: int, trend: int) -> list[FloatArra
     basis = np.linalg.qr(np.column_stack([np.linspace(-1.0, 1.0, n) ** k for k in range(trend + 1)]))[0]
     found = []
     for recording in recordings:
-        size = max(round(BLOCK * recording.sample_rate), 1)
+        size = max(round(BLOCK_DURATION * recording.sample_rate), 1)
         count = recording.field.shape[1] // (size * n)
         heard = recording.field[~recording.saturated, : count * n * size]
         for piece in heard.reshape(len(heard), count, n, size).mean(axis=3).transpose(1, 0, 2):

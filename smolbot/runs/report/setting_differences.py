@@ -7,22 +7,22 @@ import tomllib
 from hashlib import sha256
 from typing import Any
 
-from smolbot.config.plugins import load
+from smolbot.config.plugins import load_plugin
 from smolbot.errors import PluginError
 from smolbot.motion.controller import complete_gains
-from smolbot.runs.recording.files import MISSION, RIG, ROBOT
-from smolbot.runs.report.flight import Flight
+from smolbot.runs.recording.run_files import MISSION, RIG, ROBOT
+from smolbot.runs.report.recorded_flight import RecordedFlight
 
 Flat = dict[str, str]
 
 
-def settings_of(flight: Flight) -> Flat:
+def collect_settings(flight: RecordedFlight) -> Flat:
     """Dotted names and values, as text, of all that a run was told; of files that it names, what they hold."""
     found: Flat = {}
     for name, prefix in ((MISSION, "mission"), (RIG, "rig"), (ROBOT, "robot")):
-        found |= flattened(tomllib.loads(flight.record.begin.files[name].decode()), prefix)
+        found |= flatten(tomllib.loads(flight.record.begin.files[name].decode()), prefix)
     if flight.steered is not None:
-        found |= {f"mission.controller.gains.{k}": json.dumps(v) for k, v in _gains(flight).items()}
+        found |= {f"mission.controller.gains.{k}": json.dumps(v) for k, v in _collect_gains(flight).items()}
     for reference in ("mission.rig", "mission.robot"):  # what these files hold is compared, not where they lay
         found.pop(reference, None)
     files = flight.record.files
@@ -31,10 +31,10 @@ def settings_of(flight: Flight) -> Flat:
         found[key] = f"contents {sha256(files.contents[name]).hexdigest()[:8]}"
     where = flight.record.provenance
     found |= {key: str(where.get(key)) for key in ("seed", "smolbot", "commit", "python")}
-    return found | flattened(where.get("packages", {}), "package")
+    return found | flatten(where.get("packages", {}), "package")
 
 
-def changed(flights: list[Flight]) -> list[tuple[str, list[str | None]]]:
+def find_changes(flights: list[RecordedFlight]) -> list[tuple[str, list[str | None]]]:
     """Find the settings that differ between runs.
 
     Parameters
@@ -46,13 +46,13 @@ def changed(flights: list[Flight]) -> list[tuple[str, list[str | None]]]:
     list of tuple
         Name, and the value of each run; None for a run without it.
     """
-    told = [settings_of(flight) for flight in flights]
+    told = [collect_settings(flight) for flight in flights]
     names = dict.fromkeys(name for one in told for name in one)
     rows = [(name, [one.get(name) for one in told]) for name in names]
     return [(name, values) for name, values in rows if len(set(values)) > 1]
 
 
-def flattened(data: dict[str, Any], prefix: str = "") -> Flat:
+def flatten(data: dict[str, Any], prefix: str = "") -> Flat:
     """Flatten a nested dictionary to dotted names.
 
     Parameters
@@ -68,7 +68,7 @@ def flattened(data: dict[str, Any], prefix: str = "") -> Flat:
 
     Examples
     --------
-    >>> flattened({"a": {"b": 1.5}, "c": [{"d": "x"}]}, "rig")
+    >>> flatten({"a": {"b": 1.5}, "c": [{"d": "x"}]}, "rig")
     {'rig.a.b': '1.5', 'rig.c.0.d': '"x"'}
     """
     found: Flat = {}
@@ -77,17 +77,17 @@ def flattened(data: dict[str, Any], prefix: str = "") -> Flat:
         if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
             value = {str(i): item for i, item in enumerate(value)}
         if isinstance(value, dict):
-            found |= flattened(value, name)
+            found |= flatten(value, name)
         else:
             found[name] = json.dumps(value, ensure_ascii=False, default=str)
     return found
 
 
-def _gains(flight: Flight) -> dict[str, float]:
+def _collect_gains(flight: RecordedFlight) -> dict[str, float]:
     """Return the gains as flown; without defaults if the law is not installed here."""
     assert flight.steered is not None
     given = dict(flight.steered.gains)
     try:
-        return complete_gains(load("controllers", flight.steered.law).gains, given, flight.steered.law)
+        return complete_gains(load_plugin("controllers", flight.steered.law).gains, given, flight.steered.law)
     except PluginError:
         return given

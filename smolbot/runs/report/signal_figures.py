@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from smolbot.core.arrays import FloatArray
-from smolbot.runs.pictures.style import COILS, LOCATED, TRUE, dots, nothing
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.quiet_noise import QuietNoise, quiet_recordings
-from smolbot.runs.report.residuals import BLOCK, Window, cut_quiet, density
-from smolbot.runs.report.svg import FAINT, INK, wide_figure
+from smolbot.runs.pictures.style import COILS, LOCATED, TRUE, draw_dots, draw_empty_note
+from smolbot.runs.report.background_spectrum import BackgroundSpectrum, find_background_recordings
+from smolbot.runs.report.recorded_flight import RecordedFlight
+from smolbot.runs.report.residuals import BLOCK_DURATION, FittedWindow, compute_density, cut_background
+from smolbot.runs.report.svg import FAINT, INK, make_wide_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 Places = npt.NDArray[np.intp]
 
-CHANNELS = 4
+N_CHANNELS_SHOWN = 4
 """Of the window that is shown: those that heard most."""
 
-HIGHEST = 2000.0
+MAX_FREQUENCY = 2000.0
 """In Hz: above it sensors hear little."""
 
 
-def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figure:
+def draw_fit_figure(flight: RecordedFlight, windows: list[FittedWindow], lines: FloatArray) -> Figure:
     """R² over the run, one window with its model, and the spectrum of the fit residuals, against quiet windows."""
-    figure = wide_figure(6.4)
+    figure = make_wide_figure(6.4)
     panels: Any = figure.subplot_mosaic([["r", "window"], ["spectrum", "spectrum"]], height_ratios=[1.0, 1.1])
     _draw_r_squared(panels["r"], flight)
     _draw_window(panels["window"], windows)
@@ -37,7 +37,7 @@ def fit_figure(flight: Flight, windows: list[Window], lines: FloatArray) -> Figu
     return figure
 
 
-def noise_figure(noise: QuietNoise) -> Figure:
+def draw_noise_figure(noise: BackgroundSpectrum) -> Figure:
     """Draw the spectral density of every channel's background noise, with the learned mains lines.
 
     Parameters
@@ -48,12 +48,12 @@ def noise_figure(noise: QuietNoise) -> Figure:
     -------
     Figure
     """
-    figure = wide_figure(3.6)
+    figure = make_wide_figure(3.6)
     axes = figure.subplots()
-    shown = noise.frequencies <= HIGHEST
-    thinned = _thinned(noise.frequencies[shown])
+    shown = noise.frequencies <= MAX_FREQUENCY
+    thinned = _choose_edges(noise.frequencies[shown])
     for index, channel in enumerate(noise.density[:, shown]):
-        axes.plot(noise.frequencies[shown][thinned], 1e12 * _highest(channel, thinned), color=COILS[index % len(COILS)],
+        axes.plot(noise.frequencies[shown][thinned], 1e12 * _find_highest(channel, thinned), color=COILS[index % len(COILS)],
                   lw=0.7, alpha=0.75, label=f"{index}")  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -69,38 +69,46 @@ def noise_figure(noise: QuietNoise) -> Figure:
     return figure
 
 
-def _draw_r_squared(axes: Axes, flight: Flight) -> None:
+def _draw_r_squared(axes: Axes, flight: RecordedFlight) -> None:
     poses = [c.pose for c in flight.run.cycles if c.pose is not None]
     good = [p for p in poses if p.trusted]
     if poses:
         axes.set_yscale("log")
-        dots(axes, [p.time for p in good], [1.0 - p.r_squared for p in good], 2.4, TRUE, alpha=0.7, label="trusted")
+        draw_dots(
+            axes, [p.time for p in good], [1.0 - p.r_squared for p in good], 2.4, TRUE, alpha=0.7, label="trusted"
+        )
         bad = [p for p in poses if not p.trusted]
         if bad:
             shares = [max(1.0 - p.r_squared, 1e-6) for p in bad]
-            dots(axes, [p.time for p in bad], shares, 4.0, LOCATED, label="not trusted")
+            draw_dots(axes, [p.time for p in bad], shares, 4.0, LOCATED, label="not trusted")
             axes.legend(loc="upper right")
         median = float(np.median([p.r_squared for p in (good or poses)]))
         axes.set_title(f"Unexplained share of the signal, 1 - R²; median R² {median:.4f}")
     else:
-        nothing(axes, "no pose was found")
+        draw_empty_note(axes, "no pose was found")
     axes.set_xlabel("time in s")
     axes.grid(axis="y")
 
 
-def _draw_window(axes: Axes, windows: list[Window]) -> None:
+def _draw_window(axes: Axes, windows: list[FittedWindow]) -> None:
     if not windows:
-        nothing(axes, "this record holds no samples")
+        draw_empty_note(axes, "this record holds no samples")
         return
     chosen = windows[len(windows) // 2]
-    loud = np.argsort(-np.sum(np.where(chosen.used[:, None], chosen.heard, 0.0) ** 2, axis=1))[:CHANNELS]
-    gap = 2.1e9 * float(np.abs(chosen.heard[loud]).max())
+    loud = np.argsort(-np.sum(np.where(chosen.used[:, None], chosen.measured, 0.0) ** 2, axis=1))[:N_CHANNELS_SHOWN]
+    gap = 2.1e9 * float(np.abs(chosen.measured[loud]).max())
     ms = 1e3 * chosen.seconds
     for row, channel in enumerate(loud):
         low = -row * gap
         axes.plot(ms, low + 1e9 * chosen.model[channel], color=TRUE, lw=1.6, label="model" if row == 0 else None)
-        dots(
-            axes, ms, low + 1e9 * chosen.heard[channel], 2.0, LOCATED, label="measured" if row == 0 else None, zorder=3
+        draw_dots(
+            axes,
+            ms,
+            low + 1e9 * chosen.measured[channel],
+            2.0,
+            LOCATED,
+            label="measured" if row == 0 else None,
+            zorder=3,
         )
         place = axes.get_yaxis_transform()
         axes.text(1.01, low, f"ch. {channel}", transform=place, fontsize=8.5, color=FAINT, va="center")
@@ -110,19 +118,19 @@ def _draw_window(axes: Axes, windows: list[Window]) -> None:
     axes.set_ylim(-(len(loud) - 0.4) * gap, 0.62 * gap)
 
 
-def _draw_spectrum(axes: Axes, flight: Flight, windows: list[Window], lines: FloatArray) -> None:
+def _draw_spectrum(axes: Axes, flight: RecordedFlight, windows: list[FittedWindow], lines: FloatArray) -> None:
     if not windows:
-        nothing(axes, "this record holds no samples")
+        draw_empty_note(axes, "this record holds no samples")
         return
-    rate, n = 1.0 / BLOCK, min(window.left.shape[1] for window in windows)
-    quiet = cut_quiet(quiet_recordings(flight), n, 0)
-    grid, left = density([window.left for window in windows], rate)
-    _, signal = density([window.heard[window.used] for window in windows], rate)
-    shown = (grid > 0) & (grid <= HIGHEST)
+    rate, n = 1.0 / BLOCK_DURATION, min(window.residuals.shape[1] for window in windows)
+    quiet = cut_background(find_background_recordings(flight), n, 0)
+    grid, left = compute_density([window.residuals for window in windows], rate)
+    _, signal = compute_density([window.measured[window.used] for window in windows], rate)
+    shown = (grid > 0) & (grid <= MAX_FREQUENCY)
     axes.set_yscale("log")
     axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="measured")
     if quiet:
-        axes.plot(grid[shown], 1e12 * density(quiet, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
+        axes.plot(grid[shown], 1e12 * compute_density(quiet, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
                   label="quiet windows of the same length")  # fmt: skip
     axes.plot(grid[shown], 1e12 * left[shown], color=LOCATED, lw=1.4, label="fit residuals")
     _mark_lines(axes, lines)
@@ -143,13 +151,13 @@ def _mark_lines(axes: Axes, lines: FloatArray) -> None:
                       textcoords="offset points", ha="center", fontsize=8, color=INK)  # fmt: skip
 
 
-def _thinned(frequencies: FloatArray) -> Places:
+def _choose_edges(frequencies: FloatArray) -> Places:
     """Choose where each stretch of a spectrum begins; none is narrower than a line on a logarithmic axis."""
     edges = np.unique(np.searchsorted(frequencies, np.geomspace(frequencies[0], frequencies[-1], 420)))
     return edges[edges < len(frequencies)]
 
 
-def _highest(values: FloatArray, edges: Places) -> FloatArray:
+def _find_highest(values: FloatArray, edges: Places) -> FloatArray:
     """Return the highest value of each stretch, so that no mains line is lost."""
     found: FloatArray = np.maximum.reduceat(values, edges)
     return found

@@ -57,7 +57,7 @@ _STYLE: dict[Any, Any] = {
 
 
 @contextmanager
-def page_style() -> Iterator[None]:
+def apply_page_style() -> Iterator[None]:
     """Apply the pages' figure style within a ``with`` block.
 
     Yields
@@ -70,7 +70,7 @@ def page_style() -> Iterator[None]:
         yield
 
 
-def wide_figure(height: float) -> Figure:
+def make_wide_figure(height: float) -> Figure:
     """Make an empty figure of the width of a page, with automatic layout.
 
     Parameters
@@ -86,7 +86,7 @@ def wide_figure(height: float) -> Figure:
     return Figure(figsize=(11.2, height), layout="constrained")
 
 
-def svg_of(figure: Figure, name: str, alternative: str) -> Markup:
+def to_svg(figure: Figure, name: str, alternative: str) -> Markup:
     """Convert a figure to an ``svg`` element.
 
     Parameters
@@ -108,10 +108,10 @@ def svg_of(figure: Figure, name: str, alternative: str) -> Markup:
     out = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": name}):
         figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    return Markup(_embedded(out.getvalue(), alternative))
+    return Markup(_strip_svg(out.getvalue(), alternative))
 
 
-def _embedded(text: str, alternative: str) -> str:
+def _strip_svg(text: str, alternative: str) -> str:
     """Remove from an SVG what a page does not need: declarations, metadata, unused ids."""
     import html
 
@@ -124,9 +124,11 @@ def _embedded(text: str, alternative: str) -> str:
     body = re.sub(r'\sid="([^"]*)"', lambda m: m.group(0) if m.group(1) in used else "", body)
     for color in DARK:
         body = body.replace(color, f"var(--c{color[1:]})")
-    body = re.sub(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', _opening(html.escape(alternative, quote=True)), body, count=1)
+    body = re.sub(
+        r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', _make_opening_tag(html.escape(alternative, quote=True)), body, count=1
+    )
     return re.sub(r">\s+<", "><", re.sub(r"\s*\n\s*", " ", body)).strip()
 
 
-def _opening(alternative: str) -> str:
+def _make_opening_tag(alternative: str) -> str:
     return rf'<svg viewBox="\1" role="img" aria-label="{alternative}">'.replace("\\1", "\\g<1>")

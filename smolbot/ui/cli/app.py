@@ -12,10 +12,10 @@ from typer.core import TyperGroup
 # Small matrices gain nothing from a linear algebra library's threads, and stall when cores are shared.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from smolbot.config.plugins import load, names
+from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.core.version import __version__
 from smolbot.errors import InterlockError, OperatorStopError, PluginError, RigError, SmolbotError
-from smolbot.flight.safety.stop_signals import CTRL_C
+from smolbot.flight.safety.stop_signals import CTRL_C_REASON
 
 DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3
 
@@ -35,7 +35,7 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
         list of str
         """
         own = super().list_commands(ctx)
-        return own + [name for name in names("commands") if name not in own]
+        return own + [name for name in list_plugins("commands") if name not in own]
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; Ctrl-C outside of a flight ends it with our message and exit code, not with typer's.
@@ -57,7 +57,7 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as stop:
-            raise OperatorStopError(f"{str(stop) or CTRL_C}; nothing was moving") from None
+            raise OperatorStopError(f"{str(stop) or CTRL_C_REASON}; nothing was moving") from None
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command by its name; one of an entry point is loaded first.
@@ -75,12 +75,12 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
         found = super().get_command(ctx, cmd_name)
         if found is not None:
             return found
-        if cmd_name not in names("commands"):
+        if cmd_name not in list_plugins("commands"):
             return None
         try:
-            loaded = load("commands", cmd_name)
+            loaded = load_plugin("commands", cmd_name)
         except PluginError as error:
-            return _broken(cmd_name, str(error))
+            return _make_broken_command(cmd_name, str(error))
         app = loaded
         if not isinstance(loaded, typer.Typer):
             app = typer.Typer(add_completion=False)
@@ -90,7 +90,7 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
         return command
 
 
-def _broken(name: str, message: str) -> Any:
+def _make_broken_command(name: str, message: str) -> Any:
     """Make a command that prints why another one could not be loaded, so that it does not hide the others."""
 
     def explain(**_: Any) -> None:
@@ -113,7 +113,7 @@ app = typer.Typer(
 )
 
 
-def _version(value: bool) -> None:
+def _print_version(value: bool) -> None:
     if value:
         typer.echo(f"smolbot {__version__}")
         raise typer.Exit
@@ -121,12 +121,12 @@ def _version(value: bool) -> None:
 
 @app.callback()
 def _root(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+    version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Print the version."),
 ) -> None:
     """Steers a magnetic millirobot along a path and localizes it only from magnetic sensors."""
 
 
-def register_own() -> None:
+def register_own_commands() -> None:
     """Add the commands that are not entry points; once, however often it is called."""
     if app.registered_commands:
         return
@@ -141,7 +141,7 @@ def register_own() -> None:
 
 def main() -> None:
     """Run the command line; our own errors print one message and set the exit code."""
-    register_own()
+    register_own_commands()
     try:
         app()
     except (InterlockError, RigError) as error:
@@ -153,7 +153,7 @@ def main() -> None:
             raise
         _fail(str(error), BAD_INPUT)
     except KeyboardInterrupt as stop:  # before a command has begun, or after
-        _fail(f"{str(stop) or CTRL_C}; nothing was moving", STOPPED)
+        _fail(f"{str(stop) or CTRL_C_REASON}; nothing was moving", STOPPED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(VERDICT_FAILED)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smolbot.functions.settings import DEFAULT_ROBOT
-from smolbot.ui.cli.options import JsonOption, SetOption, settings_from
+from smolbot.ui.cli.options import JsonOption, SetOption, parse_settings
 
 if TYPE_CHECKING:
     from smolbot.bench.calibration.device import Calibration
@@ -37,15 +37,15 @@ def calibrate(
     json: JsonOption = False,
 ) -> None:
     """Measure a device at a known height: frequency sweep, damping, largest amplitude; writes a device file."""
-    from smolbot.bench.calibration.device import Plan
+    from smolbot.bench.calibration.device import CalibrationPlan
     from smolbot.functions.calibrate import calibrate as measure
-    from smolbot.ui.cli.show import spinner
+    from smolbot.ui.cli.show import show_spinner
 
-    plan = Plan(cycles, sweep_span=span_hz, sweep_points=points, repeats=repeats, height_std=1e-3 * z_std_mm)
-    with spinner("calibrating", quiet=json) as tell:
+    plan = CalibrationPlan(cycles, sweep_span=span_hz, sweep_points=points, repeats=repeats, height_std=1e-3 * z_std_mm)
+    with show_spinner("calibrating", quiet=json) as tell:
         found = measure(
             target, 1e-3 * z_mm, robot=robot, plan=plan, seed=seed, out=out or "{robot}_device.toml",
-            settings=settings_from(set_), progress=tell,
+            settings=parse_settings(set_), progress=tell,
         )  # fmt: skip
     _show(found, json)
     raise typer.Exit(0 if found.stops_reached else 1)
@@ -55,9 +55,9 @@ def _show(found: Calibration, json: bool) -> None:
     import numpy as np
     from rich.table import Table
 
-    from smolbot.ui.cli.show import console, echo_json, table
+    from smolbot.ui.cli.show import echo_json, make_console, print_table
 
-    device, old, std = found.device, found.believed, found.std
+    device, old, std = found.device, found.assumed, found.std
     values = {
         "theta_max_deg": (np.degrees(device.theta_max), np.degrees(std.theta_max), np.degrees(old.theta_max)),
         "frequency_hz": (device.frequency, std.frequency, old.frequency),
@@ -71,17 +71,17 @@ def _show(found: Calibration, json: bool) -> None:
     for key, (value, error, before) in values.items():
         shown.add_row(key, f"{value:.4g}" if key != "frequency_hz" else f"{value:.3f}", f"{error:.2g}", f"{before:g}")
     shown.add_row("damping_model", device.damping_model, f"BIC {found.evidence:.0f}", old.damping_model)
-    console(err=json).print(shown)
+    make_console(err=json).print(shown)
     strongest = max(found.drives, key=lambda d: d.amplitude)
     notes = [
         ("shots", str(found.shots)),
         ("best drive", f"{strongest.current:.2f} A leaves {np.degrees(strongest.amplitude):.2f}°"),
-        ("strongest at", f"{max(found.sweep, key=lambda p: p.strength).driven:.2f} Hz driven"),
+        ("strongest at", f"{max(found.sweep, key=lambda p: p.strength).driven_frequency:.2f} Hz driven"),
         ("written", str(found.file)),
     ]
     if not found.stops_reached:
         notes.append(("warning", "the stops were not reached: theta_max is no more than believed. Use longer bursts."))
-    table("", notes, err=json)
+    print_table("", notes, err=json)
     if json:
         echo_json(
             {
@@ -96,9 +96,9 @@ def _show(found: Calibration, json: bool) -> None:
                 "shots": found.shots,
                 "sweep": [
                     {
-                        "driven_hz": p.driven,
-                        "heard_hz": p.heard,
-                        "heard_hz_std": p.heard_std,
+                        "driven_hz": p.driven_frequency,
+                        "heard_hz": p.measured_frequency,
+                        "heard_hz_std": p.measured_frequency_std,
                         "strength_nt": 1e9 * p.strength,
                     }
                     for p in found.sweep

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smolbot.errors import InputError
-from smolbot.ui.cli.options import DeviceOption, JsonOption, RobotOption, SetOption, settings_from
+from smolbot.ui.cli.options import DeviceOption, JsonOption, RobotOption, SetOption, parse_settings
 
 if TYPE_CHECKING:
     from smolbot.config.rig import RigConfig
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from smolbot.localization.array.calibration import ArrayCalibration
 
 DEFAULT_POSES = 60
-FAR = 5e-3
+MAX_HELD_OUT_ERROR = 5e-3
 """Held-out error, in m, above which track and recordings probably do not belong together."""
 
 
@@ -58,7 +58,7 @@ def calibrate_array(
 
     Without TRACK the rig's own stage moves to the poses by itself; the simulated tank has one.
     """
-    from smolbot.bench.calibration.stage_recordings import from_files, on_stage, ringing
+    from smolbot.bench.calibration.stage_recordings import read_known_recordings, record_on_stage, select_ringing
     from smolbot.config.rig import load_rig
     from smolbot.config.sensors import write_sensors
     from smolbot.functions.targets import check_writable, expected_hum, find_device
@@ -68,25 +68,29 @@ def calibrate_array(
         raise InputError("--samples needs a TRACK: where the device was in each shot.")
     if track is not None and keep is not None:
         raise InputError("--keep is for the rig's own stage; with a TRACK there is nothing to keep.")
-    settings = {key.removeprefix("rig."): value for key, value in settings_from(set_).items()}
+    settings = {key.removeprefix("rig."): value for key, value in parse_settings(set_).items()}
     config = load_rig(rig, settings or None)
     name, believed = find_device(robot, device)
     path = out or Path(f"{config.name}_sensors.toml")
     check_writable(path)
-    shots = on_stage(config, believed, poses, seed, keep) if track is None else from_files(track, samples, config)
-    used, known, left_out = ringing(shots, config, believed, expected_hum(config))
+    shots = (
+        record_on_stage(config, believed, poses, seed, keep)
+        if track is None
+        else read_known_recordings(track, samples, config)
+    )
+    used, known, left_out = select_ringing(shots, config, believed, expected_hum(config))
     found = calibrate_sensors(
         [s.recording for s in used], [s.pose for s in used], config.sensors, known, hum=expected_hum(config)
     )
     better = found.held_out.better
     if better:
-        write_sensors(path, sensors_file(found, config))
+        write_sensors(path, make_sensors_file(found, config))
     notes = [f"{s.name}: {s.note}" for s in used if s.note] + left_out
     _show(found, config, name, known, len(used), notes, path if better else None, json)
     raise typer.Exit(0 if better else 1)
 
 
-def sensors_file(found: ArrayCalibration, rig: RigConfig) -> SensorsFile:
+def make_sensors_file(found: ArrayCalibration, rig: RigConfig) -> SensorsFile:
     """Build the sensors file: calibrated positions, axes and gains, everything else from the rig file.
 
     Parameters
@@ -130,7 +134,7 @@ def _show(
     import numpy as np
     from rich.table import Table
 
-    from smolbot.ui.cli.show import console, echo_json, table
+    from smolbot.ui.cli.show import echo_json, make_console, print_table
 
     check, holder = found.held_out, found.holder
     moved = 1e3 * (found.sensors.positions - rig.sensors.positions)
@@ -144,21 +148,21 @@ def _show(
         place_std = 1e3 * float(np.sqrt(np.mean(found.place_std[i] ** 2)))
         cells = [*(f"{v:+.3f}" for v in moved[i]), f"{place_std:.3f}", f"{gain:+.2f}", f"{gain_std:.2f}"]
         shown.add_row(str(i), *cells, f"{tilted[i]:.2f}", f"{tilt_std[i]:.2f}")
-    console(err=json).print(shown)
+    make_console(err=json).print(shown)
     turns = np.degrees([check.orientation_before, check.orientation_after])
     places = 1e3 * np.array([check.position_before, check.position_after])
     rows = [
         ("recordings", f"{used}, of which {check.recordings} held out"),
         ("held out, rms", f"position {places[0]:.3f} → {places[1]:.3f} mm, turn {turns[0]:.3f} → {turns[1]:.3f}°"),
         ("device", f"{robot}: {device.frequency:.3f} Hz, {device.damping:.3g} 1/s, as heard"),
-        ("in its holder", _triple(1e3 * holder.place, 1e3 * holder.place_std, "mm") + "; "
-         + _triple(np.degrees(holder.turn), np.degrees(holder.turn_std), "°")),
+        ("in its holder", _format_triple(1e3 * holder.place, 1e3 * holder.place_std, "mm") + "; "
+         + _format_triple(np.degrees(holder.turn), np.degrees(holder.turn_std), "°")),
         ("written", str(path) if path is not None else "nothing: held-out poses came out no better"),
         *(("note", note) for note in notes),
     ]  # fmt: skip
-    if check.position_before > FAR:
+    if check.position_before > MAX_HELD_OUT_ERROR:
         rows.append(("warning", "held-out poses are far from the track: do rows and recordings belong together?"))
-    table("", rows, err=json)
+    print_table("", rows, err=json)
     if json:
         echo_json(
             {
@@ -182,5 +186,5 @@ def _show(
         )
 
 
-def _triple(value: Any, std: Any, unit: str) -> str:
+def _format_triple(value: Any, std: Any, unit: str) -> str:
     return ", ".join(f"{v:+.2f} ± {s:.2f}" for v, s in zip(value, std, strict=True)) + f" {unit}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smolbot.ui.cli.options import JsonOption
-from smolbot.ui.cli.show import console, echo_json, spinner
+from smolbot.ui.cli.show import echo_json, make_console, show_spinner
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,10 +43,10 @@ def check(
     from smolbot.config.robot import load_robot
 
     config = load_rig(rig)
-    held = load_robot(robot if robot is not None else _robot_of(config))
+    held = load_robot(robot if robot is not None else _find_robot(config))
     world = load_world(config.world, config.document)
     middle = tuple(config.container.center.tolist())
-    with spinner("opening") as say:
+    with show_spinner("opening") as say:
         opened = world.open(config, held, middle, seed)
         try:
             found = check_rig(opened, config, quiet_s, say)
@@ -54,22 +54,22 @@ def check(
             opened.close()
     show(found, config, err=json)
     if json:
-        echo_json(summary(found, config))
+        echo_json(make_summary(found, config))
     raise typer.Exit(0 if found.ok else 1)
 
 
-def _robot_of(config: RigConfig) -> str:
+def _find_robot(config: RigConfig) -> str:
     """Return the robot of the first shipped mission on this rig, or a robot that suits it."""
-    from smolbot.config.library import open_file, shipped
+    from smolbot.config.library import list_shipped, open_file
 
-    missions = [open_file(name, "missions").data for name in shipped("missions")]
+    missions = [open_file(name, "missions").data for name in list_shipped("missions")]
     for mission in missions:
         if mission.get("rig") == config.name:
             return str(mission.get("robot"))
     return "helical" if config.sections.magnet is not None else "gradient"
 
 
-def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
+def make_summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
     """Build the JSON output of a check.
 
     Parameters
@@ -94,12 +94,12 @@ def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
             {"device": d.device, "what": d.what, "found": d.found, "limit": d.limit, "ok": d.ok} for d in found.devices
         ],
         "limits": {
-            "offset_nt": 1e9 * checkup.OFFSET_SHARE * expected.range,
+            "offset_nt": 1e9 * checkup.MAX_OFFSET_SHARE * expected.range,
             "range_nt": 1e9 * expected.range,
-            "noise_1hz_pt_per_rthz": 1e12 * checkup.SLOW_TIMES * expected.slow,
-            "noise_floor_pt_per_rthz": 1e12 * checkup.FLOOR_TIMES * expected.floor,
-            "mains_nt": 1e9 * checkup.HUM_TIMES * expected.mains,
-            "harmonics_nt": 1e9 * checkup.HUM_TIMES * expected.harmonics,
+            "noise_1hz_pt_per_rthz": 1e12 * checkup.MAX_SLOW_RATIO * expected.slow,
+            "noise_floor_pt_per_rthz": 1e12 * checkup.MAX_FLOOR_RATIO * expected.floor,
+            "mains_nt": 1e9 * checkup.MAX_MAINS_RATIO * expected.mains,
+            "harmonics_nt": 1e9 * checkup.MAX_MAINS_RATIO * expected.harmonics,
         },
         "mains_hz": found.mains_frequency,
         "sensors": [
@@ -129,7 +129,7 @@ def summary(found: Checkup, config: RigConfig) -> dict[str, Any]:
             }
             for c in found.coils
         ],
-        "by_hand": list(found.by_hand),
+        "by_hand": list(found.manual_checks),
         "simulated": found.simulated,
     }
 
@@ -146,23 +146,23 @@ def show(found: Checkup, config: RigConfig, *, err: bool = False) -> None:
     """
     from rich.text import Text
 
-    shown = console(err=err)
+    shown = make_console(err=err)
     shown.print(Text.assemble(("check of ", "bold"), (config.name, "bold"), f"  {config.sections.description}"))
     if found.devices:
         shown.print()
-        shown.print(_devices(found))
+        shown.print(_make_device_table(found))
     shown.print()
-    shown.print(_sensors(found))
+    shown.print(_make_sensor_table(found))
     if found.coils:
         shown.print()
-        shown.print(_coils(found))
+        shown.print(_make_coil_table(found))
     for note in found.notes:
         shown.print(f"\n{note}")
-    _verdict(shown, found)
-    _by_hand(shown, found)
+    _print_verdict(shown, found)
+    _print_manual_checks(shown, found)
 
 
-def _grid(title: str, columns: list[tuple[str, str]]) -> Table:
+def _make_grid(title: str, columns: list[tuple[str, str]]) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -187,29 +187,29 @@ def _grid(title: str, columns: list[tuple[str, str]]) -> Table:
     return grid
 
 
-def _mark(faulty: bool) -> Any:
+def _make_mark(faulty: bool) -> Any:
     """Make the last cell of a row; faults are listed in full below the tables."""
     from rich.text import Text
 
     return Text("bad", "bold red") if faulty else Text("ok", "green")
 
 
-def _devices(found: Checkup) -> Table:
-    grid = _grid("devices", [("device", ""), ("read back", ""), ("found", ""), ("should be", ""), ("", "")])
+def _make_device_table(found: Checkup) -> Table:
+    grid = _make_grid("devices", [("device", ""), ("read back", ""), ("found", ""), ("should be", ""), ("", "")])
     last = ""
     for item in found.devices:
         device = "" if item.device == last else item.device
-        grid.add_row(device, item.what, item.found, item.limit, _mark(not item.ok))
+        grid.add_row(device, item.what, item.found, item.limit, _make_mark(not item.ok))
         last = item.device
     return grid
 
 
-def _sensors(found: Checkup) -> Table:
+def _make_sensor_table(found: Checkup) -> Table:
     from rich.text import Text
 
-    from smolbot.bench.check import checkup, wiring
+    from smolbot.bench.check import checkup, response_match
 
-    grid = _grid(
+    grid = _make_grid(
         f"sensors, nothing driven; range ±{1e6 * found.expected.range:g} µT, mains {found.mains_frequency:.2f} Hz",
         [
             ("sensor", ""), ("offset\nnT", "right"), ("rms\nnT", "right"), ("at 1 Hz\npT/√Hz", "right"),
@@ -220,13 +220,13 @@ def _sensors(found: Checkup) -> Table:
         gain = "–" if s.gain is None else f"{round(s.gain, 3) + 0.0:.3f}"
         grid.add_row(
             s.name, f"{1e9 * s.offset:+.0f}", f"{1e9 * s.rms:.2f}", f"{1e12 * s.slow:.1f}", f"{1e12 * s.floor:.2f}",
-            f"{1e9 * s.mains:.1f}", f"{1e9 * s.harmonics:.2f}", gain, _mark(bool(s.faults)),
+            f"{1e9 * s.mains:.1f}", f"{1e9 * s.harmonics:.2f}", gain, _make_mark(bool(s.faults)),
         )  # fmt: skip
     e = found.expected
     limits = (
-        "limit", f"±{1e9 * checkup.OFFSET_SHARE * e.range:.0f}", "", f"{1e12 * checkup.SLOW_TIMES * e.slow:.0f}",
-        f"{1e12 * checkup.FLOOR_TIMES * e.floor:.1f}", f"{1e9 * checkup.HUM_TIMES * e.mains:.0f}",
-        f"{1e9 * checkup.HUM_TIMES * e.harmonics:.1f}", f"1 ± {wiring.SENSOR_TOLERANCE:g}*" if found.coils else "", "",
+        "limit", f"±{1e9 * checkup.MAX_OFFSET_SHARE * e.range:.0f}", "", f"{1e12 * checkup.MAX_SLOW_RATIO * e.slow:.0f}",
+        f"{1e12 * checkup.MAX_FLOOR_RATIO * e.floor:.1f}", f"{1e9 * checkup.MAX_MAINS_RATIO * e.mains:.0f}",
+        f"{1e9 * checkup.MAX_MAINS_RATIO * e.harmonics:.1f}", f"1 ± {response_match.SENSOR_GAIN_TOLERANCE:g}*" if found.coils else "", "",
     )  # fmt: skip
     grid.add_section()
     grid.add_row(*(Text(limit, "dim") for limit in limits))
@@ -236,12 +236,12 @@ def _sensors(found: Checkup) -> Table:
     return grid
 
 
-def _coils(found: Checkup) -> Table:
+def _make_coil_table(found: Checkup) -> Table:
     from rich.text import Text
 
-    from smolbot.bench.check import coils, wiring
+    from smolbot.bench.check import coils, response_match
 
-    grid = _grid(
+    grid = _make_grid(
         "coils, each driven faintly and heard by all sensors",
         [
             ("coil", ""), ("probe\nmA", "right"), ("gain", "right"), ("residue\n%", "right"),
@@ -252,11 +252,11 @@ def _coils(found: Checkup) -> Table:
         rise = "–" if c.rise is None else f"{1e3 * c.rise:.2f} of {1e3 * c.time_constant:.2f}"
         grid.add_row(
             c.name, f"{1e3 * c.current:.0f}", f"{c.gain:.3f}", f"{100 * c.unexplained:.1f}",
-            _milliseconds(c.closes), _milliseconds(c.opens), rise, _mark(bool(c.faults)),
+            _format_milliseconds(c.closes), _format_milliseconds(c.opens), rise, _make_mark(bool(c.faults)),
         )  # fmt: skip
-    late, slow = 1e3 * coils.LATE, 100 * coils.SLOW_TOLERANCE
+    late, slow = 1e3 * coils.RELAY_TOLERANCE, 100 * coils.TIME_CONSTANT_TOLERANCE
     limits = (
-        "limit", "", f"1 ± {wiring.GAIN_TOLERANCE:g}", f"{100 * wiring.LIKENESS:.0f}",
+        "limit", "", f"1 ± {response_match.COIL_GAIN_TOLERANCE:g}", f"{100 * response_match.MAX_UNEXPLAINED:.0f}",
         *(f"{1e3 * max(getattr(c, side) for c in found.coils) + late:.1f}" for side in ("close_limit", "open_limit")),
         f"± {slow:.0f} %", "",
     )  # fmt: skip
@@ -265,11 +265,11 @@ def _coils(found: Checkup) -> Table:
     return grid
 
 
-def _milliseconds(time: float | None) -> str:
+def _format_milliseconds(time: float | None) -> str:
     return "never" if time is None else f"{abs(1e3 * time) if abs(time) < 5e-6 else 1e3 * time:.2f}"
 
 
-def _verdict(shown: Console, found: Checkup) -> None:
+def _print_verdict(shown: Console, found: Checkup) -> None:
     from rich.text import Text
 
     faults = found.faults
@@ -284,7 +284,7 @@ def _verdict(shown: Console, found: Checkup) -> None:
         shown.print(Text(f"  {fault}"))
 
 
-def _by_hand(shown: Console, found: Checkup) -> None:
+def _print_manual_checks(shown: Console, found: Checkup) -> None:
     from rich.table import Table
     from rich.text import Text
 
@@ -296,6 +296,6 @@ def _by_hand(shown: Console, found: Checkup) -> None:
     boxes = Table.grid(padding=(0, 1))
     boxes.add_column(width=3, justify="right")
     boxes.add_column()
-    for line in found.by_hand:
+    for line in found.manual_checks:
         boxes.add_row("☐", Text(line))
     shown.print(boxes)

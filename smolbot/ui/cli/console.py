@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from smolbot.errors import InputError
-from smolbot.ui.cli.show import echo_json, table
+from smolbot.ui.cli.show import echo_json, print_table
 
 
 def register(app: typer.Typer) -> None:
@@ -36,19 +36,19 @@ def console(
 ) -> None:
     """Open a page to watch, start, pause and stop missions, draw paths, and browse runs."""
     try:
-        from smolbot.ui.console.console import OpenConsole, ending
+        from smolbot.ui.console.open_console import OpenConsole, watch_end_signals
     except ImportError as error:
         raise InputError(
             f"The console needs viser, which is not installed ({error}): pip install smolbot[console]"
         ) from error
-    with ending() as over:
-        opened = OpenConsole(host, port, token, runs, _say)
+    with watch_end_signals() as over:
+        opened = OpenConsole(host, port, token, runs, _print_line)
         try:
-            rows = [("page", opened.door.address), ("runs", str(runs.absolute())), ("to end it", "Ctrl-C")]
-            table("console", rows, err=True)
+            rows = [("page", opened.access.address), ("runs", str(runs.absolute())), ("to end it", "Ctrl-C")]
+            print_table("console", rows, err=True)
             if json:
                 echo_json(
-                    {"address": opened.door.address, "link": opened.console.link, "process": opened.console.process}
+                    {"address": opened.access.address, "link": opened.console.link, "process": opened.console.process}
                 )
             opened.wait(over, follow=follow)
         finally:
@@ -59,18 +59,18 @@ def stop(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
 ) -> None:
     """Stop every mission that is connected to a console of this user: outputs to zero at once."""
-    from smolbot.ui.link.consoles import answering
+    from smolbot.ui.link.console_server import request_stop
+    from smolbot.ui.link.consoles import connect_to_all
     from smolbot.ui.link.frames import LinkError
-    from smolbot.ui.link.gate import stop_through
 
     told = []
     silent: list[str] = []
     found = 0
-    for each, sock in answering(silent):
+    for each, sock in connect_to_all(silent):
         found += 1
         with sock:
             try:
-                told += stop_through(sock, "smolbot stop")
+                told += request_stop(sock, "smolbot stop")
             except LinkError as error:
                 silent.append(f"{each.address}: {error}")
     rows = [
@@ -83,7 +83,7 @@ def stop(
     if json:
         echo_json({"stopped": told, "silent": silent})
     if rows:
-        table("stopped", rows, err=json)
+        print_table("stopped", rows, err=json)
     if silent or not all(one["stopped"] for one in told):
         typer.echo("\n".join([*silent, "A mission whose console says nothing stops by itself within 2 s."]), err=True)
         raise typer.Exit(3)
@@ -93,5 +93,5 @@ def stop(
         typer.echo("No mission flies.", err=True)
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     typer.echo(line, err=True)

@@ -25,10 +25,10 @@ def export(
     json: JsonOption = False,
 ) -> None:
     """Write a run's cycles, poses, commands, currents, events and raw samples as HDF5, MATLAB or CSV."""
-    from smolbot.runs.recording.exporting import export as write
+    from smolbot.runs.recording.exporting import export_run as write
     from smolbot.runs.recording.reader import read_run
-    from smolbot.runs.recording.sampleexport import chosen_shots, export_samples
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.runs.recording.sample_export import export_samples, parse_shots
+    from smolbot.ui.cli.show import echo_json, print_table
 
     found = read_run(run)
     stem = "run" if shots is None else "samples"
@@ -38,14 +38,14 @@ def export(
         else found.folder / (f"{stem}_csv" if (kind, shots) == ("csv", None) else f"{stem}.{kind}")
     )
     if shots is not None:
-        export_samples(found, kind, target, chosen_shots(shots), force=force)
+        export_samples(found, kind, target, parse_shots(shots), force=force)
     else:
         write(found, kind, target, force=force, with_samples=samples)
     size = sum(p.stat().st_size for p in ([target] if target.is_file() else target.rglob("*")))
     said = f"{len(found.moments)} cycles, {len(found.played)} shots, {len(found.events)} events"
     rows = [("run", said if shots is None else f"shots {shots}"), ("written", f"{target}, {size / 1e6:.1f} MB")]
-    if not found.whole:
+    if not found.complete:
         rows.append(("not whole", "the record is torn or damaged: this is what can be read. See smolbot recover."))
-    table(f"export {run}", rows, err=json)
+    print_table(f"export {run}", rows, err=json)
     if json:
-        echo_json({"run": str(found.path), "format": kind, "out": str(target), "bytes": size, "whole": found.whole})
+        echo_json({"run": str(found.path), "format": kind, "out": str(target), "bytes": size, "whole": found.complete})

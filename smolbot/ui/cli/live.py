@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 from smolbot.config.load import AnyMission
 from smolbot.flight.pause import Pause
 from smolbot.flight.safety.stop_latch import Latch
-from smolbot.ui.link.joining import Sent, find_console, join
+from smolbot.ui.link.join import ConsoleSink, find_console, join_console
 
 if TYPE_CHECKING:
     from smolbot.runs.recording.converter import Converter
-    from smolbot.runs.recording.pump import Pump
+    from smolbot.runs.recording.message_queue import MessageQueue
 
 
 @contextmanager
-def watched(
-    mission: AnyMission, seed: int, latch: Latch, say: Callable[[str], object]
-) -> Iterator[tuple[Pause, Callable[[Converter], Pump]]]:
+def connect_console(
+    mission: AnyMission, seed: int, latch: Latch, report: Callable[[str], object]
+) -> Iterator[tuple[Pause, Callable[[Converter], MessageQueue]]]:
     """Connect a mission to a console while a ``with`` block runs.
 
     Parameters
@@ -28,7 +28,7 @@ def watched(
     seed : int
     latch : Latch
         Tripped by a stop from the console.
-    say : callable
+    report : callable
         Called with the console's address, in a sentence.
 
     Yields
@@ -45,13 +45,13 @@ def watched(
     """
     console, opened = find_console()
     pause = Pause()
-    feed = join(console, {"mission": f"{mission.name} on {mission.rig.name}", "seed": seed}, latch, pause)
-    say(f"live at {console.address}" + ("; that console ends once its page is closed" if opened else ""))
+    feed = join_console(console, {"mission": f"{mission.name} on {mission.rig.name}", "seed": seed}, latch, pause)
+    report(f"live at {console.address}" + ("; that console ends once its page is closed" if opened else ""))
 
-    def pump(converter: Converter) -> Pump:
-        from smolbot.runs.recording.pump import Pump
+    def pump(converter: Converter) -> MessageQueue:
+        from smolbot.runs.recording.message_queue import MessageQueue
 
-        return Pump(Sent(feed), converter, windows=False)
+        return MessageQueue(ConsoleSink(feed), converter, windows=False)
 
     try:
         yield pause, pump

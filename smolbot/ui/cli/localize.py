@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from smolbot.core.text_table import write_rows
-from smolbot.errors import InputError, writing
+from smolbot.core.text_table import write_table
+from smolbot.errors import InputError, report_write_errors
 from smolbot.ui.cli.options import DeviceOption, JsonOption, RobotOption
 
 Row = dict[str, Any]
@@ -51,25 +51,25 @@ def localize(
 
 
 def _write(out: Path, head: dict[str, Any], rows: list[Row]) -> None:
-    from smolbot.core.results import json_text
+    from smolbot.core.results import format_json
 
-    with writing(out):
+    with report_write_errors(out):
         if out.suffix.lower() == ".json":
-            out.write_text(json_text({**head, "poses": rows}), encoding="utf-8")
+            out.write_text(format_json({**head, "poses": rows}), encoding="utf-8")
             return
         cells = (["" if isinstance(v, float) and math.isnan(v) else v for v in row.values()] for row in rows)
-        write_rows(out, list(rows[0]), cells)
+        write_table(out, list(rows[0]), cells)
 
 
 def _show(head: dict[str, Any], rows: list[Row], out: Path | None, json: bool) -> None:
     from rich.table import Table
 
-    from smolbot.ui.cli.show import console, echo_json, table
+    from smolbot.ui.cli.show import echo_json, make_console, print_table
 
     facts = [(key.replace("_", " "), str(value)) for key, value in head.items() if value is not None]
     if out is not None:
         facts.append(("written", str(out)))
-    table("localize", facts, err=json)
+    print_table("localize", facts, err=json)
     shown = Table(title_justify="left", box=None, pad_edge=False)
     columns = [
         ("shot", "shot", "d"), ("time_s", "time (s)", ".4f"), ("x_mm", "x (mm)", ".3f"), ("y_mm", "y (mm)", ".3f"),
@@ -83,6 +83,6 @@ def _show(head: dict[str, Any], rows: list[Row], out: Path | None, json: bool) -
     for row in rows:
         cells = ["" if isinstance(row[k], float) and math.isnan(row[k]) else format(row[k], f) for k, _, f in columns]
         shown.add_row(*cells, "yes" if row["trusted"] else "no", row["note"])
-    console(err=json, width=160).print(shown)
+    make_console(err=json, width=160).print(shown)
     if json:
         echo_json({**head, "poses": rows})

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smolbot.core.results import as_json
-from smolbot.errors import ConfigError, InputError, writing
-from smolbot.ui.cli.observations import cycle_figures, show_observation_preview, show_verdict
-from smolbot.ui.cli.show import echo_json, table
+from smolbot.errors import ConfigError, InputError, report_write_errors
+from smolbot.ui.cli.observations import make_cycle_figures, show_observation_preview, show_verdict
+from smolbot.ui.cli.show import echo_json, print_table
 
 if TYPE_CHECKING:
     from smolbot.config.mission import Mission
     from smolbot.flight.preview.gradient import Preview
     from smolbot.flight.preview.helix import HelixPreview
-    from smolbot.motion.controller import Reach
+    from smolbot.motion.controller import ForceProfile
 
-from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 BEGUN = "# A mission of your own. name and description are what reports call it.\n"
 """Comment line with which a mission of `init` begins, in place of what it says of the shipped path."""
@@ -54,7 +54,7 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
     from smolbot.functions.preview import preview as look
 
     try:
-        loaded = load_mission(mission, rig, settings_from(set_))
+        loaded = load_mission(mission, rig, parse_settings(set_))
     except ConfigError as error:
         if json:
             echo_json({"mission": mission, "go": False, "reasons": str(error).splitlines()})
@@ -71,37 +71,37 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
         _show_preview(loaded, seen, json)
 
 
-def _show_preview(mission: Mission, seen: Preview, json: bool) -> None:
-    error = seen.localization_error * 1e3
+def _show_preview(mission: Mission, found: Preview, json: bool) -> None:
+    error = found.localization_error * 1e3
     rows = [
-        ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
-        ("loop rate", f"{seen.rate:.2f} Hz (timeline allows {seen.rate_limit:.2f} Hz)"),
-        ("path", _path(seen)),
-        *[("", remark) for remark in seen.remarks],
-        ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
-        ("along the path", _pace(seen)),
-        *_force_rows(mission, seen.reach),
+        ("a cycle", found.shot.timeline(mission.rig.coil_names)),
+        ("loop rate", f"{found.rate:.2f} Hz (timeline allows {found.rate_limit:.2f} Hz)"),
+        ("path", _format_path(found)),
+        *[("", remark) for remark in found.remarks],
+        ("expected duration", f"{found.duration:.0f} s" if found.go else "does not end"),
+        ("along the path", _format_pace(found)),
+        *_force_rows(mission, found.force_profile),
         ("localization error", f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose"),
-        ("coil energy", f"{seen.coil_energy:.0f} J"),
+        ("coil energy", f"{found.coil_energy:.0f} J"),
     ]
     figures = {
-        **cycle_figures(seen),
-        "path_length_mm": seen.length * 1e3,
-        "path_corners": seen.corners,
-        "path_tightest_bend_mm": as_json(seen.tightest * 1e3),
-        "path_remarks": list(seen.remarks),
-        "path_time_s": as_json(seen.path_time),
-        "path_time_wanted_s": seen.wanted_time,
-        "expected_duration_s": as_json(seen.duration),
-        "expected_cycles": seen.cycles,
-        **_force_figures(seen.reach),
+        **make_cycle_figures(found),
+        "path_length_mm": found.length * 1e3,
+        "path_corners": found.corners,
+        "path_tightest_bend_mm": as_json(found.tightest_radius * 1e3),
+        "path_remarks": list(found.remarks),
+        "path_time_s": as_json(found.path_time),
+        "path_time_wanted_s": found.requested_time,
+        "expected_duration_s": as_json(found.duration),
+        "expected_cycles": found.cycles,
+        **_force_figures(found.force_profile),
         "localization_error_mm": {"min": error.min(), "max": error.max()},
-        "coil_energy_j": seen.coil_energy,
+        "coil_energy_j": found.coil_energy,
     }
-    show_verdict(mission, seen, rows, figures if json else None)
+    show_verdict(mission, found, rows, figures if json else None)
 
 
-def _force_rows(mission: Mission, reach: Reach | None) -> list[tuple[str, str]]:
+def _force_rows(mission: Mission, reach: ForceProfile | None) -> list[tuple[str, str]]:
     """Rows of the table on the law's force along the path."""
     import numpy as np
 
@@ -116,7 +116,7 @@ def _force_rows(mission: Mission, reach: Reach | None) -> list[tuple[str, str]]:
     ]
 
 
-def _force_figures(reach: Reach | None) -> dict[str, Any]:
+def _force_figures(reach: ForceProfile | None) -> dict[str, Any]:
     """The same for ``--json``; null where the law does not say."""
     import numpy as np
 
@@ -129,75 +129,82 @@ def _force_figures(reach: Reach | None) -> dict[str, Any]:
     }
 
 
-def _show_helix_preview(mission: Mission, seen: HelixPreview, json: bool) -> None:
-    error, margin = seen.localization_error * 1e3, seen.torque_margin
-    turns = ", ".join(f"{t:g}" for t in seen.turns)
+def _show_helix_preview(mission: Mission, found: HelixPreview, json: bool) -> None:
+    error, margin = found.localization_error * 1e3, found.torque_margin
+    turns = ", ".join(f"{t:g}" for t in found.turns)
     told = f"not known for this robot: the law '{mission.law}' has no method tightest_bend()"
-    radius = told if seen.radius is None else f"{seen.radius * 1e3:.1f} mm for this robot"
+    radius = told if found.min_radius is None else f"{found.min_radius * 1e3:.1f} mm for this robot"
     rows = [
-        ("listening", seen.listening.timeline()),
-        ("a maneuver", seen.maneuver.timeline()),
-        ("turns before each pause", f"{turns}: {sum(seen.turns):g} in all, {len(seen.turns)} pauses"),
-        ("path", f"{seen.length * 1e3:.1f} mm"),
-        ("expected duration", f"{seen.duration:.0f} s" if seen.go else "does not end"),
-        ("tightest bend", f"{seen.bend * 1e3:.1f} mm in the path, {radius}"),
+        ("listening", found.listening.timeline()),
+        ("a maneuver", found.maneuver.timeline()),
+        ("turns before each pause", f"{turns}: {sum(found.turns):g} in all, {len(found.turns)} pauses"),
+        ("path", f"{found.length * 1e3:.1f} mm"),
+        ("expected duration", f"{found.duration:.0f} s" if found.go else "does not end"),
+        ("tightest bend", f"{found.tightest_radius * 1e3:.1f} mm in the path, {radius}"),
         ("torque to spare", f"{margin.min():.2f} to {margin.max():.2f} times what the gel asks for"),
         ("localization error", f"{error.min():.3f} to {error.max():.3f} mm rms in the plane, each pose"),
     ]
     figures = {
-        "listening": str(seen.listening),
-        "maneuver": str(seen.maneuver),
-        "turns": list(seen.turns),
-        "pauses": len(seen.turns),
-        "path_length_mm": seen.length * 1e3,
-        "expected_duration_s": as_json(seen.duration),
+        "listening": str(found.listening),
+        "maneuver": str(found.maneuver),
+        "turns": list(found.turns),
+        "pauses": len(found.turns),
+        "path_length_mm": found.length * 1e3,
+        "expected_duration_s": as_json(found.duration),
         "bend_radius_mm": {
-            "path": as_json(seen.bend * 1e3),
-            "robot": None if seen.radius is None else as_json(1e3 * seen.radius),
+            "path": as_json(found.tightest_radius * 1e3),
+            "robot": None if found.min_radius is None else as_json(1e3 * found.min_radius),
         },
         "torque_margin": {"min": float(margin.min()), "max": float(margin.max())},
         "localization_error_mm": {"min": float(error.min()), "max": float(error.max())},
     }
-    show_verdict(mission, seen, rows, figures if json else None)
+    show_verdict(mission, found, rows, figures if json else None)
 
 
-def _path(seen: Preview) -> str:
+def _format_path(found: Preview) -> str:
     import math
 
-    corners = {0: "no corners", 1: "1 corner"}.get(seen.corners, f"{seen.corners} corners")
-    bend = f"tightest bend {seen.tightest * 1e3:.1f} mm" if math.isfinite(seen.tightest) else "no bends"
-    return f"{seen.length * 1e3:.1f} mm, {corners}, {bend}"
+    corners = {0: "no corners", 1: "1 corner"}.get(found.corners, f"{found.corners} corners")
+    bend = f"tightest bend {found.tightest_radius * 1e3:.1f} mm" if math.isfinite(found.tightest_radius) else "no bends"
+    return f"{found.length * 1e3:.1f} mm, {corners}, {bend}"
 
 
-def _pace(seen: Preview) -> str:
-    if not seen.go:
+def _format_pace(found: Preview) -> str:
+    if not found.go:
         return "does not end"
-    got = f"{seen.path_time:.0f} s, {seen.length * 1e3 / seen.path_time:.2f} mm/s on average"
-    if seen.wanted_time is None:
+    got = f"{found.path_time:.0f} s, {found.length * 1e3 / found.path_time:.2f} mm/s on average"
+    if found.requested_time is None:
         return got
-    wanted = f"{seen.wanted_time:.0f} s, {seen.length * 1e3 / seen.wanted_time:.2f} mm/s"
-    late = seen.path_time > 1.1 * seen.wanted_time
+    wanted = f"{found.requested_time:.0f} s, {found.length * 1e3 / found.requested_time:.2f} mm/s"
+    late = found.path_time > 1.1 * found.requested_time
     return f"{got}; wanted {wanted}{': more than the law can do' if late else ''}"
 
 
 def list_(json: JsonOption = False) -> None:
     """List shipped missions, rigs and robots, and what is installed: controllers, worlds, readers, studies."""
-    from smolbot.config.library import KINDS, open_file, shipped
-    from smolbot.config.plugins import names
-    from smolbot.paths.drawing.font import KNOWN
+    from smolbot.config.library import KINDS, list_shipped, open_file
+    from smolbot.config.plugins import list_plugins
+    from smolbot.paths.drawing.font import KNOWN_CHARACTERS
 
     found = {
-        kind: {name: str(open_file(name, kind).data.get("description", "")) for name in shipped(kind)} for kind in KINDS
+        kind: {name: str(open_file(name, kind).data.get("description", "")) for name in list_shipped(kind)}
+        for kind in KINDS
     }
     for kind, entries in found.items():
-        table(kind, list(entries.items()), err=json)
-    installed = {title: names(group) for title, group in GROUPS.items()}
-    table("controllers", [(name, "") for name in installed["controllers"]], err=json)
+        print_table(kind, list(entries.items()), err=json)
+    installed = {title: list_plugins(group) for title, group in GROUPS.items()}
+    print_table("controllers", [(name, "") for name in installed["controllers"]], err=json)
     others = [(title, ", ".join(of_it)) for title, of_it in installed.items() if title != "controllers"]
-    table("other parts", others, err=json)
-    table("glyphs", [('glyph = "S"', KNOWN)], err=json)
+    print_table("other parts", others, err=json)
+    print_table("glyphs", [('glyph = "S"', KNOWN_CHARACTERS)], err=json)
     if json:
-        echo_json({**found, **{title.replace(" ", "_"): of_it for title, of_it in installed.items()}, "glyphs": KNOWN})
+        echo_json(
+            {
+                **found,
+                **{title.replace(" ", "_"): of_it for title, of_it in installed.items()},
+                "glyphs": KNOWN_CHARACTERS,
+            }
+        )
 
 
 def init(
@@ -230,9 +237,9 @@ def init(
     existing = [name for name in files if (folder / name).exists()]
     if existing:
         raise InputError(f"{folder}: {', '.join(existing)} stand there already; nothing was written.")
-    with writing(folder):
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in files.items():
             (folder / name).write_bytes(content)
-    table(f"{folder}", [(name, "copied") for name in files])
+    print_table(f"{folder}", [(name, "copied") for name in files])
     typer.echo(f"Edit them, then: smolbot preview {own}  and  smolbot run {own}")

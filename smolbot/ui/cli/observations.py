@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from smolbot.core.results import as_json
-from smolbot.ui.cli.show import echo_json, table
+from smolbot.ui.cli.show import echo_json, print_table
 
 if TYPE_CHECKING:
     from smolbot.config.load import AnyMission
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from smolbot.flight.preview.observation import ObservationPreview
 
 
-def observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+def make_observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Build the rows that an observation adds to the table of a run.
 
     Parameters
@@ -57,56 +57,56 @@ def observation_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def show_observation_preview(mission: AnyMission, seen: ObservationPreview, json: bool) -> None:
+def show_observation_preview(mission: AnyMission, found: ObservationPreview, json: bool) -> None:
     """Print the table or the JSON of a preview, and exit with 0 for go, 1 for no-go.
 
     Parameters
     ----------
     mission : Observation
-    seen : ObservationPreview
+    found : ObservationPreview
     json : bool
     """
-    error = 1e3 * seen.noise_error
+    error = 1e3 * found.noise_error
     rows = [
-        ("a cycle", seen.shot.timeline(mission.rig.coil_names)),
-        ("loop rate", f"{seen.rate:.2f} Hz (timeline allows {seen.rate_limit:.2f} Hz)"),
-        ("expected duration", f"{seen.duration:.0f} s, about {seen.cycles} cycles"),
+        ("a cycle", found.shot.timeline(mission.rig.coil_names)),
+        ("loop rate", f"{found.rate:.2f} Hz (timeline allows {found.rate_limit:.2f} Hz)"),
+        ("expected duration", f"{found.duration:.0f} s, about {found.cycles} cycles"),
         (
             "noise alone",
             f"{error.min():.3f} to {error.max():.3f} mm rms in space, each pose; sensors out of place add to it",
         ),
     ]
     more = {
-        **cycle_figures(seen),
-        "expected_duration_s": as_json(seen.duration),
-        "expected_cycles": seen.cycles,
+        **make_cycle_figures(found),
+        "expected_duration_s": as_json(found.duration),
+        "expected_cycles": found.cycles,
         "noise_error_mm": {"min": error.min(), "max": error.max()},
     }
-    show_verdict(mission, seen, rows, more if json else None)
+    show_verdict(mission, found, rows, more if json else None)
 
 
-def cycle_figures(seen: Preview | ObservationPreview) -> dict[str, Any]:
+def make_cycle_figures(found: Preview | ObservationPreview) -> dict[str, Any]:
     """Build the JSON output about a cycle.
 
     Parameters
     ----------
-    seen : Preview or ObservationPreview
+    found : Preview or ObservationPreview
 
     Returns
     -------
     dict
     """
     return {
-        "cycle": str(seen.shot),
-        "cycle_ms": seen.shot.duration * 1e3,
-        "timeline_limit_hz": seen.rate_limit,
-        "loop_rate_hz": seen.rate,
+        "cycle": str(found.shot),
+        "cycle_ms": found.shot.duration * 1e3,
+        "timeline_limit_hz": found.rate_limit,
+        "loop_rate_hz": found.rate,
     }
 
 
 def show_verdict(
     mission: AnyMission,
-    seen: Preview | HelixPreview | ObservationPreview,
+    found: Preview | HelixPreview | ObservationPreview,
     rows: list[tuple[str, str]],
     figures: dict[str, Any] | None,
 ) -> None:
@@ -115,7 +115,7 @@ def show_verdict(
     Parameters
     ----------
     mission : Mission or Observation
-    seen : Preview, HelixPreview or ObservationPreview
+    found : Preview, HelixPreview or ObservationPreview
     rows : list of (str, str)
     figures : dict or None
         None for no JSON.
@@ -125,9 +125,9 @@ def show_verdict(
     typer.Exit
         Always.
     """
-    rows = [*rows, ("verdict", "go" if seen.go else "no-go: " + " ".join(seen.reasons))]
-    table(f"preview of {mission.name} on {mission.rig.name}", rows, err=figures is not None)
+    rows = [*rows, ("verdict", "go" if found.go else "no-go: " + " ".join(found.reasons))]
+    print_table(f"preview of {mission.name} on {mission.rig.name}", rows, err=figures is not None)
     if figures is not None:
-        head = {"mission": mission.name, "rig": mission.rig.name, "go": seen.go, "reasons": seen.reasons}
+        head = {"mission": mission.name, "rig": mission.rig.name, "go": found.go, "reasons": found.reasons}
         echo_json(head | figures)
-    raise typer.Exit(0 if seen.go else 1)
+    raise typer.Exit(0 if found.go else 1)

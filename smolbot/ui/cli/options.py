@@ -31,7 +31,7 @@ DeviceOption = Annotated[Path | None, typer.Option("--device", help="Device file
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 
-def settings_from(pairs: list[str] | None) -> dict[str, str]:
+def parse_settings(pairs: list[str] | None) -> dict[str, str]:
     """Parse the options ``--set``; ``@gains.toml`` stands for all settings in the file.
 
     Parameters
@@ -51,7 +51,7 @@ def settings_from(pairs: list[str] | None) -> dict[str, str]:
     found: dict[str, str] = {}
     for pair in pairs or []:
         if pair.startswith("@"):
-            found |= _settings_of(Path(pair[1:]))
+            found |= _read_settings(Path(pair[1:]))
             continue
         key, equals, value = pair.partition("=")
         if not equals or not key.strip():
@@ -60,7 +60,7 @@ def settings_from(pairs: list[str] | None) -> dict[str, str]:
     return found
 
 
-def _settings_of(path: Path) -> dict[str, str]:
+def _read_settings(path: Path) -> dict[str, str]:
     """Read the settings of a TOML file."""
     import json
     import tomllib

@@ -12,7 +12,7 @@ from smolbot.config.observation import Observation
 from smolbot.runs.run import CycleRecord
 
 
-class Shown:
+class MissionProgress:
     """Shows every cycle: as a bar on a terminal, as a line now and then elsewhere.
 
     Subclasses define what is counted and what is printed about a cycle.
@@ -22,14 +22,14 @@ class Shown:
     name : str
         Name of the mission.
     total : float
-        What `done` reaches at the end.
-    every : float, in s
+        What `compute_done` reaches at the end.
+    update_interval : float, in s
         Time between two updates on a terminal.
-    quiet_every : float, in s
+    line_interval : float, in s
         Time between two lines elsewhere.
     """
 
-    def __init__(self, name: str, total: float, every: float = 0.1, quiet_every: float = 10.0) -> None:
+    def __init__(self, name: str, total: float, update_interval: float = 0.1, line_interval: float = 10.0) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn
         from rich.progress import Progress as Bar
@@ -37,7 +37,7 @@ class Shown:
         self._name, self._total = name, total
         self._console = Console(stderr=True, highlight=False)
         self._terminal = self._console.is_terminal
-        self._every = every if self._terminal else quiet_every
+        self._every = update_interval if self._terminal else line_interval
         self._bar = Bar(
             TextColumn("{task.description}"),
             BarColumn(bar_width=24),
@@ -62,7 +62,7 @@ class Shown:
             self._bar.stop()
 
     @contextmanager
-    def paused(self) -> Iterator[None]:
+    def pause(self) -> Iterator[None]:
         """Hide the bar while a ``with`` block prints or asks something."""
         self.stop()
         try:
@@ -78,18 +78,18 @@ class Shown:
         record : CycleRecord
         """
         self._cycles += 1
-        self.hear(record)
+        self.note_cycle(record)
         now = time.monotonic()
         if now - self._shown < self._every:
             return
         self._shown = now
-        state, done = "  ".join(filter(None, [self.describe(record), record.rig])), self.done(record)
+        state, done = "  ".join(filter(None, [self.describe(record), record.rig])), self.compute_done(record)
         if self._terminal:
             self._bar.update(self._task, completed=done, state=state, refresh=True)
         else:
             self._console.print(f"{self._name}: {100.0 * done / self._total:.0f} %  {state}")
 
-    def hear(self, record: CycleRecord) -> None:
+    def note_cycle(self, record: CycleRecord) -> None:
         """Store what later cycles need; called for every cycle.
 
         Parameters
@@ -97,7 +97,7 @@ class Shown:
         record : CycleRecord
         """
 
-    def done(self, record: CycleRecord) -> float:
+    def compute_done(self, record: CycleRecord) -> float:
         """Return how much of the total is done.
 
         Parameters
@@ -124,24 +124,24 @@ class Shown:
         raise NotImplementedError
 
 
-class Progress(Shown):
+class PathProgress(MissionProgress):
     """Progress of a robot on a path.
 
     Parameters
     ----------
     mission : Mission
-    every : float, in s
+    update_interval : float, in s
         Time between two updates on a terminal.
-    quiet_every : float, in s
+    line_interval : float, in s
         Time between two lines elsewhere.
     """
 
-    def __init__(self, mission: Mission, every: float = 0.1, quiet_every: float = 10.0) -> None:
-        super().__init__(mission.name, mission.path.length, every, quiet_every)
+    def __init__(self, mission: Mission, update_interval: float = 0.1, line_interval: float = 10.0) -> None:
+        super().__init__(mission.name, mission.path.length, update_interval, line_interval)
         self._mission = mission
         self._begun: tuple[float, float] | None = None
 
-    def hear(self, record: CycleRecord) -> None:
+    def note_cycle(self, record: CycleRecord) -> None:
         """Store when the path was begun.
 
         Parameters
@@ -152,7 +152,7 @@ class Progress(Shown):
         if self._begun is None and command.phase == "follow" and command.window is not None:
             self._begun = (record.shot.end, command.progress)
 
-    def done(self, record: CycleRecord) -> float:
+    def compute_done(self, record: CycleRecord) -> float:
         """Return the arc length that is done.
 
         Parameters
@@ -184,11 +184,11 @@ class Progress(Shown):
             parts.append(f"{off * 1e3:.2f} mm off" if record.command.phase == "follow" else "approaching")
         end = record.shot.end
         parts.append(f"{self._cycles / end:.1f} Hz")
-        left = self._left(record)
+        left = self._estimate_time_left(record)
         parts.append(f"{end:.0f} s" + (f", {left:.0f} s left" if left is not None else ""))
         return "  ".join(parts)
 
-    def _left(self, record: CycleRecord) -> float | None:
+    def _estimate_time_left(self, record: CycleRecord) -> float | None:
         if self._begun is None:
             return None
         gone, done = record.shot.end - self._begun[0], record.command.progress - self._begun[1]
@@ -197,26 +197,28 @@ class Progress(Shown):
         return gone / done * (self._mission.path.length - record.command.progress)
 
 
-class Watching(Shown):
+class ObservationProgress(MissionProgress):
     """Progress of an observation, in seconds or in measurements.
 
     Parameters
     ----------
     mission : Observation
-    every : float, in s
+    update_interval : float, in s
         Time between two updates on a terminal.
-    quiet_every : float, in s
+    line_interval : float, in s
         Time between two lines elsewhere.
     """
 
-    def __init__(self, mission: Observation, every: float = 0.1, quiet_every: float = 10.0) -> None:
+    def __init__(self, mission: Observation, update_interval: float = 0.1, line_interval: float = 10.0) -> None:
         section = mission.sections.observe
-        super().__init__(mission.name, section.duration_s or float(section.measurements or 1), every, quiet_every)
+        super().__init__(
+            mission.name, section.duration_s or float(section.measurements or 1), update_interval, line_interval
+        )
         self._counts = section.measurements is not None
         self._begun: float | None = None
         self._made = 0
 
-    def hear(self, record: CycleRecord) -> None:
+    def note_cycle(self, record: CycleRecord) -> None:
         """Store when the device was first located, and count the measurements.
 
         Parameters
@@ -228,7 +230,7 @@ class Watching(Shown):
         self._begun = record.shot.end if self._begun is None else self._begun
         self._made += record.shot.mode == "hold"
 
-    def done(self, record: CycleRecord) -> float:
+    def compute_done(self, record: CycleRecord) -> float:
         """Return the seconds or the measurements that are done.
 
         Parameters
@@ -260,14 +262,16 @@ class Watching(Shown):
             parts.append(f"({x:+.1f}, {y:+.1f}, {z:.1f}) mm")
         parts.append(f"{self._made} measurements" if self._counts else f"{self._cycles / record.shot.end:.1f} Hz")
         left = (
-            "" if self._counts or self._begun is None else f", {max(self._total - self.done(record), 0.0):.0f} s left"
+            ""
+            if self._counts or self._begun is None
+            else f", {max(self._total - self.compute_done(record), 0.0):.0f} s left"
         )
         parts.append(f"{record.shot.end:.0f} s{left}")
         return "  ".join(parts)
 
 
 @contextmanager
-def shown_progress(mission: AnyMission) -> Iterator[Shown]:
+def show_progress(mission: AnyMission) -> Iterator[MissionProgress]:
     """Show the progress of a mission while a ``with`` block runs.
 
     Parameters
@@ -279,7 +283,7 @@ def shown_progress(mission: AnyMission) -> Iterator[Shown]:
     Shown
         To be called with the record of each cycle.
     """
-    progress = Watching(mission) if isinstance(mission, Observation) else Progress(mission)
+    progress = ObservationProgress(mission) if isinstance(mission, Observation) else PathProgress(mission)
     progress.start()
     try:
         yield progress

@@ -19,16 +19,16 @@ def recover(
 ) -> None:
     """Complete the folder of a killed run: record, summary, cycles, picture. A complete run is not changed."""
     from smolbot.runs.recover import recover as make_whole
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.ui.cli.show import echo_json, print_table
 
     done = make_whole(run)
-    told = as_told(done)
-    table(f"recover {run}", _rows(done, told), err=json)
+    told = make_summary(done)
+    print_table(f"recover {run}", _make_rows(done, told), err=json)
     if json:
         echo_json(told)
 
 
-def as_told(done: Recovery) -> dict[str, Any]:
+def make_summary(done: Recovery) -> dict[str, Any]:
     """Build the JSON output of a recovery: what was found, what is missing, what was done.
 
     Parameters
@@ -45,7 +45,7 @@ def as_told(done: Recovery) -> dict[str, Any]:
     return {
         "record": str(found.path),
         "needed": done.needed,
-        "whole": found.whole,
+        "whole": found.complete,
         "ended": found.end is not None,
         "status": flown.status,
         "stop_reason": flown.stop_reason,
@@ -53,27 +53,30 @@ def as_told(done: Recovery) -> dict[str, Any]:
         "shots": len(found.played),
         "cycles": len(numbers),
         "last_s": flown.duration,
-        "lost_bytes": found.lost,
+        "lost_bytes": found.lost_bytes,
         "dropped": found.dropped,
         "cycles_missing_between": numbers[-1] + 1 - len(numbers) if numbers else 0,
-        "cycles_not_recorded": done.unread,
+        "cycles_not_recorded": done.cycles_not_recorded,
         "torn": None if done.torn is None else str(done.torn),
         "written": done.written,
-        "not_written": done.unwritten or None,
+        "not_written": done.reason_not_written or None,
     }
 
 
-def _rows(done: Recovery, told: dict[str, Any]) -> list[tuple[str, str]]:
-    held = f"{told['shots']} shots, {told['cycles']} cycles, until {told['last_s']:.3f} s"
-    rows = [("found", f"{told['messages']} messages: {held}"), ("run", f"{told['status']}: {told['stop_reason']}")]
+def _make_rows(done: Recovery, summary: dict[str, Any]) -> list[tuple[str, str]]:
+    held = f"{summary['shots']} shots, {summary['cycles']} cycles, until {summary['last_s']:.3f} s"
+    rows = [
+        ("found", f"{summary['messages']} messages: {held}"),
+        ("run", f"{summary['status']}: {summary['stop_reason']}"),
+    ]
     missing = [
-        (told["lost_bytes"], "bytes hold nothing that can be read"),
-        (told["dropped"], "messages were dropped while it flew"),
-        (told["cycles_missing_between"], "cycles before the last are missing"),
-        (told["cycles_not_recorded"], "more cycles stand in cycles.csv than in the record"),
+        (summary["lost_bytes"], "bytes hold nothing that can be read"),
+        (summary["dropped"], "messages were dropped while it flew"),
+        (summary["cycles_missing_between"], "cycles before the last are missing"),
+        (summary["cycles_not_recorded"], "more cycles stand in cycles.csv than in the record"),
     ]
     said = [f"{count} {what}" for count, what in missing if count]
-    if not told["ended"]:
+    if not summary["ended"]:
         said.append("what the last half second before the end held, if anything")
     rows.append(("missing", "; ".join(said) or "nothing"))
     if not done.needed:
@@ -82,6 +85,6 @@ def _rows(done: Recovery, told: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("record", f"written anew; as found it is kept as {done.torn.name}"))
     if done.written:
         rows.append(("written", ", ".join(done.written)))
-    if done.unwritten:
-        rows.append(("not written", done.unwritten))
+    if done.reason_not_written:
+        rows.append(("not written", done.reason_not_written))
     return rows

@@ -13,7 +13,7 @@ from smolbot.ui.cli.options import JsonOption
 if TYPE_CHECKING:
     from smolbot.flight.replay import Replay
 
-FIGURES = (".png", ".svg", ".pdf")
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def replay(
@@ -33,15 +33,15 @@ def replay(
     json: JsonOption = False,
 ) -> None:
     """Locate again in the recordings of a run: the same poses bit for bit, or those of other settings, compared."""
-    from smolbot.config.plugins import names
-    from smolbot.flight.replay import apart, figures
+    from smolbot.config.plugins import list_plugins
+    from smolbot.flight.replay import compute_figures, compute_pose_differences
     from smolbot.flight.replay import replay as play
-    from smolbot.runs.pictures.replay import draw_replay
+    from smolbot.runs.pictures.replayed_run import draw_replay
 
-    if estimator is not None and estimator not in names("estimators"):
-        raise InputError(f"--estimator must be one of {', '.join(names('estimators'))}; got '{estimator}'.")
-    if out is not None and out.suffix.lower() not in FIGURES:
-        raise InputError(f"--out {out}: a figure is one of {', '.join(FIGURES)}; got '{out.suffix}'.")
+    if estimator is not None and estimator not in list_plugins("estimators"):
+        raise InputError(f"--estimator must be one of {', '.join(list_plugins('estimators'))}; got '{estimator}'.")
+    if out is not None and out.suffix.lower() not in FIGURE_SUFFIXES:
+        raise InputError(f"--out {out}: a figure is one of {', '.join(FIGURE_SUFFIXES)}; got '{out.suffix}'.")
     if out is not None and not out.absolute().parent.is_dir():
         raise InputError(f"--out {out}: there is no folder {out.parent}.")
     played = play(run, estimator=estimator, half_periods=half_periods, device=device)
@@ -49,12 +49,12 @@ def replay(
     found: dict[str, Any] = {
         "run": str(played.record.folder),
         "changed": played.changed,
-        "whole": played.record.whole,
+        "whole": played.record.complete,
         "cycles": len(played.cycles),
         "identical": difference is None,
         "first_difference": difference,
-        "apart": apart(played),
-        **figures(played),
+        "apart": compute_pose_differences(played),
+        **compute_figures(played),
     }
     if played.changed:
         picture = out or played.record.folder / "replay.png"
@@ -68,20 +68,23 @@ def replay(
 
 
 def _show(played: Replay, found: dict[str, Any], *, json: bool) -> None:
-    from smolbot.ui.cli.show import columns, echo_json
+    from smolbot.ui.cli.show import echo_json, print_columns
 
     if json:
         echo_json(found)
         return
     same = found["identical"]
     lines = ["every pose is the same, bit for bit" if same else f"first difference: {found['first_difference']}"]
-    if not played.record.whole:
+    if not played.record.complete:
         lines.append("the record was cut short; what is in it was replayed")
     if played.stop_reason:
         lines.append(f"the replay ended early: {played.stop_reason}")
     title = f"{played.mission.name}: {found['cycles']} cycles replayed"
-    rows = [(label, _said(found["recorded"], *keys), _said(found["replayed"], *keys)) for label, keys in _ROWS]
-    columns(title, ("", "recorded", "replayed"), [row for row in rows if row[1] or row[2]])
+    rows = [
+        (label, _format_figure(found["recorded"], *keys), _format_figure(found["replayed"], *keys))
+        for label, keys in _ROWS
+    ]
+    print_columns(title, ("", "recorded", "replayed"), [row for row in rows if row[1] or row[2]])
     for line in lines:
         typer.echo(line)
     far = found["apart"]
@@ -108,7 +111,7 @@ _ROWS: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 
-def _said(figures: dict[str, Any], *keys: str) -> str:
+def _format_figure(figures: dict[str, Any], *keys: str) -> str:
     value: Any = figures
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None

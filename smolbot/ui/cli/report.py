@@ -10,7 +10,7 @@ import typer
 from smolbot.core.results import as_json
 from smolbot.errors import InputError
 from smolbot.ui.cli.options import JsonOption
-from smolbot.ui.cli.show import columns, echo_json, table
+from smolbot.ui.cli.show import echo_json, print_columns, print_table
 
 RunsArgument = Annotated[
     list[Path], typer.Argument(help="Run folder, or its record; several are compared.", metavar="RUN …")
@@ -19,15 +19,17 @@ OutOption = Annotated[
     Path | None,
     typer.Option(help="Page to write; default: report.html in the run's folder, for several comparison.html here."),
 ]
-SECONDS, RATE = 10.0, 12
+ANIMATION_SECONDS, ANIMATION_RATE = 10.0, 12
 AnimationOption = Annotated[
     Path | None,
     typer.Option("--animate", help="Animation to make of one run: .gif, or .mp4 where ffmpeg is."),
 ]
 SecondsOption = Annotated[
-    float | None, typer.Option(min=1.0, max=120.0, help=f"Length of the animation; default: {SECONDS:g}.")
+    float | None, typer.Option(min=1.0, max=120.0, help=f"Length of the animation; default: {ANIMATION_SECONDS:g}.")
 ]
-RateOption = Annotated[int | None, typer.Option(min=1, max=60, help=f"Its pictures a second; default: {RATE}.")]
+RateOption = Annotated[
+    int | None, typer.Option(min=1, max=60, help=f"Its pictures a second; default: {ANIMATION_RATE}.")
+]
 
 
 def report(
@@ -46,16 +48,16 @@ def report(
             raise InputError(f"--animate shows one run; got {len(runs)}.")
         _compare(runs, out, json)
     elif animate is not None:
-        _animate(runs[0], animate, seconds or SECONDS, fps or RATE, json)
+        _animate(runs[0], animate, seconds or ANIMATION_SECONDS, fps or ANIMATION_RATE, json)
     else:
-        _report(runs[0], out, json)
+        _write_report(runs[0], out, json)
 
 
-def _report(run: Path, out: Path | None, json: bool) -> None:
-    from smolbot.runs.report.flight import Flight
+def _write_report(run: Path, out: Path | None, json: bool) -> None:
     from smolbot.runs.report.page import save_report
+    from smolbot.runs.report.recorded_flight import RecordedFlight
 
-    flight = Flight.read(run)
+    flight = RecordedFlight.read(run)
     path = save_report(flight, out)
     summary = flight.summary
     rows = [
@@ -63,22 +65,24 @@ def _report(run: Path, out: Path | None, json: bool) -> None:
         ("verdict", "; ".join([summary["verdict"], *summary["verdict_reasons"]])),
         ("report", f"{path}, {path.stat().st_size / 1e6:.2f} MB"),
     ]
-    if not flight.record.whole:
+    if not flight.record.complete:
         rows.insert(0, ("record", "cut short: figures are of what is in it"))
-    table(flight.title, rows, err=json)
+    print_table(flight.title, rows, err=json)
     if json:
-        echo_json({**summary, "report": str(path), "whole": flight.record.whole})
+        echo_json({**summary, "report": str(path), "whole": flight.record.complete})
 
 
 def _compare(runs: list[Path], out: Path | None, json: bool) -> None:
     from smolbot.runs.report.comparison import compare
-    from smolbot.runs.report.comparison_page import said, write_comparison
-    from smolbot.runs.report.figures_of_merit import unit_of
+    from smolbot.runs.report.comparison_page import format_estimate, write_comparison
+    from smolbot.runs.report.figures_of_merit import get_unit
 
     found = compare(runs)
     path = write_comparison(found, out if out is not None else Path("comparison.html"))
-    rows = [[one.name, *(said(estimate, unit_of(one.key)) for estimate in one.of_run)] for one in found.figures]
-    columns("Value (95 % interval)", ("", *found.labels), rows, err=json)
+    rows = [
+        [one.name, *(format_estimate(estimate, get_unit(one.key)) for estimate in one.values)] for one in found.figures
+    ]
+    print_columns("Value (95 % interval)", ("", *found.labels), rows, err=json)
     typer.echo(f"page: {path}", err=json)
     if json:
         echo_json(as_json({**found.as_dict(), "page": str(path)}))
@@ -89,6 +93,6 @@ def _animate(run: Path, path: Path, seconds: float, fps: int, json: bool) -> Non
 
     made = make_animation(run, path, seconds, fps)
     said = f"{made.seconds:.1f} s at {made.fps} pictures a second, {made.speed:.1f} times real time"
-    table(str(path), [("animation", said), ("size", f"{made.size / 1e6:.2f} MB")], err=json)
+    print_table(str(path), [("animation", said), ("size", f"{made.size / 1e6:.2f} MB")], err=json)
     if json:
         echo_json({"animation": str(path), **made.as_dict()})

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smolbot.ui.cli.show import echo_json, table
+from smolbot.ui.cli.show import echo_json, print_table
 
 if TYPE_CHECKING:
     from smolbot.config.load import AnyMission
     from smolbot.runs.run import Listener, Run
 
-from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, settings_from
+from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 
 def run(
@@ -35,53 +35,53 @@ def run(
     from smolbot.config.load import load_mission
     from smolbot.core.operator import TerminalOperator
     from smolbot.flight.safety.stop_latch import Latch
-    from smolbot.flight.safety.stop_signals import stop_signals
-    from smolbot.flight.session import fly, new_folder
+    from smolbot.flight.safety.stop_signals import catch_stop_signals
+    from smolbot.flight.session import fly, make_run_folder
     from smolbot.runs.folder import RunFolder
-    from smolbot.ui.cli.live import watched
-    from smolbot.ui.cli.progress import shown_progress
-    from smolbot.ui.cli.stop_key import KEY, Keyboard
+    from smolbot.ui.cli.live import connect_console
+    from smolbot.ui.cli.progress import show_progress
+    from smolbot.ui.cli.stop_key import STOP_KEY_REASON, Keyboard
 
-    settings = settings_from(set_)
+    settings = parse_settings(set_)
     loaded = load_mission(mission, rig, settings)
-    folder = RunFolder(out) if out is not None else new_folder(loaded, seed)
+    folder = RunFolder(out) if out is not None else make_run_folder(loaded, seed)
     latch, operator = Latch(), TerminalOperator()
-    keyboard = Keyboard(partial(latch.shut, KEY, "stopped"))
-    with stop_signals(latch), shown_progress(loaded) as progress, keyboard:
-        operator.pauses += [progress.paused, keyboard.paused]
+    keyboard = Keyboard(partial(latch.trip, STOP_KEY_REASON, "stopped"))
+    with catch_stop_signals(latch), show_progress(loaded) as progress, keyboard:
+        operator.pauses += [progress.pause, keyboard.pause]
         if keyboard.active:
             operator.say("q, Esc or Ctrl-C stops the run")
 
         def listeners(_: AnyMission) -> tuple[Listener, ...]:
             return (progress,)
 
-        with watched(loaded, seed, latch, operator.say) if live else nullcontext((None, None)) as (pause, pump):
+        with connect_console(loaded, seed, latch, operator.say) if live else nullcontext((None, None)) as (pause, pump):
             flown = fly(
-                loaded, seed, folder=folder, settings=settings, gui=gui, listeners=listeners, operator=operator,
-                latch=latch, report=report, pause=pause, live=pump,
+                loaded, seed, folder=folder, settings=settings, gui=gui, make_listeners=listeners, operator=operator,
+                latch=latch, report=report, pause=pause, make_live_sink=pump,
             )  # fmt: skip
     _show_run(loaded, flown, json)
-    raise typer.Exit(_exit_code(flown))
+    raise typer.Exit(_choose_exit_code(flown))
 
 
-def _exit_code(run: Run) -> int:
+def _choose_exit_code(run: Run) -> int:
     if run.status in ("stopped", "failed"):
         return 3
     return 0 if run.summary["verdict"] == "passed" else 1
 
 
 def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
-    from smolbot.runs.report.figures_of_merit import append_unit, unit_of
-    from smolbot.runs.summary import label_of
-    from smolbot.ui.cli.observations import observation_rows
+    from smolbot.runs.report.figures_of_merit import append_unit, get_unit
+    from smolbot.runs.summary import format_label
+    from smolbot.ui.cli.observations import make_observation_rows
 
     s = run.summary
     rows = [
         ("status", f"{s['status']}: {s['stop_reason']}"),
-        ("verdict", "; ".join([str(s["verdict"]), *_texts(s["verdict_reasons"])])),
+        ("verdict", "; ".join([str(s["verdict"]), *_format_reasons(s["verdict_reasons"])])),
         ("robot time" if "path_length_mm" in s else "time", f"{s['duration_s']:.1f} s, {s['cycles']} cycles"),
         ("loop rate", f"{s['loop_rate_hz']:.2f} Hz (timeline allows {s['timeline_limit_hz']:.2f} Hz)"),
-        ("compute time", _compute(s)),
+        ("compute time", _format_compute_time(s)),
     ]
     for key, label in (
         ("localization_error_mm", "localization error"),
@@ -93,10 +93,10 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         ("tracking_error_mm", "tracking error"),
     ):
         told: Any = s.get(key, {})
-        shown = [append_unit(f"{name} {told[name]:.2f}", unit_of(key)) for name in ("mean", "p95") if name in told]
+        shown = [append_unit(f"{name} {told[name]:.2f}", get_unit(key)) for name in ("mean", "p95") if name in told]
         if shown:
             rows.append((label, ", ".join(shown)))
-    rows += observation_rows(s)
+    rows += make_observation_rows(s)
     if s["r_squared_median"] is not None:
         rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
     if "turns" in s:
@@ -104,21 +104,21 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
     elif "coil_energy_j" in s:
         rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
     if s.get("duty_peak"):
-        rows.append(("coils", _coils(s)))
-    if told := _recovered(s):
+        rows.append(("coils", _format_coils(s)))
+    if told := _format_recovered(s):
         rows.append(("recovered", told))
-    if told := _not_recorded(s.get("recording", {})):
+    if told := _format_not_recorded(s.get("recording", {})):
         rows.append(("not recorded", told))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
     if run.report:
         rows.append(("report", run.report))
-    table(f"{mission.name} on {mission.rig.name}{label_of(s)}", rows, err=json)
+    print_table(f"{mission.name} on {mission.rig.name}{format_label(s)}", rows, err=json)
     if json:
         echo_json(s)
 
 
-def _coils(summary: dict[str, Any]) -> str:
+def _format_coils(summary: dict[str, Any]) -> str:
     """Describe the highest duty cycle, and the coil that came nearest to its limit, counted from 20 °C."""
     duty: dict[str, float] = summary["duty_peak"]
     busiest = max(duty, key=lambda name: duty[name])
@@ -130,16 +130,16 @@ def _coils(summary: dict[str, Any]) -> str:
     return f"{told}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
 
 
-def _recovered(summary: dict[str, Any]) -> str:
+def _format_recovered(summary: dict[str, Any]) -> str:
     return ", ".join(f"{kind.replace('_', ' ')}: {times}" for kind, times in summary["recovered"].items() if times)
 
 
-def _not_recorded(recording: Any) -> str:
+def _format_not_recorded(recording: Any) -> str:
     """Describe what is missing from the record, and why; empty if nothing is.
 
     Examples
     --------
-    >>> _not_recorded({"dropped": 3, "error": "OSError: the disk is full"})
+    >>> _format_not_recorded({"dropped": 3, "error": "OSError: the disk is full"})
     '3 messages: OSError: the disk is full'
     """
     dropped = recording.get("dropped")
@@ -147,11 +147,11 @@ def _not_recorded(recording: Any) -> str:
     return ": ".join(part for part in parts if part)
 
 
-def _texts(value: Any) -> list[str]:
+def _format_reasons(value: Any) -> list[str]:
     return [str(v) for v in value]
 
 
-def _compute(summary: dict[str, Any]) -> str:
+def _format_compute_time(summary: dict[str, Any]) -> str:
     times = summary["compute_ms"]
     if times["median"] is None:
         return "no cycle was played"

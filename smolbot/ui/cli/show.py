@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from smolbot.core.results import json_text
+from smolbot.core.results import format_json
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def console(*, err: bool = False, width: int = 120) -> Console:
+def make_console(*, err: bool = False, width: int = 120) -> Console:
     """Make a console for standard output or standard error.
 
     Parameters
@@ -35,7 +35,7 @@ def console(*, err: bool = False, width: int = 120) -> Console:
 
 
 @contextmanager
-def spinner(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
+def show_spinner(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Show on a terminal what is going on while a ``with`` block runs.
 
     Parameters
@@ -50,7 +50,7 @@ def spinner(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]
     callable
         To be called with a new text.
     """
-    shown = console(err=True)
+    shown = make_console(err=True)
     if quiet or not shown.is_terminal:
         yield lambda _: None
         return
@@ -59,7 +59,9 @@ def spinner(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]
 
 
 @contextmanager
-def bar(name: str, *columns: Any, total: float | None = None, quiet: bool = False) -> Iterator[Callable[..., None]]:
+def show_bar(
+    name: str, *columns: Any, total: float | None = None, quiet: bool = False
+) -> Iterator[Callable[..., None]]:
     """Show a progress bar on a terminal while a ``with`` block runs.
 
     Parameters
@@ -88,7 +90,7 @@ def bar(name: str, *columns: Any, total: float | None = None, quiet: bool = Fals
         yield partial(shown.update, shown.add_task(name, total=total))
 
 
-def table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> None:
+def print_table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> None:
     """Print a table of two columns.
 
     Parameters
@@ -106,7 +108,7 @@ def table(title: str, rows: Sequence[tuple[str, str]], *, err: bool = False) -> 
     shown.add_column(overflow="fold")
     for name, value in rows:
         shown.add_row(Text(name), Text(value))
-    console(err=err).print(shown)
+    make_console(err=err).print(shown)
 
 
 def echo_json(data: Any) -> None:
@@ -116,10 +118,10 @@ def echo_json(data: Any) -> None:
     ----------
     data : object
     """
-    sys.stdout.write(json_text(data))
+    sys.stdout.write(format_json(data))
 
 
-def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], *, err: bool = False) -> None:
+def print_columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], *, err: bool = False) -> None:
     """A table with a header, the first column for names; on standard error where standard output is kept for JSON."""
     from rich.table import Table
     from rich.text import Text
@@ -129,4 +131,4 @@ def columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], *,
         shown.add_column(name, style="cyan" if index == 0 else None, justify="left" if index == 0 else "right")
     for row in rows:
         shown.add_row(*(Text(cell) for cell in row))
-    console(err=err).print(shown)
+    make_console(err=err).print(shown)

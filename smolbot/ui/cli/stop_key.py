@@ -15,11 +15,11 @@ from typing import Self
 STOP_KEYS = (b"q", b"Q", b"\x1b")
 """q, or Esc by itself. Arrow and function keys also send an Esc first; they stop nothing."""
 
-KEY = "stopped by the operator (key)"
+STOP_KEY_REASON = "stopped by the operator (key)"
 
-_SEQUENCE = rb"\x1b[\[O][0-9;]*[A-Za-z~]"  # of an arrow or function key
-_LOOK = 0.2  # s between two looks whether the terminal is still ours
-_FOLLOWS = 0.05  # s within which the rest of an arrow key's sequence has come
+_ESCAPE_SEQUENCE = rb"\x1b[\[O][0-9;]*[A-Za-z~]"  # of an arrow or function key
+_POLL_INTERVAL = 0.2  # s between two looks whether the terminal is still ours
+_SEQUENCE_TIMEOUT = 0.05  # s within which the rest of an arrow key's sequence has come
 
 
 class Keyboard:
@@ -50,7 +50,7 @@ class Keyboard:
         self.active = False
 
     def __enter__(self) -> Self:
-        number = self._terminal()
+        number = self._find_terminal()
         if number is None:
             return self
         import termios
@@ -78,7 +78,7 @@ class Keyboard:
         atexit.unregister(self._restore)
 
     @contextmanager
-    def paused(self) -> Iterator[None]:
+    def pause(self) -> Iterator[None]:
         """Restore the terminal while a ``with`` block asks a question."""
         if self._thread is None:
             yield
@@ -90,26 +90,26 @@ class Keyboard:
             finally:
                 self._listen()
 
-    def _terminal(self) -> int | None:
+    def _find_terminal(self) -> int | None:
         if os.name != "posix":
             return None
         number = self._number
         if number is None:
             with suppress(AttributeError, OSError, ValueError):  # a stream that stands for standard input
                 number = sys.stdin.fileno()
-        return number if number is not None and os.isatty(number) and _in_front(number) else None
+        return number if number is not None and os.isatty(number) and _is_in_foreground(number) else None
 
     def _listen(self) -> None:
         import termios
         import tty
 
-        if self.active and self._number is not None and _in_front(self._number):
+        if self.active and self._number is not None and _is_in_foreground(self._number):
             tty.setcbreak(self._number, termios.TCSADRAIN)
 
     def _restore(self) -> None:
         import termios
 
-        if self._number is not None and self._kept is not None and _in_front(self._number):
+        if self._number is not None and self._kept is not None and _is_in_foreground(self._number):
             with suppress(termios.error):  # the terminal may have been closed
                 termios.tcsetattr(self._number, termios.TCSADRAIN, self._kept)  # type: ignore[arg-type]
 
@@ -119,13 +119,13 @@ class Keyboard:
         assert self._number is not None
         assert self._wake is not None
         while self.active:
-            ready, _, _ = select.select([self._wake[0], self._number], [], [], _LOOK)
+            ready, _, _ = select.select([self._wake[0], self._number], [], [], _POLL_INTERVAL)
             if self._wake[0] in ready:
                 return
-            if self._number not in ready or not self._ours.acquire(timeout=_LOOK):
+            if self._number not in ready or not self._ours.acquire(timeout=_POLL_INTERVAL):
                 continue
             try:
-                pressed = self._pressed()
+                pressed = self._read_stop_key()
             except OSError:  # the terminal was closed: nobody can press anything
                 return
             finally:
@@ -133,22 +133,22 @@ class Keyboard:
             if pressed:
                 self._stop()
 
-    def _pressed(self) -> bool:
+    def _read_stop_key(self) -> bool:
         """Return whether a stop key was pressed; other keys are dropped."""
         import select
 
         assert self._number is not None
-        if not _in_front(self._number) or not select.select([self._number], [], [], 0.0)[0]:
+        if not _is_in_foreground(self._number) or not select.select([self._number], [], [], 0.0)[0]:
             return False
         keys = os.read(self._number, 64)
         if not keys:
             raise OSError("end of the terminal")
-        if keys.endswith(b"\x1b") and select.select([self._number], [], [], _FOLLOWS)[0]:
+        if keys.endswith(b"\x1b") and select.select([self._number], [], [], _SEQUENCE_TIMEOUT)[0]:
             keys += os.read(self._number, 64)
-        return stops(keys)
+        return has_stop_key(keys)
 
 
-def stops(keys: bytes) -> bool:
+def has_stop_key(keys: bytes) -> bool:
     r"""Return whether a stop key is among the typed keys.
 
     Parameters
@@ -161,14 +161,14 @@ def stops(keys: bytes) -> bool:
 
     Examples
     --------
-    >>> stops(b"xq"), stops(b"\x1b"), stops(b"x\x1b[A\x1bOP\x1b[15~"), stops(b"\x1b[Aq")
+    >>> has_stop_key(b"xq"), has_stop_key(b"\x1b"), has_stop_key(b"x\x1b[A\x1bOP\x1b[15~"), has_stop_key(b"\x1b[Aq")
     (True, True, False, True)
     """
-    typed = re.sub(_SEQUENCE, b"", keys)
+    typed = re.sub(_ESCAPE_SEQUENCE, b"", keys)
     return any(key in typed for key in STOP_KEYS)
 
 
-def _in_front(number: int) -> bool:
+def _is_in_foreground(number: int) -> bool:
     """Return whether this process may use its terminal; one in the background would be suspended."""
     try:
         return os.tcgetpgrp(number) == os.getpgrp()

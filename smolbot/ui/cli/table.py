@@ -28,10 +28,10 @@ def build_command(
     as_json: Json = False,
 ) -> None:
     """Compute the field table of a rig's coils from its rig file, and write it."""
-    with _bad_input_exits():
+    with _exit_on_bad_input():
         table = _load(rig, is_rig=True)
         table.write(out, layout)
-        _report(table, {"source": rig, "out": str(out)}, as_json)
+        _print_summary(table, {"source": rig, "out": str(out)}, as_json)
 
 
 @app.command("info")
@@ -40,8 +40,8 @@ def info_command(
     as_json: Json = False,
 ) -> None:
     """Print the coils, mesh, field strengths and accuracy of a table."""
-    with _bad_input_exits():
-        _report(_load(file, is_rig=False), {"source": file}, as_json)
+    with _exit_on_bad_input():
+        _print_summary(_load(file, is_rig=False), {"source": file}, as_json)
 
 
 @app.command("import")
@@ -55,14 +55,14 @@ def import_command(
     as_json: Json = False,
 ) -> None:
     """Check an export, convert it to the world frame and to 1 A, and write it."""
-    with _bad_input_exits():
+    with _exit_on_bad_input():
         from lookup_tables import FieldTable
 
-        origin = _millimetres(origin_mm)
+        origin = _parse_millimetres(origin_mm)
         chosen = [name.strip() for name in names.split(",")] if names else None
         table = FieldTable.read(file, current=current, names=chosen, origin=origin)
         table.write(out, layout)
-        _report(table, {"source": file, "out": str(out)}, as_json)
+        _print_summary(table, {"source": file, "out": str(out)}, as_json)
 
 
 @app.command("plot")
@@ -74,7 +74,7 @@ def plot_command(
     as_json: Json = False,
 ) -> None:
     """Draw the field of each coil in a horizontal plane."""
-    with _bad_input_exits():
+    with _exit_on_bad_input():
         from lookup_tables.plot import plot_table
 
         table = _load(source, is_rig=Path(source).suffix in ("", ".toml"))
@@ -86,7 +86,7 @@ def plot_command(
 
 
 @contextmanager
-def _bad_input_exits() -> Iterator[None]:
+def _exit_on_bad_input() -> Iterator[None]:
     """Print the message of one of our errors and exit with code 2."""
     from lookup_tables.errors import OutsideTableError, TableError
     from smolbot.errors import SmolbotError
@@ -108,7 +108,7 @@ def _load(source: str, *, is_rig: bool) -> FieldTable:
     return FieldTable.read(source)
 
 
-def _millimetres(text: str) -> tuple[float, float, float]:
+def _parse_millimetres(text: str) -> tuple[float, float, float]:
     """Parse three comma-separated numbers in mm; return them in m."""
     from lookup_tables import TableError
 
@@ -119,7 +119,7 @@ def _millimetres(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def summary(table: FieldTable) -> dict[str, Any]:
+def make_summary(table: FieldTable) -> dict[str, Any]:
     """Build the JSON output of ``smolbot table info``.
 
     ``curl_residual`` is the largest part of the samples that no field without curl can have, relative to the coil's
@@ -167,8 +167,8 @@ def summary(table: FieldTable) -> dict[str, Any]:
     return {"n_coils": table.n_coils, "mesh": mesh, "coils": coils}
 
 
-def _report(table: FieldTable, head: dict[str, str], as_json: bool) -> None:
-    found = summary(table)
+def _print_summary(table: FieldTable, head: dict[str, str], as_json: bool) -> None:
+    found = make_summary(table)
     if as_json:
         typer.echo(json.dumps({**head, **found}))
         return

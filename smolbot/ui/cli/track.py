@@ -83,19 +83,19 @@ def track(
         measure_swing(Video(video, fps), fps is not None, from_s, to_s, folder, json)
         return
     from smolbot.functions.track import track as follow
-    from smolbot.ui.cli.show import bar, echo_json, table
+    from smolbot.ui.cli.show import echo_json, print_table, show_bar
 
     if (corners is None) != (corners_mm is None):
         raise InputError("--corners and --corners-mm belong together: four points in the picture, and where they are.")
-    with bar("frames", total=None, quiet=json) as tell:
+    with show_bar("frames", total=None, quiet=json) as tell:
         found = follow(
-            video, fiducials=fiducials, corners=_pairs(corners, "--corners"),
-            corners_at=_si(_pairs(corners_mm, "--corners-mm")), corners_height=_si(corners_z_mm),
+            video, fiducials=fiducials, corners=_parse_points(corners, "--corners"),
+            corners_at=_si(_parse_points(corners_mm, "--corners-mm")), corners_height=_si(corners_z_mm),
             camera_height=_si(camera_height_mm), robot=robot, robot_height=_si(robot_z_mm), mark=mark,
             background=background, run=run, offset=offset_s, fps=fps, out=folder,
             progress=lambda done, total: tell(completed=done, total=total),
         )  # fmt: skip
-    table(found.video.name, [*_rows(found), ("written", f"{folder}: track.csv, track.json, track.png")], err=json)
+    print_table(found.video.name, [*_rows(found), ("written", f"{folder}: track.csv, track.json, track.png")], err=json)
     if json:
         echo_json({**found.figures, "track": str(folder / "track.csv")})
 
@@ -103,7 +103,7 @@ def track(
 def _rows(found: VideoTrack) -> list[tuple[str, str]]:
     """The track, what makes it doubtful, and a run's errors against it."""
     f, seen = found.figures, found.track
-    place = ", ".join(f"{1e3 * v:.0f}" for v in found.view.place)
+    place = ", ".join(f"{1e3 * v:.0f}" for v in found.view.position)
     rows = [
         (
             "frames",
@@ -125,7 +125,7 @@ def _si(value: Any) -> Any:
     return None if value is None else 1e-3 * value
 
 
-def _pairs(text: str | None, option: str) -> FloatArray | None:
+def _parse_points(text: str | None, option: str) -> FloatArray | None:
     import numpy as np
 
     if text is None:

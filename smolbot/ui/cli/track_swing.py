@@ -6,26 +6,26 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smolbot.core.text_table import write_rows
-from smolbot.errors import InputError, writing
+from smolbot.core.text_table import write_table
+from smolbot.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
-    from smolbot.runs.optics.deflection import Swing
+    from smolbot.runs.optics.deflection import ObservedSwing
     from smolbot.runs.optics.ringing import Ringing
     from smolbot.runs.optics.video import Video
 
-SLOW = 400.0  # frames per second: less is a rate of playing, not of recording
+MIN_FRAME_RATE = 400.0  # frames per second: less is a rate of playing, not of recording
 
 
 def measure_swing(
-    clip: Video, told: bool, from_s: float | None, to_s: float | None, folder: Path, json: bool
+    clip: Video, rate_given: bool, from_s: float | None, to_s: float | None, folder: Path, json: bool
 ) -> None:  # fmt: skip
     """Measure the swing, print the figures, and write swing.csv, swing.json and swing.png.
 
     Parameters
     ----------
     clip : Video
-    told : bool
+    rate_given : bool
         Whether the frame rate was given by the user.
     from_s : float or None, in s
         Start of the free swing; None to find it.
@@ -40,13 +40,13 @@ def measure_swing(
     InputError
         If the clip has a frame rate of playback, not of recording.
     """
-    from smolbot.core.results import json_text
+    from smolbot.core.results import format_json
     from smolbot.runs.optics.deflection import follow_swing
     from smolbot.runs.optics.ringing import fit_ringing
-    from smolbot.runs.optics.swingpicture import draw_swing
-    from smolbot.ui.cli.show import echo_json, table
+    from smolbot.runs.optics.swing_picture import draw_swing
+    from smolbot.ui.cli.show import echo_json, print_table
 
-    if not told and clip.fps < SLOW:
+    if not rate_given and clip.fps < MIN_FRAME_RATE:
         raise InputError(
             f"{clip.path}: tells {clip.fps:g} frames per second, at which it is to be played; say with --fps what "
             "it was recorded "
@@ -54,18 +54,18 @@ def measure_swing(
         )
     swing = follow_swing(clip)
     ringing = fit_ringing(swing.times, swing.angles, from_s, to_s)
-    figures = _figures(swing, ringing, clip)
-    with writing(folder):
+    figures = _compute_figures(swing, ringing, clip)
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder / "swing.csv", swing)
-        (folder / "swing.json").write_text(json_text(figures), encoding="utf-8")
+        (folder / "swing.json").write_text(format_json(figures), encoding="utf-8")
     f, a, d = (figures[k] for k in ("frequency_hz", "amplitude_deg", "damping_per_s"))
     largest = f"{figures['largest_deg']:.1f}° at most"
     line = f"{f['value']:.2f} Hz   ·   {largest}   ·   damping {d['value']:.2f} 1/s, {ringing.model}"
     draw_swing(swing, ringing, folder / "swing.png", title=f"Swing in {clip.path.name}", line=line)
     rows = [
         ("frames", f"{swing.total} at {clip.fps:g} per second; magnet seen in {len(swing.frames)}"),
-        ("angles", _angles(swing)),
+        ("angles", _describe_angles(swing)),
         ("largest", f"{figures['largest_deg']:.2f}°"),
         (
             "free swing",
@@ -80,12 +80,12 @@ def measure_swing(
         ("other model", f"rms left {figures['other_model_rms_deg']:.3f}°"),
         ("written", f"{folder}: swing.csv, swing.json, swing.png"),
     ]
-    table(clip.path.name, rows, err=json)
+    print_table(clip.path.name, rows, err=json)
     if json:
         echo_json(figures)
 
 
-def _angles(swing: Swing) -> str:
+def _describe_angles(swing: ObservedSwing) -> str:
     if swing.by_arc:
         return (
             f"by the arc of the magnet's centre, {swing.radius:.1f} ± {swing.radius_sigma:.2f} pixels about its pivot"
@@ -93,7 +93,7 @@ def _angles(swing: Swing) -> str:
     return "by how the magnet is turned: its arc is too short to tell the pivot"
 
 
-def _figures(swing: Swing, ringing: Ringing, clip: Video) -> dict[str, Any]:
+def _compute_figures(swing: ObservedSwing, ringing: Ringing, clip: Video) -> dict[str, Any]:
     import numpy as np
 
     std = ringing.std
@@ -112,7 +112,7 @@ def _figures(swing: Swing, ringing: Ringing, clip: Video) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _write(path: Path, swing: Swing) -> None:
+def _write(path: Path, swing: ObservedSwing) -> None:
     table = zip(swing.frames, swing.times, *swing.centers.T, swing.arc, swing.turn, strict=True)
     rows = ([int(number), *("" if math.isnan(v) else f"{v:.9g}" for v in values)] for number, *values in table)
-    write_rows(path, ["frame", "time_s", "x_px", "y_px", "arc_rad", "turn_rad"], rows)
+    write_table(path, ["frame", "time_s", "x_px", "y_px", "arc_rad", "turn_rad"], rows)

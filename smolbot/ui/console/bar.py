@@ -11,10 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from smolbot.ui.console.flight import Flight
+from smolbot.ui.console.flight_state import FlightState
 from smolbot.ui.link.frames import Kind
 
-EVERY = 0.2
+UPDATE_INTERVAL = 0.2
 """Seconds between two updates of the bar."""
 
 GREEN, BLUE, AMBER, RED, GREY = "#15803d", "#1d4ed8", "#b45309", "#dc2626", "#5b6675"
@@ -30,7 +30,7 @@ _ENDINGS = {"completed": GREEN, "stopped": AMBER}
 Order = Callable[[Kind, str], None]
 
 
-def state_of(flight: Flight, time_: float | None = None) -> tuple[str, str]:
+def describe_state(flight: FlightState, time_: float | None = None) -> tuple[str, str]:
     """Return the state of a run in a word, and its colour.
 
     Parameters
@@ -48,10 +48,10 @@ def state_of(flight: Flight, time_: float | None = None) -> tuple[str, str]:
     ended = flight.ending
     if ended is not None and (time_ is None or time_ >= flight.latest):
         return ended.status.upper(), _ENDINGS.get(ended.status, RED)
-    said = flight.word(time_)
+    said = flight.find_text(time_)
     if said is None:
         return ("LEARNING" if flight.mission is not None else "STARTING"), BLUE
-    if flight.paused(time_):
+    if flight.is_paused(time_):
         return "PAUSED", AMBER
     if said.mode == "track":
         return ("APPROACHING", BLUE) if said.phase == "approach" else ("FLYING", GREEN)
@@ -60,8 +60,8 @@ def state_of(flight: Flight, time_: float | None = None) -> tuple[str, str]:
     return _MODES.get(said.mode, (said.mode.upper(), BLUE))
 
 
-def told(
-    flight: Flight | None, flying: bool, waiting: str, time_: float | None = None, replay: str = ""
+def make_bar_state(
+    flight: FlightState | None, flying: bool, starting: str, time_: float | None = None, replay: str = ""
 ) -> dict[str, Any]:
     """Build what the bar shows, for its script.
 
@@ -70,7 +70,7 @@ def told(
     flight : Flight or None
     flying : bool
         Whether a mission is connected that can be paused.
-    waiting : str
+    starting : str
         Name of a mission that was started and has not joined yet; empty if there is none.
     time_ : float, in s, optional
         On the rig's clock; the latest unless given.
@@ -82,27 +82,27 @@ def told(
     dict
     """
     if flight is None:
-        word = ("STARTING", BLUE) if waiting else ("IDLE", GREY)
-        note = f"{waiting} loads" if waiting else "Choose a mission and start it, or open a run."
-        return _bar(word, "smolbot console", note, flying=False)
-    said = flight.word(time_)
-    values = flight.cycles.values(time_)
+        word = ("STARTING", BLUE) if starting else ("IDLE", GREY)
+        note = f"{starting} loads" if starting else "Choose a mission and start it, or open a run."
+        return _fill_bar_state(word, "smolbot console", note, flying=False)
+    said = flight.find_text(time_)
+    values = flight.cycles.get_values(time_)
     error, progress = (values[-1, 0], values[-1, 2]) if len(values) else (math.nan, math.nan)
     allowed = flight.tolerance
-    happened = flight.events(time_)
+    happened = flight.list_events(time_)
     note = (said.note if said else "it listens, and learns the noise and the coils") or (
         happened[-1][1] if happened else ""
     )
     if flight.ending is not None and (time_ is None or time_ >= flight.latest):
         note = flight.ending.reason
-    state = state_of(flight, time_)
+    state = describe_state(flight, time_)
     fine = allowed is None or not error > allowed
-    return _bar(
+    return _fill_bar_state(
         (f"▶ {state[0]}" if replay else state[0], state[1]),
         flight.name + (f", seed {flight.seed}" if flight.seed is not None else "") + replay,
         note,
         flying=flying and flight.ending is None,
-        paused=flight.paused(),
+        paused=flight.is_paused(),
         error=f"{error:.2f} mm" if math.isfinite(error) else "–",
         tolerance=f"error to path, {allowed:g} allowed" if allowed is not None else "error to path",
         error_colour="#86efac" if fine else "#fca5a5",
@@ -112,7 +112,7 @@ def told(
     )
 
 
-def _bar(state: tuple[str, str], mission: str, note: str, *, flying: bool, **figures: Any) -> dict[str, Any]:
+def _fill_bar_state(state: tuple[str, str], mission: str, note: str, *, flying: bool, **figures: Any) -> dict[str, Any]:
     shown = {
         "error": "–", "progress": "–", "time": "–", "tolerance": "error to path", "error_colour": "", "paused": False,
         "truth": False,
@@ -144,7 +144,7 @@ class Bar:
 
     Attributes
     ----------
-    heard : list of float, in s
+    stop_times : list of float, in s
         Times of the stop orders on the monotonic clock.
     open : int
         Number of open pages.
@@ -154,8 +154,8 @@ class Bar:
         self, look: Callable[[], dict[str, Any]], order: Order, may_order: Callable[[str], bool], key: str
     ) -> None:
         self._look, self._order, self._may_order = look, order, may_order
-        self._page = page(key)
-        self.heard: list[float] = []
+        self._page = build_page(key)
+        self.stop_times: list[float] = []
         self.open = 0
 
     def answer(self, path: str) -> tuple[int, str, bytes] | None:
@@ -177,7 +177,7 @@ class Bar:
             return None
         if not self._may_order(path):
             return 403, "text/plain", b"Only a page of this console may stop a mission.\n"
-        self._take("stop")
+        self._execute("stop")
         return 200, "text/plain", b"stopping\n"
 
     async def serve(self, connection: Any) -> None:
@@ -190,32 +190,32 @@ class Bar:
         if not self._may_order(connection.request.path):
             await connection.close(1008, "only a page of this console may use this")
             return
-        telling = asyncio.ensure_future(self._tell(connection))
+        telling = asyncio.ensure_future(self._send_updates(connection))
         self.open += 1
         try:
             async for word in connection:
-                self._take(word if isinstance(word, str) else "")
+                self._execute(word if isinstance(word, str) else "")
         finally:
             self.open -= 1
             telling.cancel()
 
-    def _take(self, word: str) -> None:
+    def _execute(self, word: str) -> None:
         if word == "stop":
-            self.heard.append(time.monotonic())
+            self.stop_times.append(time.monotonic())
             self._order(Kind.STOP, "page")
         elif word in ("pause", "resume"):
             self._order(Kind.PAUSE if word == "pause" else Kind.RESUME, "page")
 
-    async def _tell(self, connection: Any) -> None:
+    async def _send_updates(self, connection: Any) -> None:
         from websockets.exceptions import ConnectionClosed
 
         with contextlib.suppress(ConnectionClosed):
             while True:  # again and again, so that a page notices when nobody tells it anything
                 await connection.send(json.dumps(self._look()))
-                await asyncio.sleep(EVERY)
+                await asyncio.sleep(UPDATE_INTERVAL)
 
 
-def page(key: str) -> bytes:
+def build_page(key: str) -> bytes:
     """Build the page: that of viser with our bar above it.
 
     Parameters

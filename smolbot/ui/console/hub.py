@@ -16,20 +16,20 @@ from pathlib import Path
 from typing import IO, Any
 
 from smolbot.errors import InputError
-from smolbot.ui.console.flight import Ending, Flight
+from smolbot.ui.console.flight_state import Ending, FlightState
+from smolbot.ui.link.console_server import ConsoleServer, MissionConnection
 from smolbot.ui.link.consoles import ENVIRONMENT
 from smolbot.ui.link.frames import Kind
-from smolbot.ui.link.gate import Gate, Line
 
-ANSWER = 1.0
+STOP_TIMEOUT = 1.0
 """Seconds within which a mission must report that its outputs are at zero, or counts as not answering."""
 
-KEPT = 200
+MAX_LOG_LINES = 200
 """Number of lines that the log keeps."""
 
 
 @dataclass
-class Child:
+class ChildMission:
     """A mission that this console has started.
 
     Attributes
@@ -47,7 +47,7 @@ class Child:
     output: IO[bytes]
     joined: bool = False
 
-    def words(self) -> str:
+    def read_output(self) -> str:
         """Return the end of what it has printed.
 
         Returns
@@ -68,7 +68,7 @@ class Log:
     """
 
     def __init__(self, also: Callable[[str], None]) -> None:
-        self.lines: deque[str] = deque(maxlen=KEPT)
+        self.lines: deque[str] = deque(maxlen=MAX_LOG_LINES)
         self._also = also
         self._second, self._said = 0, 0
 
@@ -104,22 +104,22 @@ class Hub:
 
     def __init__(self, log: Log) -> None:
         self.log = log
-        self.gate: Gate | None = None
+        self.gate: ConsoleServer | None = None
         self.file: Path | None = None
-        self.live: Flight | None = None
-        self._flights: dict[Line, Flight] = {}
-        self._children: list[Child] = []
+        self.live: FlightState | None = None
+        self._flights: dict[MissionConnection, FlightState] = {}
+        self._children: list[ChildMission] = []
         self._lock = threading.Lock()
 
-    def joined(self, line: Line) -> None:
-        """Add a mission; see `Missions`.
+    def add_mission(self, line: MissionConnection) -> None:
+        """Add a mission; see `MissionListener`.
 
         Parameters
         ----------
         line : Line
         """
         about = line.about
-        flight = Flight(str(about.get("mission", "a mission")))
+        flight = FlightState(str(about.get("mission", "a mission")))
         with self._lock:
             self._flights[line] = flight
             self.live = flight
@@ -127,8 +127,8 @@ class Hub:
                 child.joined |= child.process.pid == about.get("process")
         self.log(f"{flight.name} joined (process {about.get('process')}).")
 
-    def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None:
-        """Pass a message on to its flight; see `Missions`.
+    def receive_message(self, line: MissionConnection, topic: str, time_ns: int, data: bytes) -> None:
+        """Pass a message on to its flight; see `MissionListener`.
 
         Parameters
         ----------
@@ -139,13 +139,13 @@ class Hub:
         """
         flight = self._flights[line]
         try:
-            flight.take(topic, data)
+            flight.add_message(topic, data)
         except Exception as error:  # a page that cannot draw must still be able to stop
             flight.dropped += 1
             self.log(f"A message of {topic} cannot be shown: {type(error).__name__}: {error}")
 
-    def stopped(self, line: Line) -> None:
-        """Log that a mission has stopped; see `Missions`.
+    def log_stop(self, line: MissionConnection) -> None:
+        """Log that a mission has stopped; see `MissionListener`.
 
         Parameters
         ----------
@@ -157,8 +157,8 @@ class Hub:
             f"{self._flights[line].name}: stopped, outputs at zero {took:.1f} ms after the order ({told.get('asked')})."
         )
 
-    def left(self, line: Line, why: str) -> None:
-        """Remove a mission; see `Missions`.
+    def remove_mission(self, line: MissionConnection, why: str) -> None:
+        """Remove a mission; see `MissionListener`.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class Hub:
     def busy(self) -> str:
         """Names of the missions that fly or are starting; empty if there is none."""
         names = [flight.name for flight in list(self._flights.values())]
-        names += [child.name for child in self._alive() if not child.joined]
+        names += [child.name for child in self._list_alive() if not child.joined]
         return ", ".join(names)
 
     def order(self, kind: Kind, words: str = "") -> None:
@@ -195,10 +195,10 @@ class Hub:
         words : str
             Who gives the order.
         """
-        for line in self.gate.lines if self.gate else []:
-            line.order(kind, words)
+        for line in self.gate.connections if self.gate else []:
+            line.send_order(kind, words)
         if kind is Kind.STOP:
-            for child in self._alive():
+            for child in self._list_alive():
                 if not child.joined:
                     child.process.terminate()
 
@@ -215,13 +215,13 @@ class Hub:
         list of dict
             For each mission: name, process, whether it stopped, and the time that it took in ms.
         """
-        lines = self.gate.lines if self.gate else []
-        waiting = [child for child in self._alive() if not child.joined]
+        lines = self.gate.connections if self.gate else []
+        waiting = [child for child in self._list_alive() if not child.joined]
         begun = time.monotonic()
         self.order(Kind.STOP, asked)
         told: list[dict[str, Any]] = []
         for line in lines:
-            line.answered.wait(max(begun + ANSWER - time.monotonic(), 0.0))
+            line.answered.wait(max(begun + STOP_TIMEOUT - time.monotonic(), 0.0))
             name, process = line.about.get("mission"), line.about.get("process")
             answer = {"mission": name, "process": process, "stopped": line.stopped is not None or not line.open}
             told.append({**answer, "took_ms": 1e3 * (time.monotonic() - begun)})
@@ -229,7 +229,7 @@ class Hub:
             told.append({"mission": child.name, "process": child.process.pid, "stopped": True, "took_ms": 0.0})
         return told
 
-    def start(self, arguments: Sequence[str], name: str) -> Child:
+    def start(self, arguments: Sequence[str], name: str) -> ChildMission:
         """Start ``smolbot run`` as a process of its own, which joins this console.
 
         Parameters
@@ -257,16 +257,16 @@ class Hub:
             env=os.environ | {ENVIRONMENT: str(self.file), "COLUMNS": "120"},
             start_new_session=os.name == "posix",
         )  # fmt: skip
-        child = Child(process, name, output)
+        child = ChildMission(process, name, output)
         self._children.append(child)
         self.log(f"Started: smolbot {' '.join(command[4:])} (process {process.pid}).")
-        threading.Thread(target=self._await_end, args=(child,), name="child", daemon=True).start()
+        threading.Thread(target=self._wait_for_end, args=(child,), name="child", daemon=True).start()
         return child
 
     def close(self) -> None:
         """Stop every mission, and wait for those that this console has started."""
         self.order(Kind.STOP, "the console was ended")
-        for child in self._alive():
+        for child in self._list_alive():
             try:
                 child.process.wait(10.0)
             except subprocess.TimeoutExpired:
@@ -274,13 +274,13 @@ class Hub:
         if self.gate is not None:
             self.gate.close()
 
-    def _alive(self) -> list[Child]:
+    def _list_alive(self) -> list[ChildMission]:
         return [child for child in list(self._children) if child.process.poll() is None]
 
-    def _await_end(self, child: Child) -> None:
+    def _wait_for_end(self, child: ChildMission) -> None:
         code = child.process.wait()
         meaning = {0: "passed", 1: "verdict failed", 2: "bad input", 3: "stopped"}.get(code, "ended from outside")
-        words = child.words().splitlines()
+        words = child.read_output().splitlines()
         self.log(f"{child.name}: {meaning} (exit code {code})." + ("" if child.joined else f" {' '.join(words[-3:])}"))
         child.output.close()
         self._children.remove(child)

@@ -9,11 +9,11 @@ from smolbot.core.arrays import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 
-AROUND = 48
+CIRCLE_POINTS = 48
 """Number of corners of a circle."""
 
 
-def turned(axis: FloatArray) -> FloatArray:
+def make_rotation(axis: FloatArray) -> FloatArray:
     """Compute a rotation whose third column is along an axis; its first column is horizontal.
 
     Parameters
@@ -30,7 +30,7 @@ def turned(axis: FloatArray) -> FloatArray:
     return np.column_stack([level, np.cross(ahead, level), ahead])
 
 
-def tube(inner: FloatArray, outer: FloatArray, length: float) -> tuple[FloatArray, IntArray]:
+def make_tube(inner: FloatArray, outer: FloatArray, length: float) -> tuple[FloatArray, IntArray]:
     """Build the mesh between two closed outlines, extruded along z and centered at the origin.
 
     Parameters
@@ -46,7 +46,7 @@ def tube(inner: FloatArray, outer: FloatArray, length: float) -> tuple[FloatArra
 
     Examples
     --------
-    >>> vertices, faces = tube(circle(1.0), circle(2.0), 3.0)
+    >>> vertices, faces = make_tube(make_circle(1.0), make_circle(2.0), 3.0)
     >>> vertices.shape, faces.shape
     ((192, 3), (384, 3))
     """
@@ -61,7 +61,7 @@ def tube(inner: FloatArray, outer: FloatArray, length: float) -> tuple[FloatArra
     return vertices, np.vstack(faces)
 
 
-def circle(radius: float) -> FloatArray:
+def make_circle(radius: float) -> FloatArray:
     """Build the outline of a circle about the origin.
 
     Parameters
@@ -72,11 +72,11 @@ def circle(radius: float) -> FloatArray:
     -------
     ndarray, shape (AROUND, 2), in mm
     """
-    angle = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
+    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def rectangle(width: float, height: float) -> FloatArray:
+def make_rectangle(width: float, height: float) -> FloatArray:
     """Build the outline of a rectangle about the origin.
 
     Parameters
@@ -91,7 +91,7 @@ def rectangle(width: float, height: float) -> FloatArray:
     return 0.5 * np.array([[width, height], [-width, height], [-width, -height], [width, -height]])
 
 
-def placed(vertices: FloatArray, center: FloatArray, axis: FloatArray) -> FloatArray:
+def place_vertices(vertices: FloatArray, center: FloatArray, axis: FloatArray) -> FloatArray:
     """Rotate vertices so that z is along an axis, and shift their origin.
 
     Parameters
@@ -104,10 +104,10 @@ def placed(vertices: FloatArray, center: FloatArray, axis: FloatArray) -> FloatA
     -------
     ndarray, shape (n, 3), in mm
     """
-    return vertices @ turned(np.asarray(axis, dtype=float)).T + np.asarray(center)
+    return vertices @ make_rotation(np.asarray(axis, dtype=float)).T + np.asarray(center)
 
 
-def ribbon(points: FloatArray, half: float) -> tuple[FloatArray, IntArray]:
+def make_ribbon(points: FloatArray, half: float) -> tuple[FloatArray, IntArray]:
     """Build the mesh of a horizontal band along a line.
 
     Parameters

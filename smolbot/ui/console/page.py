@@ -10,28 +10,28 @@ from typing import Any
 import numpy as np
 
 from smolbot.config.load import AnyMission, load_mission
-from smolbot.ui.console.bar import Bar, told
-from smolbot.ui.console.door import Door, open_viser
-from smolbot.ui.console.drawing import Drawing
-from smolbot.ui.console.figures import Figures
-from smolbot.ui.console.flight import Flight
+from smolbot.ui.console.bar import Bar, make_bar_state
+from smolbot.ui.console.drawing_panel import DrawingPanel
+from smolbot.ui.console.figures_panel import FiguresPanel
+from smolbot.ui.console.flight_state import FlightState
 from smolbot.ui.console.hub import Hub
-from smolbot.ui.console.previewing import panel
-from smolbot.ui.console.runs import Runs
-from smolbot.ui.console.scene import BELIEVED, TRUE, Scene
-from smolbot.ui.console.starting import Starting
-from smolbot.ui.link.feed import BEAT
+from smolbot.ui.console.page_access import PageAccess, open_viser
+from smolbot.ui.console.preview_process import panel
+from smolbot.ui.console.runs_panel import RunsPanel
+from smolbot.ui.console.scene import TRACKED, TRUE, Scene
+from smolbot.ui.console.start_panel import StartPanel
+from smolbot.ui.link.feed import HEARTBEAT_INTERVAL
 
-EVERY = 0.2
+UPDATE_INTERVAL = 0.2
 """Seconds between two updates of the scene."""
 
-FIGURES_EVERY = 3
+FIGURES_INTERVAL = 3
 """Updates of the scene per update of the figures: people read no faster."""
 
-ABOVE = np.array([0.0, 0.0, 0.3])
+TRACE_OFFSET = np.array([0.0, 0.0, 0.3])
 """Offset, in mm, of the tracked trace above the true one, so that both are visible."""
 
-POINTS = 3000
+MAX_POINTS = 3000
 """Largest number of points of a trace; longer ones are thinned."""
 
 
@@ -40,7 +40,7 @@ class Page:
 
     Parameters
     ----------
-    door : Door
+    access : Door
     hub : Hub
     runs : Path
         Folder of the runs to browse.
@@ -53,45 +53,45 @@ class Page:
         If the port is busy.
     """
 
-    def __init__(self, door: Door, hub: Hub, runs: Path, mission: str = "r_path") -> None:
+    def __init__(self, access: PageAccess, hub: Hub, runs: Path, mission: str = "r_path") -> None:
         self.hub = hub
-        self.bar = Bar(self.look, hub.order, door.may_order, door.key)
-        self.server = open_viser(door, self.bar.answer, {"/bar": self.bar.serve}, hub.log)
+        self.bar = Bar(self.make_bar_state, hub.order, access.is_order_allowed, access.key)
+        self.server = open_viser(access, self.bar.answer, {"/bar": self.bar.serve}, hub.log)
         self.scene = Scene(self.server)
         self._over = threading.Event()
-        self._drawn: Any = None
-        self._seen: tuple[int, float | None] = (-1, None)
+        self._drawn_mission: Any = None
+        self._shown: tuple[int, float | None] = (-1, None)
         self._lay_out(runs)
         self.draw(load_mission(mission))
-        self._thread = threading.Thread(target=self._go_on, name="page", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
-        self._beating = asyncio.run_coroutine_threadsafe(self._beat(), self.server.get_event_loop())
+        self._beating = asyncio.run_coroutine_threadsafe(self._send_heartbeats(), self.server.get_event_loop())
 
     def _lay_out(self, runs: Path) -> None:
         gui = self.server.gui
         left = gui.add_panel()
         with left.add_tab("Figures"):
-            self.figures = Figures(self.server)
+            self.figures = FiguresPanel(self.server)
         left.dock_left()
         left.set_width(340)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Mission"):
-            self.starting = Starting(self.server, self.hub, runs, self.choose)
+            self.starting = StartPanel(self.server, self.hub, runs, self.choose)
         with tabs.add_tab("Draw"):
-            self.drawing = Drawing(self.server, self.scene, self.starting, runs / "drawn")
+            self.drawing = DrawingPanel(self.server, self.scene, self.starting, runs / "drawn")
         with tabs.add_tab("Runs"):
-            self.runs = Runs(self.server, runs, self._shown_is)
+            self.runs = RunsPanel(self.server, runs, self._show_run)
         with tabs.add_tab("Log"):
             self.log = gui.add_html("")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(320)
 
     @property
-    def flight(self) -> Flight | None:
+    def flight(self) -> FlightState | None:
         """The run that is shown: a recorded one, or the one that joined last."""
         return self.runs.flight or self.hub.live
 
-    def look(self) -> dict[str, Any]:
+    def make_bar_state(self) -> dict[str, Any]:
         """Build what the bar shows.
 
         Returns
@@ -100,7 +100,7 @@ class Page:
         """
         replayed = self.runs.flight
         at = self.runs.at.value if replayed is not None else None
-        shown = told(
+        shown = make_bar_state(
             self.flight, self.hub.flying and replayed is None, self.hub.busy, at, ", recorded" if replayed else ""
         )
         return {**shown, "drawn": bool(self.drawing.points)}
@@ -113,7 +113,7 @@ class Page:
         mission : Mission or Observation
         """
         self.scene.draw(mission)
-        self._drawn = mission
+        self._drawn_mission = mission
         self.drawing.show()
 
     def choose(self, mission: AnyMission) -> None:
@@ -128,9 +128,9 @@ class Page:
             self.hub.live = None
         self.draw(mission)
 
-    def _shown_is(self, flight: Flight | None) -> None:
+    def _show_run(self, flight: FlightState | None) -> None:
         """Show another run from now on."""
-        self._seen = (-1, None)
+        self._shown = (-1, None)
 
     def close(self) -> None:
         """End the thread and close the port."""
@@ -139,16 +139,16 @@ class Page:
         self._beating.cancel()
         self.server.stop()
 
-    async def _beat(self) -> None:
+    async def _send_heartbeats(self) -> None:
         """Send heartbeats from the event loop that passes on a STOP: if it hangs, missions stop by themselves."""
         while not self._over.is_set():
             if self.hub.gate is not None:
-                self.hub.gate.beat()
-            await asyncio.sleep(BEAT)
+                self.hub.gate.send_heartbeats()
+            await asyncio.sleep(HEARTBEAT_INTERVAL)
 
-    def _go_on(self) -> None:
+    def _run(self) -> None:
         turn = 0
-        while not self._over.wait(EVERY):
+        while not self._over.wait(UPDATE_INTERVAL):
             try:
                 self._update(turn)
             except Exception as error:  # a page that cannot draw must still be able to stop
@@ -156,35 +156,35 @@ class Page:
             turn += 1
 
     def _update(self, turn: int) -> None:
-        if turn % FIGURES_EVERY == 0:
+        if turn % FIGURES_INTERVAL == 0:
             lines = list(self.hub.log.lines)[-30:]
             content = panel("log", lines[::-1])
             if self.log.content != content:
                 self.log.content = content
-        flight, at = self.flight, self.runs.now()
+        flight, at = self.flight, self.runs.get_time()
         if flight is None or flight.mission is None:
             return
-        if flight.mission is not self._drawn:
+        if flight.mission is not self._drawn_mission:
             self.draw(flight.mission)
-            self._seen = (-1, None)
+            self._shown = (-1, None)
         seen = (flight.version, at)
-        if seen == self._seen:
+        if seen == self._shown:
             return
         with self.server.atomic():
-            self._move(flight, at)
-        if turn % FIGURES_EVERY == 0:
-            self._seen = seen
+            self._move_robot(flight, at)
+        if turn % FIGURES_INTERVAL == 0:
+            self._shown = seen
             self.figures.show(flight, at)
 
-    def _move(self, flight: Flight, at: float | None) -> None:
+    def _move_robot(self, flight: FlightState, at: float | None) -> None:
         """Move the robot, draw its traces and colour the coils."""
         with flight.lock:
-            tracked, true = flight.tracked.values(at), flight.true.values(at)
-            believed, truth = _thinned(tracked[:, :3]), _thinned(true)
-            currents = flight.currents.values(at)[-1:]
-        self.scene.trail("believed", believed + ABOVE, BELIEVED, 3.5)
+            tracked, true = flight.tracked.get_values(at), flight.true.get_values(at)
+            believed, truth = _thin_points(tracked[:, :3]), _thin_points(true)
+            currents = flight.currents.get_values(at)[-1:]
+        self.scene.draw_line("believed", believed + TRACE_OFFSET, TRACKED, 3.5)
         if len(flight.true):
-            self.scene.trail("true", truth, TRUE, 2.0)
+            self.scene.draw_line("true", truth, TRUE, 2.0)
         if len(tracked):
             self.scene.place_robot(tracked[-1, :3], tracked[-1, 3:7])
         else:
@@ -192,8 +192,8 @@ class Page:
         over = flight.ending is not None and (at is None or at >= flight.latest)
         if flight.mission is not None and len(currents) and flight.coils != ("magnet",):
             allowed = flight.mission.rig.limits.max_current
-            self.scene.drive(np.zeros(len(flight.coils)) if over else currents[0] / allowed)
+            self.scene.color_coils(np.zeros(len(flight.coils)) if over else currents[0] / allowed)
 
 
-def _thinned(points: Any) -> Any:
-    return points[:: max(-(-len(points) // POINTS), 1)].copy()
+def _thin_points(points: Any) -> Any:
+    return points[:: max(-(-len(points) // MAX_POINTS), 1)].copy()

@@ -10,13 +10,13 @@ from smolbot.config.load import AnyMission
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import quaternion_from_matrix
-from smolbot.ui.console.meshes import circle, placed, rectangle, ribbon, tube, turned
+from smolbot.ui.console.meshes import make_circle, make_rectangle, make_ribbon, make_rotation, make_tube, place_vertices
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 PATH = (37, 99, 235)
-BELIEVED = (234, 88, 12)
+TRACKED = (234, 88, 12)
 TRUE = (22, 163, 74)
 ROBOT = (30, 41, 59)
 COPPER = (184, 115, 51)
@@ -26,13 +26,13 @@ LIQUID = (96, 165, 250)
 SENSOR = (71, 85, 105)
 PLANNED = (124, 58, 237)
 
-AT_REST = 0.2
+REST_OPACITY = 0.2
 """Opacity of a coil without current, so that what is behind it stays visible."""
 
 Color = tuple[int, int, int]
 
 
-def mixed(a: Color, b: Color, share: float) -> Color:
+def mix_colors(a: Color, b: Color, share: float) -> Color:
     """Mix two colours.
 
     Parameters
@@ -48,7 +48,7 @@ def mixed(a: Color, b: Color, share: float) -> Color:
 
     Examples
     --------
-    >>> mixed((0, 0, 0), (100, 200, 50), 0.5)
+    >>> mix_colors((0, 0, 0), (100, 200, 50), 0.5)
     (50, 100, 25)
     """
     s = min(max(share, 0.0), 1.0)
@@ -102,7 +102,7 @@ class Scene:
                 self._draw_path(mission)
             self._draw_robot(mission)
 
-    def _keep(self, handle: Any) -> Any:
+    def _add(self, handle: Any) -> Any:
         self._handles.append(handle)
         return handle
 
@@ -112,10 +112,12 @@ class Scene:
         floor, surface, wall = box.floor_z_mm, box.surface_z_mm, 1.5
         self.height = surface
         top = floor + box.wall_height_mm
-        vertices, faces = tube(rectangle(width, depth), rectangle(width + 2 * wall, depth + 2 * wall), top - floor)
+        vertices, faces = make_tube(
+            make_rectangle(width, depth), make_rectangle(width + 2 * wall, depth + 2 * wall), top - floor
+        )
         middle = np.array([x, y, 0.5 * (floor + top)])
         add = scene.add_mesh_simple
-        self._keep(
+        self._add(
             add(
                 "/tank/walls",
                 vertices + middle,
@@ -126,43 +128,45 @@ class Scene:
                 cast_shadow=False,
             )
         )
-        self._keep(
+        self._add(
             scene.add_box(
                 "/tank/floor", (226, 232, 240), (width + 2 * wall, depth + 2 * wall, wall),
                 position=(x, y, floor - 0.5 * wall), opacity=0.9,
             )
         )  # fmt: skip
-        self._keep(
+        self._add(
             scene.add_box(
                 "/tank/liquid", LIQUID, (width, depth, surface - floor),
                 position=(x, y, 0.5 * (floor + surface)), opacity=0.16, cast_shadow=False, receive_shadow=False,
             )
         )  # fmt: skip
-        self._keep(
+        self._add(
             scene.add_grid(
                 "/floor", 400.0, 400.0, plane="xy", cell_size=10.0, section_size=50.0, cell_color=(226, 232, 240),
                 section_color=(148, 163, 184), position=(0.0, 0.0, -5.0), fade_distance=900.0, shadow_opacity=0.0,
             )
         )  # fmt: skip
-        self._keep(scene.add_frame("/axes", axes_length=15.0, axes_radius=0.5, position=(-90.0, -90.0, -4.0)))
+        self._add(scene.add_frame("/axes", axes_length=15.0, axes_radius=0.5, position=(-90.0, -90.0, -4.0)))
 
     def _draw_coils(self, mission: AnyMission) -> None:
         scene, rig = self.server.scene, mission.rig.sections
         for coil in rig.coils:
-            vertices, faces = tube(circle(coil.inner_radius_mm), circle(coil.outer_radius_mm), coil.length_mm)
-            where = placed(vertices, np.array(coil.center_mm), np.array(coil.axis, dtype=float))
+            vertices, faces = make_tube(
+                make_circle(coil.inner_radius_mm), make_circle(coil.outer_radius_mm), coil.length_mm
+            )
+            where = place_vertices(vertices, np.array(coil.center_mm), np.array(coil.axis, dtype=float))
             handle = scene.add_mesh_simple(
-                f"/coils/{coil.name}", where, faces, color=COPPER, opacity=AT_REST, flat_shading=True,
+                f"/coils/{coil.name}", where, faces, color=COPPER, opacity=REST_OPACITY, flat_shading=True,
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
-            self._coils.append(self._keep(handle))
+            self._coils.append(self._add(handle))
             place = np.array(coil.center_mm) + np.array([0.0, 0.0, coil.outer_radius_mm + 4.0])
-            self._keep(scene.add_label(f"/names/{coil.name}", f"coil {coil.name}", position=tuple(place)))
+            self._add(scene.add_label(f"/names/{coil.name}", f"coil {coil.name}", position=tuple(place)))
         for bobbin in rig.excitation:
-            inner = rectangle(bobbin.width_mm - 4.0, max(bobbin.height_mm - 4.0, 2.0))
-            vertices, faces = tube(inner, rectangle(bobbin.width_mm, bobbin.height_mm), bobbin.length_mm)
-            where = placed(vertices, np.array(bobbin.center_mm), np.array(bobbin.axis, dtype=float))
-            self._keep(
+            inner = make_rectangle(bobbin.width_mm - 4.0, max(bobbin.height_mm - 4.0, 2.0))
+            vertices, faces = make_tube(inner, make_rectangle(bobbin.width_mm, bobbin.height_mm), bobbin.length_mm)
+            where = place_vertices(vertices, np.array(bobbin.center_mm), np.array(bobbin.axis, dtype=float))
+            self._add(
                 scene.add_mesh_simple(
                     f"/excitation/{bobbin.name}",
                     where,
@@ -176,15 +180,15 @@ class Scene:
             )
         if rig.magnet is not None:
             side, center = rig.magnet.side_mm, np.array(rig.magnet.center_mm)
-            self._keep(scene.add_box("/magnet", (185, 28, 28), (side, side, side), position=tuple(center), opacity=0.5))
+            self._add(scene.add_box("/magnet", (185, 28, 28), (side, side, side), position=tuple(center), opacity=0.5))
 
     def _draw_sensors(self, mission: AnyMission) -> None:
         sensors = mission.rig.sensors
         for i, (place, axis) in enumerate(zip(1e3 * sensors.positions, sensors.axes, strict=True)):
-            self._keep(
+            self._add(
                 self.server.scene.add_cylinder(
                     f"/sensors/{i}", 2.0, 10.0, color=SENSOR, position=tuple(place),
-                    wxyz=tuple(quaternion_from_matrix(turned(axis))), cast_shadow=False, receive_shadow=False,
+                    wxyz=tuple(quaternion_from_matrix(make_rotation(axis))), cast_shadow=False, receive_shadow=False,
                 )
             )  # fmt: skip
 
@@ -192,8 +196,8 @@ class Scene:
         points = 1e3 * mission.path.points
         points = points - np.array([0.0, 0.0, 0.9])  # under the robot's trace, which would be hidden where it is good
         spread = 1e3 * mission.path.at(np.linspace(0.0, mission.path.length, 400))
-        vertices, faces = ribbon(spread - np.array([0.0, 0.0, 1.0]), 1e3 * mission.tolerance)
-        self._keep(
+        vertices, faces = make_ribbon(spread - np.array([0.0, 0.0, 1.0]), 1e3 * mission.tolerance)
+        self._add(
             self.server.scene.add_mesh_simple(
                 "/path/tolerance",
                 vertices,
@@ -205,33 +209,33 @@ class Scene:
                 receive_shadow=False,
             )
         )
-        self._keep(self._line("/path/line", points, PATH, 3.0))
-        self._keep(self.server.scene.add_icosphere("/path/start", 0.7, color=PATH, position=tuple(points[0])))
+        self._add(self._make_line("/path/line", points, PATH, 3.0))
+        self._add(self.server.scene.add_icosphere("/path/start", 0.7, color=PATH, position=tuple(points[0])))
 
     def _draw_robot(self, mission: AnyMission) -> None:
         """Draw a body with an arrow ahead; it is hidden until the robot is located."""
         scene, robot = self.server.scene, mission.robot
-        self._robot = self._keep(scene.add_frame("/robot", show_axes=False, visible=False))
+        self._robot = self._add(scene.add_frame("/robot", show_axes=False, visible=False))
         section = robot.sections.body
         size = (3.0, 3.0, 3.0) if section is None else section.size_mm
         center = (0.0, 0.0, 0.0) if section is None else section.center_mm
         if robot.kind == "helical":
-            vertices, faces = tube(circle(0.05), circle(0.5 * size[0]), size[2])
+            vertices, faces = make_tube(make_circle(0.05), make_circle(0.5 * size[0]), size[2])
             scene.add_mesh_simple("/robot/body", vertices + np.array(center), faces, color=ROBOT)
         else:
             scene.add_box("/robot/body", ROBOT, size, position=center)
         nose = 0.5 * size[2] + 2.5
-        tip, faces = tube(circle(0.01), circle(0.9), 0.01)
+        tip, faces = make_tube(make_circle(0.01), make_circle(0.9), 0.01)
         n = len(tip) // 4
         tip[n : 3 * n] = [0.0, 0.0, 2.5]
         tip[:, 2] += nose - 2.0
-        scene.add_mesh_simple("/robot/nose", tip, faces, color=BELIEVED, side="double")
+        scene.add_mesh_simple("/robot/nose", tip, faces, color=TRACKED, side="double")
 
-    def _line(self, name: str, points: FloatArray, color: Color, width: float) -> Any:
+    def _make_line(self, name: str, points: FloatArray, color: Color, width: float) -> Any:
         pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         return self.server.scene.add_line_segments(name, pieces, color, thickness=width, thickness_units="screen")
 
-    def trail(self, name: str, points: FloatArray, color: Color, width: float = 3.0) -> None:
+    def draw_line(self, name: str, points: FloatArray, color: Color, width: float = 3.0) -> None:
         """Draw a line in place of the one with the same name.
 
         Parameters
@@ -244,7 +248,7 @@ class Scene:
         """
         before = self._trails.pop(name, None)
         if len(points) > 1:
-            self._trails[name] = self._line(f"/trails/{name}", points, color, width)
+            self._trails[name] = self._make_line(f"/trails/{name}", points, color, width)
         elif before is not None:
             before.remove()
 
@@ -264,7 +268,7 @@ class Scene:
         if position is not None and orientation is not None:
             self._robot.position, self._robot.wxyz = tuple(position), tuple(orientation)
 
-    def drive(self, shares: FloatArray) -> None:
+    def color_coils(self, shares: FloatArray) -> None:
         """Colour the coils by their currents.
 
         Parameters
@@ -273,10 +277,10 @@ class Scene:
             Currents over the highest allowed one.
         """
         for handle, share in zip(self._coils, np.abs(shares), strict=False):
-            wanted = mixed(COPPER, GLOW, float(share))
+            wanted = mix_colors(COPPER, GLOW, float(share))
             if tuple(handle.color) != wanted:
                 handle.color = wanted
-                handle.opacity = AT_REST + 0.4 * min(float(share), 1.0)
+                handle.opacity = REST_OPACITY + 0.4 * min(float(share), 1.0)
 
     def mark(self, name: str, points: FloatArray, color: Color) -> None:
         """Draw dots in place of those with the same name.

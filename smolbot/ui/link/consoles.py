@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from smolbot.ui.link.frames import Kind, LinkError, frame
-from smolbot.ui.link.handshake import PATIENCE, call
+from smolbot.ui.link.frames import Kind, LinkError, make_frame
+from smolbot.ui.link.handshake import STEP_TIMEOUT, authenticate_to_console
 
 ENVIRONMENT = "SMOLBOT_CONSOLE"
 """Environment variable with the file of the console that has started a mission."""
@@ -57,19 +57,19 @@ class Console:
             If no console answers, or not this one.
         """
         try:
-            sock = socket.create_connection(("127.0.0.1", self.link), PATIENCE)
+            sock = socket.create_connection(("127.0.0.1", self.link), STEP_TIMEOUT)
         except OSError as error:
             raise LinkError(f"no console answers at 127.0.0.1:{self.link}: {error.strerror or error}") from error
         try:
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            call(sock, bytes.fromhex(self.secret))
+            authenticate_to_console(sock, bytes.fromhex(self.secret))
         except BaseException:
             sock.close()
             raise
         return sock
 
 
-def new_secret() -> str:
+def make_secret() -> str:
     """Make a random secret of 256 bits.
 
     Returns
@@ -80,7 +80,7 @@ def new_secret() -> str:
     return secrets.token_hex(32)
 
 
-def kept_in() -> Path:
+def find_folder() -> Path:
     """Return the folder of the files: that of the login session if there is one, else in the user's cache.
 
     Returns
@@ -90,12 +90,12 @@ def kept_in() -> Path:
     session = os.environ.get("XDG_RUNTIME_DIR")
     if session and Path(session).is_dir():
         return Path(session) / "smolbot"
-    from lookup_tables.cache import default_cache_dir
+    from lookup_tables.cache import get_default_cache_dir
 
-    return default_cache_dir() / "consoles"
+    return get_default_cache_dir() / "consoles"
 
 
-def write_down(console: Console) -> Path:
+def write_console(console: Console) -> Path:
     """Write the file of a console; only this user can read it.
 
     Parameters
@@ -106,7 +106,7 @@ def write_down(console: Console) -> Path:
     -------
     Path
     """
-    folder = kept_in()
+    folder = find_folder()
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     path = folder / f"console-{console.port}.json"
     part = path.with_suffix(f".{os.getpid()}.part")
@@ -118,7 +118,7 @@ def write_down(console: Console) -> Path:
     return path
 
 
-def read(path: Path) -> Console | None:
+def read_console(path: Path) -> Console | None:
     """Read the file of a console.
 
     Parameters
@@ -136,7 +136,7 @@ def read(path: Path) -> Console | None:
         return None
 
 
-def answering(silent: list[str] | None = None) -> Iterator[tuple[Console, socket.socket]]:
+def connect_to_all(silent: list[str] | None = None) -> Iterator[tuple[Console, socket.socket]]:
     """Connect to every console of this user that answers, the newest first.
 
     Files of consoles that have ended are removed.
@@ -153,8 +153,8 @@ def answering(silent: list[str] | None = None) -> Iterator[tuple[Console, socket
         An authenticated connection.
     """
     found: list[tuple[float, Console, Path]] = []
-    for path in kept_in().glob("console-*.json"):
-        console = read(path)
+    for path in find_folder().glob("console-*.json"):
+        console = read_console(path)
         if console is not None:
             with contextlib.suppress(FileNotFoundError):  # it ended between two looks
                 found.append((path.stat().st_mtime, console, path))
@@ -170,7 +170,7 @@ def answering(silent: list[str] | None = None) -> Iterator[tuple[Console, socket
         yield console, sock
 
 
-def running() -> list[Console]:
+def list_running() -> list[Console]:
     """List the consoles of this user that answer, the newest first.
 
     Returns
@@ -178,8 +178,8 @@ def running() -> list[Console]:
     list of Console
     """
     found = []
-    for console, sock in answering():
+    for console, sock in connect_to_all():
         with contextlib.suppress(OSError), sock:
-            sock.sendall(frame(Kind.HELLO, b'{"role": "look"}'))
+            sock.sendall(make_frame(Kind.HELLO, b'{"role": "look"}'))
         found.append(console)
     return found

@@ -8,10 +8,10 @@ from enum import IntEnum
 
 from smolbot.errors import SmolbotError
 
-LONGEST = 4_000_000
+MAX_FRAME_SIZE = 4_000_000
 """Largest frame, in bytes, that a console accepts: far above a cycle's messages, far below what would do harm."""
 
-LONGEST_ORDER = 4096
+MAX_ORDER_SIZE = 4096
 """Largest frame, in bytes, that a mission accepts; an order has some tens."""
 
 
@@ -45,7 +45,7 @@ class Kind(IntEnum):
 _HEAD = struct.Struct("!IB")
 
 
-def frame(kind: Kind, payload: bytes = b"") -> bytes:
+def make_frame(kind: Kind, payload: bytes = b"") -> bytes:
     r"""Build a frame.
 
     Parameters
@@ -59,13 +59,13 @@ def frame(kind: Kind, payload: bytes = b"") -> bytes:
 
     Examples
     --------
-    >>> frame(Kind.STOP, b"key")
+    >>> make_frame(Kind.STOP, b"key")
     b'\x00\x00\x00\x03\x04key'
     """
     return _HEAD.pack(len(payload), kind) + payload
 
 
-def message(topic: str, time_ns: int, data: bytes) -> bytes:
+def make_message_frame(topic: str, time_ns: int, data: bytes) -> bytes:
     """Build the frame of one message of the record.
 
     Parameters
@@ -80,7 +80,7 @@ def message(topic: str, time_ns: int, data: bytes) -> bytes:
     bytes
     """
     name = topic.encode()
-    return frame(Kind.MESSAGE, struct.pack("!BQ", len(name), time_ns) + name + data)
+    return make_frame(Kind.MESSAGE, struct.pack("!BQ", len(name), time_ns) + name + data)
 
 
 def parse_message(payload: bytes) -> tuple[str, int, bytes]:
@@ -132,15 +132,15 @@ def receive(sock: socket.socket, longest: int) -> tuple[Kind, bytes]:
     LinkError
         If the peer is gone, or sends an invalid frame.
     """
-    length, number = _HEAD.unpack(exactly(sock, _HEAD.size))
+    length, number = _HEAD.unpack(receive_exactly(sock, _HEAD.size))
     if length > longest:
         raise LinkError(f"a frame of {length} bytes; at most {longest} are taken")
     if number not in Kind._value2member_map_:
         raise LinkError(f"a frame of unknown kind {number}")
-    return Kind(number), exactly(sock, length)
+    return Kind(number), receive_exactly(sock, length)
 
 
-def exactly(sock: socket.socket, count: int) -> bytes:
+def receive_exactly(sock: socket.socket, count: int) -> bytes:
     """Receive a given number of bytes.
 
     Parameters

@@ -7,20 +7,20 @@ import hmac
 import os
 import socket
 
-from smolbot.ui.link.frames import LinkError, exactly
+from smolbot.ui.link.frames import LinkError, receive_exactly
 
 GREETING = b"smolbot link 1\n"
 _NONCE = 32
 
-PATIENCE = 2.0
+STEP_TIMEOUT = 2.0
 """Time limit of each step, in s."""
 
 
-def _proof(secret: bytes, role: bytes, ours: bytes, theirs: bytes) -> bytes:
+def _compute_proof(secret: bytes, role: bytes, ours: bytes, theirs: bytes) -> bytes:
     return hmac.digest(secret, GREETING + role + ours + theirs, hashlib.sha256)
 
 
-def welcome(sock: socket.socket, secret: bytes) -> None:
+def authenticate_caller(sock: socket.socket, secret: bytes) -> None:
     """Authenticate as the accepting end; nothing else that the peer sends is read before.
 
     Parameters
@@ -35,13 +35,13 @@ def welcome(sock: socket.socket, secret: bytes) -> None:
     """
     nonce = os.urandom(_NONCE)
     sock.sendall(GREETING + nonce)
-    theirs = exactly(sock, _NONCE)
-    if not hmac.compare_digest(exactly(sock, 32), _proof(secret, b"caller", nonce, theirs)):
+    theirs = receive_exactly(sock, _NONCE)
+    if not hmac.compare_digest(receive_exactly(sock, 32), _compute_proof(secret, b"caller", nonce, theirs)):
         raise LinkError("it does not know the secret")
-    sock.sendall(_proof(secret, b"console", nonce, theirs))
+    sock.sendall(_compute_proof(secret, b"console", nonce, theirs))
 
 
-def call(sock: socket.socket, secret: bytes) -> None:
+def authenticate_to_console(sock: socket.socket, secret: bytes) -> None:
     """Authenticate as the connecting end.
 
     Parameters
@@ -55,13 +55,13 @@ def call(sock: socket.socket, secret: bytes) -> None:
         If the peer is no console, or not ours.
     """
     try:
-        greeting = exactly(sock, len(GREETING))
+        greeting = receive_exactly(sock, len(GREETING))
         if greeting != GREETING:
             raise LinkError(f"no console answers there, but something that says {greeting!r}")
-        theirs, nonce = exactly(sock, _NONCE), os.urandom(_NONCE)
-        sock.sendall(nonce + _proof(secret, b"caller", theirs, nonce))
-        answer = exactly(sock, 32)
+        theirs, nonce = receive_exactly(sock, _NONCE), os.urandom(_NONCE)
+        sock.sendall(nonce + _compute_proof(secret, b"caller", theirs, nonce))
+        answer = receive_exactly(sock, 32)
     except TimeoutError as error:
         raise LinkError("no console answers there") from error
-    if not hmac.compare_digest(answer, _proof(secret, b"console", theirs, nonce)):
+    if not hmac.compare_digest(answer, _compute_proof(secret, b"console", theirs, nonce)):
         raise LinkError("what answers there does not know the secret of our console")

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.analysis.flight import Model, State, fly, require_loop
-from sim.analysis.linear import averaged, linearised, probed
-from sim.analysis.loop import MOST_LATE, SampledLoop, margins
-from sim.analysis.lqr import Weights, regulator
-from smolbot.config.mission import load_mission
+from sim.analysis.flight import Model, State, require_loop, simulate_flight
+from sim.analysis.linear import average_cycles, fit_feedback, linearize_cycle
+from sim.analysis.loop import MOST_LATE, SampledLoop, compute_margins
+from sim.analysis.lqr import Weights, design_regulator
+from smolbot.config.mission import load_steering_mission
 from smolbot.core.pose import Pose
 from smolbot.errors import InputError
 
@@ -36,7 +36,7 @@ def two(first: SampledLoop, second: SampledLoop) -> SampledLoop:
 @pytest.mark.parametrize("gain", [0.1, 0.5, 1.2])
 def test_margins_of_an_integrator_are_those_of_the_closed_form(gain):
     # L = K / (z - 1): |L| = 1 at w = 2 asin(K / 2), where its phase is -(pi + w) / 2; its pole is 1 - K
-    found = margins(integrator(gain))
+    found = compute_margins(integrator(gain))
     crossing = 2.0 * math.asin(0.5 * gain)
     phase = 0.5 * (math.pi - crossing)
     assert found.gain == pytest.approx(2.0 / gain, rel=1e-4)
@@ -51,8 +51,8 @@ def test_margins_of_an_integrator_are_those_of_the_closed_form(gain):
 def test_an_integrator_with_late_poses_rings_at_the_known_gain(late):
     limit = 2.0 * math.sin(math.pi / (2.0 * (2 * late + 1)))  # z^d (z - 1) + K has a root at |z| = 1
     assert integrator(0.99 * limit).radius(late=late) < 1.0 < integrator(1.01 * limit).radius(late=late)
-    assert margins(integrator(0.99 * limit)).late == late
-    assert margins(integrator(1.01 * limit)).late == late - 1
+    assert compute_margins(integrator(0.99 * limit)).late == late
+    assert compute_margins(integrator(1.01 * limit)).late == late - 1
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # python-control divides by zero at z = 1
@@ -65,25 +65,25 @@ def test_margins_agree_with_python_control(gain, kalman):
     one = control.tf([gain * kalman, 0.0], np.polymul([1.0, -1.0], [1.0, -(1.0 - kalman) * (1.0 - gain)]), loop.period)
     _, phases, _, _, crossings, _ = control.stability_margins(one, returnall=True)
     disc = control.disk_margins(one, np.linspace(1e-3, math.pi / loop.period, 4000))[0]
-    found = margins(loop)
+    found = compute_margins(loop)
     at_nyquist = 2.0 * (1.0 + (1.0 - kalman) * (1.0 - gain)) / (gain * kalman)  # which stability_margins does not see
     assert found.gain == pytest.approx(at_nyquist, rel=1e-3)
     assert math.degrees(found.phase) == pytest.approx(phases[0], rel=1e-3)
     assert found.delay * loop.period == pytest.approx(math.radians(phases[0]) / crossings[0], rel=1e-3)
     assert found.disc == pytest.approx(disc, rel=1e-3)
-    response = control.initial_response(loop.system(), np.arange(30) * loop.period, [1.0, 0.0])
+    response = control.initial_response(loop.to_state_space(), np.arange(30) * loop.period, [1.0, 0.0])
     assert np.allclose(loop.step(29)[:, 0], np.ravel(response.outputs))
 
 
 def test_of_two_loops_side_by_side_the_tighter_one_counts():
     slow, quick = integrator(0.3, 0.7), integrator(1.0, 0.6)
-    both, alone = margins(two(slow, quick)), [margins(x) for x in (slow, quick)]
+    both, alone = compute_margins(two(slow, quick)), [compute_margins(x) for x in (slow, quick)]
     for name in ("gain", "phase", "delay", "late", "disc"):
         assert getattr(both, name) == pytest.approx(min(getattr(m, name) for m in alone), rel=2e-3)
 
 
 def test_a_loop_that_steers_nothing_has_no_margin_to_lose():
-    found = margins(integrator(0.0))
+    found = compute_margins(integrator(0.0))
     assert found.stable
     assert found.late == MOST_LATE
     assert math.isinf(found.gain)
@@ -92,7 +92,7 @@ def test_a_loop_that_steers_nothing_has_no_margin_to_lose():
 
 
 def test_a_loop_that_rings_has_none():
-    found = margins(integrator(2.1))
+    found = compute_margins(integrator(2.1))
     assert not found.stable
     assert (found.gain_db, found.phase, found.delay, found.disc) == (0.0, 0.0, 0.0, 0.0)
 
@@ -104,7 +104,7 @@ def test_the_gain_of_a_law_that_saturates_is_that_of_a_noisy_input():
     model = SimpleNamespace(copied=lambda law: law, motion=lambda state, window: (np.array([0.0, window]), 0.0))
     pose = Pose(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((6, 6)))
     state = State(np.zeros(3), 0.0)
-    feedback, explained = probed(model, law, pose, state, np.array([0.0, 1.0]), sigma, 200)
+    feedback, explained = fit_feedback(model, law, pose, state, np.array([0.0, 1.0]), sigma, 200)
     assert feedback[0, 0] == pytest.approx(-math.erf(limit / (sigma[0] * math.sqrt(2.0))), rel=0.03)
     assert abs(feedback[0, 1] * sigma[1]) < 0.01 * abs(feedback[0, 0] * sigma[0])
     assert 0.5 < explained[0] < 0.97
@@ -117,7 +117,7 @@ def test_the_regulator_of_an_integrator_is_that_of_the_scalar_riccati_equation()
     per_amp, most = 3e-5, 8.0
     currents = np.array([[per_amp, 0.0], [0.0, 0.02]])
     cycle = SimpleNamespace(motion=np.zeros((2, 2)), currents=currents)
-    found = regulator(cycle, weights, most)
+    found = design_regulator(cycle, weights, most)
     for row, (b, unit) in enumerate(((per_amp * most, weights.across), (0.02 * most, weights.heading))):
         q, r = unit**-2, weights.current**-2
         p = 0.5 * (q + math.sqrt(q**2 + 4.0 * q * r / b**2))
@@ -129,25 +129,25 @@ def test_the_regulator_of_an_integrator_is_that_of_the_scalar_riccati_equation()
 def straight(law: str = "force_pursuit") -> Model:
     """A long straight line through the middle of the tank, under a law that learns nothing in flight."""
     settings = {"controller.law": law, "path.points_mm": "[[-8.0,0.0],[8.0,0.0]]", "start.offset_mm": "[-0.5,0.0]"}
-    return Model(load_mission("line", None, settings))
+    return Model(load_steering_mission("line", None, settings))
 
 
 @cache
 def cycles():
     model = straight()
-    flown = [i for i in fly(model, model.controller()) if i.tracker is not None and not i.command.done]
-    return [linearised(model, i) for i in flown if i.command.phase == "follow"]
+    flown = [i for i in simulate_flight(model, model.controller()) if i.tracker is not None and not i.command.done]
+    return [linearize_cycle(model, i) for i in flown if i.command.phase == "follow"]
 
 
 def loops(first: int, last: int, step: int = 5) -> list[SampledLoop]:
-    return [SampledLoop.of(averaged(cycles(), k, 4)) for k in range(first, last, step)]
+    return [SampledLoop.of(average_cycles(cycles(), k, 4)) for k in range(first, last, step)]
 
 
 def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equation():
     from scipy.linalg import solve_discrete_are
 
     from smolbot.core.shots import Shot
-    from smolbot.flight.tracking.tracker import DRIFT_WANDER, MODEL_FLOOR, WANDER, Tracker
+    from smolbot.flight.tracking.tracker import DRIFT_NOISE_DENSITY, MODEL_FLOOR, PROCESS_NOISE_DENSITY, Tracker
 
     model = straight()
     tracker = Tracker(model.setup.robot, model.setup.device, model.setup.table)
@@ -157,20 +157,20 @@ def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equ
     for _ in range(500):
         shot = Shot(model.listening, "track", clock)
         clock = shot.end
-        before = model.copied_tracker(tracker)
+        before = model.copy_tracker(tracker)
         heard = Pose(shot.end, state.position, state.orientation(), np.diag(spread**2))
         tracker.update(shot, heard)
-    from sim.analysis.linear import _kalman
+    from sim.analysis.linear import _differentiate_tracker
 
     instant = SimpleNamespace(tracker=before, shot=shot, heard=heard)
-    found = _kalman(model, instant, np.array([0.0, 1.0]), np.array([5e-5, 0.01]))
+    found = _differentiate_tracker(model, instant, np.array([0.0, 1.0]), np.array([5e-5, 0.01]))
     t = shot.duration
     f, h = np.array([[1.0, t], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    q = np.diag([WANDER[1] ** 2 * t, DRIFT_WANDER**2 * t])
+    q = np.diag([PROCESS_NOISE_DENSITY[1] ** 2 * t, DRIFT_NOISE_DENSITY**2 * t])
     r = np.array([[spread[1] ** 2 + MODEL_FLOOR[1] ** 2]])
     p = solve_discrete_are(f.T, h.T, q, r)
     gain = (p @ h.T / (h @ p @ h.T + r)).ravel()
-    q_turn, r_turn = WANDER[5] ** 2 * t, spread[5] ** 2 + MODEL_FLOOR[5] ** 2
+    q_turn, r_turn = PROCESS_NOISE_DENSITY[5] ** 2 * t, spread[5] ** 2 + MODEL_FLOOR[5] ** 2
     p_turn = 0.5 * (q_turn + math.sqrt(q_turn**2 + 4.0 * q_turn * r_turn))
     assert found[[0, 2], 0] == pytest.approx(gain, rel=0.02)
     assert found[1, 1] == pytest.approx(p_turn / (p_turn + r_turn), rel=0.02)
@@ -181,7 +181,7 @@ def test_the_linear_loop_rings_where_its_margin_says(late):
     loop = loops(30, 31)[0]
     found = next(g for g in np.geomspace(1.0, 30.0, 400) if loop.radius(g, late) > 1.0 + 1e-6)
     if late == 0:
-        assert found == pytest.approx(margins(loop).gain, rel=0.02)
+        assert found == pytest.approx(compute_margins(loop).gain, rel=0.02)
     for factor, grows in ((0.95, False), (1.05, True)):
         state = np.zeros(len(loop.closed(late=late)))
         state[0] = 1.0
@@ -202,7 +202,9 @@ def deviates(model: Model, gain: float, late: int, kick: float = 5e-5, first: in
         return State(np.array([x, gain * y + moved, z]), gain * state.heading)
 
     try:
-        for instant in fly(model, model.controller(), late=late, seen=seen, keep=lambda cycle: False, most=last + 5):
+        for instant in simulate_flight(
+            model, model.controller(), delay_cycles=late, measure=seen, keep=lambda cycle: False, max_cycles=last + 5
+        ):
             off.append(abs(float(instant.state.position[1])))
     except InputError:  # it has left the table
         return math.inf
@@ -233,10 +235,12 @@ def test_a_flight_bears_poses_as_late_as_the_linear_loop_says(gain):
 @pytest.mark.slow
 def test_a_robot_hunts_where_the_loop_does_not_hold():
     """Poses err as the loop was probed with; it keeps to the path in the firm half and turns about where it is not."""
-    model = Model(load_mission("r_path", None, {"controller.law": "force_pursuit"}))
-    flown = [i for i in fly(model, model.controller()) if i.command.phase == "follow" and not i.command.done]
-    every = [linearised(model, i) for i in flown]
-    found = [margins(SampledLoop.of(averaged(every, k, 4))) for k in range(len(every))]
+    model = Model(load_steering_mission("r_path", None, {"controller.law": "force_pursuit"}))
+    flown = [
+        i for i in simulate_flight(model, model.controller()) if i.command.phase == "follow" and not i.command.done
+    ]
+    every = [linearize_cycle(model, i) for i in flown]
+    found = [compute_margins(SampledLoop.of(average_cycles(every, k, 4))) for k in range(len(every))]
     loose = np.array([c.arc for c, m in zip(every, found, strict=True) if m.disc < 0.1])
     firm = np.array([c.arc for c, m in zip(every, found, strict=True) if m.disc > 0.6])
     rng = np.random.default_rng(1)
@@ -246,7 +250,8 @@ def test_a_robot_hunts_where_the_loop_does_not_hold():
         return State(state.position + off, state.heading + math.radians(1.0) * rng.standard_normal())
 
     noisy = [
-        (i.command.progress, i.state.heading) for i in fly(model, model.controller(), seen=seen, keep=lambda c: False)
+        (i.command.progress, i.state.heading)
+        for i in simulate_flight(model, model.controller(), measure=seen, keep=lambda c: False)
     ]
     arcs, headings = np.array(noisy).T
     turns = np.abs(np.diff(np.unwrap(headings)))
@@ -272,10 +277,10 @@ def test_a_mission_without_a_law_or_with_another_robot_has_no_loop():
 
 def test_probing_leaves_law_and_tracker_as_they_were():
     model = straight("predictive")
-    plain = [i.command.window for i in fly(model, model.controller(), keep=lambda c: False, most=12)]
+    plain = [i.command.window for i in simulate_flight(model, model.controller(), keep=lambda c: False, max_cycles=12)]
     watched = []
-    for instant in fly(model, model.controller(), most=12):
+    for instant in simulate_flight(model, model.controller(), max_cycles=12):
         if instant.tracker is not None:
-            linearised(model, instant, pairs=2)
+            linearize_cycle(model, instant, pairs=2)
         watched.append(instant.command.window)
     assert watched == plain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.measure.kills import PHASES, Victim, check, kill_all
+from sim.measure.kills import PHASES, Victim, check_recovery, kill_all
 
 SHORT = {"path.points_mm": "[[-2.5, 0.0], [2.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "1.0"}
 
@@ -12,7 +12,7 @@ SHORT = {"path.points_mm": "[[-2.5, 0.0], [2.5, 0.0]]", "start.offset_mm": "[-0.
 @pytest.mark.parametrize(("phase", "delay"), [("learn", 0.1), ("fly", 0.6), ("end", 0.05)])
 def test_what_was_flushed_before_a_kill_is_there_and_true(tmp_path, phase, delay):
     victim = Victim(tmp_path / "victim", "line", 3, SHORT)
-    outcome = check(victim, phase, victim.kill(phase, delay))
+    outcome = check_recovery(victim, phase, victim.kill(phase, delay))
     assert outcome.faults == []
     assert outcome.messages >= outcome.flushed > 0
     assert (outcome.recovered > 0) == (phase != "learn")

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.reduced.errors import FitErrors, Heard
-from smolbot.config.feasibility import noise_levels
-from smolbot.core.rotations import rotation_error
+from sim.reduced.fit_errors import FitErrors, SignalSource
+from smolbot.config.feasibility import make_noise_levels
+from smolbot.core.rotations import compute_rotation_error
 from smolbot.core.sensing import Recording
-from smolbot.localization.expected import expected_covariance
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.expected_covariance import compute_expected_covariance
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.localizer import Localizer
 
 PLACE = ((3.0, -5.0, 59.6), 25.0)
@@ -32,11 +32,11 @@ class Silence:
 
 @pytest.fixture(scope="module")
 def room(array, line):
-    return noise_levels(line.rig).room(array, 3)
+    return make_noise_levels(line.rig).sample_room_model(array, 3)
 
 
 def heard_by(sensors, device, room):
-    return Heard(sensors.positions, sensors.axes, device.moment * device.moment_in_body, device.l0, room)
+    return SignalSource(sensors.positions, sensors.axes, device.moment * device.moment_in_body, device.l0, room)
 
 
 def a_little_wrong(array, device):
@@ -49,7 +49,9 @@ def a_little_wrong(array, device):
 
 
 def error_of(fitted, truth):
-    return np.concatenate([fitted.position - truth.position, rotation_error(fitted.orientation, truth.orientation)])
+    return np.concatenate(
+        [fitted.position - truth.position, compute_rotation_error(fitted.orientation, truth.orientation)]
+    )
 
 
 @pytest.mark.parametrize("half_periods", [2, 6])
@@ -61,12 +63,14 @@ def test_sensors_and_magnets_that_are_off_move_a_pose_as_they_move_a_fit(
     sensors, device = a_little_wrong(array, along_device)
     localizer = Localizer(array, along_device, room, estimator)
     n = round(half_periods * RATE / (2.0 * device.frequency))
-    theta = deflection(device, SINCE + np.arange(n) / RATE, AMPLITUDE, 0.0)
-    field = sensor_field(sensors, device, truth.position, truth.orientation, theta)
+    theta = compute_deflection(device, SINCE + np.arange(n) / RATE, AMPLITUDE, 0.0)
+    field = compute_sensor_field(sensors, device, truth.position, truth.orientation, theta)
     fit, swing = localizer.locate_swing(Recording(field, RATE, SINCE), truth)
     errors = FitErrors(localizer, line.rig, heard_by(sensors, device, room), Silence())
     drawn = errors.draw(truth.position, truth.orientation, AMPLITUDE, half_periods, SINCE)
-    expected = np.concatenate([fit.position - truth.position, rotation_error(fit.orientation, truth.orientation)])
+    expected = np.concatenate(
+        [fit.position - truth.position, compute_rotation_error(fit.orientation, truth.orientation)]
+    )
     assert np.linalg.norm(expected[:3]) > 0.1e-3
     assert error_of(drawn, truth)[:3] == pytest.approx(expected[:3], abs=0.03e-3 + 0.05 * np.abs(expected[:3]).max())
     assert error_of(drawn, truth)[3:] == pytest.approx(expected[3:], abs=np.radians(0.3))
@@ -102,7 +106,9 @@ def test_poses_of_the_papers_estimator_scatter_as_expected_of_it(array, along_de
     )  # fmt: skip
     drawn = [errors.draw(truth.position, truth.orientation, AMPLITUDE, 2, SINCE) for _ in range(3000)]
     scatter = np.sqrt(np.var([error_of(d, truth) for d in drawn], axis=0))
-    wanted = expected_covariance(array, along_device, noise_levels(line.rig), truth, 2, RATE, SINCE, AMPLITUDE)
+    wanted = compute_expected_covariance(
+        array, along_device, make_noise_levels(line.rig), truth, 2, RATE, SINCE, AMPLITUDE
+    )
     assert scatter == pytest.approx(np.sqrt(np.diag(wanted)), rel=0.1)
 
 
@@ -131,7 +137,7 @@ def test_doubled_mismatches_double_the_systematic_error(line):
         scaled = settings.model_copy(update={"mismatch": settings.mismatch.model_copy(update={"scale": scale})})
         rig = ReducedRig(line.rig, line.robot, scaled, np.zeros(2), 2)
         localizer = Localizer(rig.sensors, line.robot.device)
-        rig.sightings(localizer)
+        rig.make_synthetic_localizer(localizer)
         errors = rig._errors
         errors._rng = Silence()
         fitted = errors.draw(np.array([0.0, 0.0, 0.0596]), np.array([0.5, 0.5, 0.5, 0.5]), AMPLITUDE, 2, SINCE)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.reduced.kernel import plane_field
-from sim.reduced.plant import ReducedPlant, _plane
+from sim.reduced.kernel import compute_plane_field
+from sim.reduced.plant import ReducedPlant, _tabulate_plane
 from sim.reduced.rig import open_reduced
-from sim.tank.magnetics.cantilever import fields_at
-from sim.tank.magnetics.coils import TankCoils
+from sim.tank.magnetics.cantilever import compute_fields
+from sim.tank.magnetics.tank_coils import TankCoils
 from sim.tank.settings import TankSettings
 from sim.tank.tank import Tank
 from smolbot.config.document import validate
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.core.shots import Actuate, Listen, Rest
 from smolbot.flight.session import fly
 
@@ -26,7 +26,7 @@ def settings_of(mission):
 
 def commands_of(mission, seed):
     """The windows of a flight, shot by shot, as its controller came to command them."""
-    run = fly(mission, seed, opener=open_reduced)
+    run = fly(mission, seed, open_rig=open_reduced)
     return [(Rest(run.begun),), *[(*c.shot.windows, Rest(mission.rig.turnaround)) for c in run.cycles]]
 
 
@@ -46,13 +46,13 @@ def ways(mission, seed, shots):
 
 @pytest.fixture(scope="module")
 def letter():
-    return load_mission("r_small", settings={"localization.quiet_s": "3.0", "stop.max_duration_s": "20.0"})
+    return load_steering_mission("r_small", settings={"localization.quiet_s": "3.0", "stop.max_duration_s": "20.0"})
 
 
 @pytest.fixture(scope="module")
 def doubled():
     """Long windows across the tank, with every mismatch doubled."""
-    return load_mission(
+    return load_steering_mission(
         "line",
         settings={
             "path.points_mm": "[[-9.0, -7.0], [6.0, 8.0], [6.0, -8.0]]",
@@ -82,7 +82,7 @@ def test_same_commands_and_seed_lead_along_the_full_tanks_way_within_a_tenth_of_
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [5, 6, 7])
 def test_commands_of_a_whole_letter_still_lead_along_the_full_tanks_way(seed):
-    mission = load_mission("r_small")
+    mission = load_steering_mission("r_small")
     full, reduced = ways(mission, seed, commands_of(mission, seed))
     apart = np.linalg.norm(full[:, :3] - reduced[:, :3], axis=1)
     print(f"\nseed {seed}: apart {np.sqrt(np.mean(apart**2)) * 1e3:.4f} mm rms, {apart.max() * 1e3:.4f} mm at most")
@@ -131,18 +131,18 @@ def test_field_of_the_plane_is_that_of_the_drawn_coils_near_it(line):
     tank = Tank(line.rig, line.robot, settings_of(line), np.array(line.start), 7)
     coils: TankCoils = tank.coils
     height = tank.carrier.hull.float_height
-    grid, table = _plane(coils, line.rig, height)
+    grid, table = _tabulate_plane(coils, line.rig, height)
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-18e-3, 18e-3, (50, 2)), height + rng.uniform(-0.2e-3, 0.2e-3, 50)])
-    true = fields_at(points, coils.fields.rows, coils.fields.coefficients)
+    true = compute_fields(points, coils.fields.rows, coils.fields.coefficients)
     for coil in range(coils.n_actuation):
         unit = np.eye(table.shape[2])[coil]
-        found = np.array([plane_field(*p, unit, grid, table) for p in points])
+        found = np.array([compute_plane_field(*p, unit, grid, table) for p in points])
         assert np.abs(found[:, :3] - true[coil]).max() < 2e-3 * np.abs(true[coil]).max()
         slopes = []
         for step in 1e-4 * np.eye(3):  # dBx/dx, dBx/dy, dBx/dz by finite differences of the true field
             ahead, behind = (
-                fields_at(points + sign * step, coils.fields.rows, coils.fields.coefficients)[coil, :, 0]
+                compute_fields(points + sign * step, coils.fields.rows, coils.fields.coefficients)[coil, :, 0]
                 for sign in (1, -1)
             )
             slopes.append((ahead - behind) / 2e-4)

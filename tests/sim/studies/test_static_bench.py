@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.studies.benches import characterised, optimised, reference_orientation
-from sim.studies.cramer_rao import bound, own_covariance, position_bound
+from sim.studies.benches import make_characterised_device, make_optimised_device, make_reference_orientation
+from sim.studies.cramer_rao import compute_bound, compute_own_covariance, compute_position_bound
 from sim.tank.static_bench import StaticBench, with_sensors
 from smolbot.config.rig import load_rig
 from smolbot.core.sensing import Device
 from smolbot.errors import InputError
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.noise.model import NoiseModel
 
-PLACE, TURN = np.array([0.004, -0.006, 0.08]), reference_orientation()
+PLACE, TURN = np.array([0.004, -0.006, 0.08]), make_reference_orientation()
 SILENT = {
     "noise.mains_nt": "0", "noise.mains_gradient_nt_per_m": "0", "noise.floor_pt_per_rthz": "0",
     "noise.at_1hz_pt_per_rthz": "0", "noise.drift_nt_per_s": "0",
@@ -25,7 +25,7 @@ SILENT = {
 
 
 def bench(seed=1, mismatch=0.0, device=None, settings=None):
-    return StaticBench(load_rig("tank", settings), device or characterised(), seed, mismatch)
+    return StaticBench(load_rig("tank", settings), device or make_characterised_device(), seed, mismatch)
 
 
 def in_glycerol():
@@ -53,15 +53,19 @@ def true_noise_model(bench, top=2500.0, spacing=0.5):
 
 
 @pytest.mark.parametrize(
-    "device", [characterised(), optimised(), in_glycerol()], ids=["solid", "optimised", "glycerol"]
+    "device",
+    [make_characterised_device(), make_optimised_device(), in_glycerol()],
+    ids=["solid", "optimised", "glycerol"],
 )
 def test_an_ideal_silent_bench_hears_what_the_forward_model_says(device):
     settings = {"sensors.bandwidth_hz": "1e9"}
     ours = bench(device=device, settings=settings)
     n = ours.samples(2)
-    theta = deflection(device, 0.02 + np.arange(n) / ours.rate, 0.2, 0.7)
-    expected = sensor_field(ours.sensors, device, PLACE, TURN, theta)
-    assert ours.clean(PLACE, TURN, n, 0.02, 0.2, 0.7) == pytest.approx(expected, abs=1e-4 * np.abs(expected).max())
+    theta = compute_deflection(device, 0.02 + np.arange(n) / ours.rate, 0.2, 0.7)
+    expected = compute_sensor_field(ours.sensors, device, PLACE, TURN, theta)
+    assert ours.compute_clean_readings(PLACE, TURN, n, 0.02, 0.2, 0.7) == pytest.approx(
+        expected, abs=1e-4 * np.abs(expected).max()
+    )
 
 
 def test_the_same_seed_makes_the_same_recordings_and_another_one_others():
@@ -131,30 +135,30 @@ def test_closed_form_covariance_of_the_sensors_own_noise_is_that_of_its_draws():
     }
     ours = bench(7, settings=settings)
     count, size = 8, 50
-    draws = np.concatenate([ours._measured(np.zeros((10, count * size)), np.inf, None).field for _ in range(300)])
+    draws = np.concatenate([ours._measure(np.zeros((10, count * size)), np.inf, None).field for _ in range(300)])
     blocks = draws.reshape(len(draws), count, size).mean(axis=2)
     blocks -= blocks.mean(axis=1, keepdims=True)  # slow noise would need longer to average
     middle = np.eye(count) - 1.0 / count
-    expected = middle @ own_covariance(ours, count, size) @ middle
+    expected = middle @ compute_own_covariance(ours, count, size) @ middle
     assert blocks.T @ blocks / len(blocks) == pytest.approx(expected, abs=0.08 * expected.max())
 
 
 def test_the_bound_falls_with_listening_and_with_amplitude_and_knows_no_line_it_can_project_out():
     ours = bench()
-    at = [position_bound(bound(ours, PLACE, TURN, n, 0.3)) for n in (1, 2, 6)]
+    at = [compute_position_bound(compute_bound(ours, PLACE, TURN, n, 0.3)) for n in (1, 2, 6)]
     assert at[0] > at[1] > at[2]
-    small = position_bound(bound(ours, PLACE, TURN, 2, 0.3, amplitude=0.5 * ours.device.theta_max))
+    small = compute_position_bound(compute_bound(ours, PLACE, TURN, 2, 0.3, amplitude=0.5 * ours.device.theta_max))
     assert small == pytest.approx(2.0 * at[1], rel=0.15)
     louder = bench(settings={"noise.mains_nt": "98.0", "noise.mains_gradient_nt_per_m": "210.0"})
-    assert position_bound(bound(louder, PLACE, TURN, 2, 0.3)) < 1.1 * at[1]
+    assert compute_position_bound(compute_bound(louder, PLACE, TURN, 2, 0.3)) < 1.1 * at[1]
 
 
 def test_sensors_elsewhere_hear_from_there():
     rig = load_rig("tank")
     wide = with_sensors(rig, 2.0 * rig.sensors.positions, rig.sensors.axes)
     assert wide.sensors.positions == pytest.approx(2.0 * rig.sensors.positions)
-    far = StaticBench(wide, characterised(), 1, 0.0).clean(2.0 * PLACE, TURN, 50)
-    near = bench(device=replace(characterised(), l0=0.75e-3)).clean(PLACE, TURN, 50)
+    far = StaticBench(wide, make_characterised_device(), 1, 0.0).compute_clean_readings(2.0 * PLACE, TURN, 50)
+    near = bench(device=replace(make_characterised_device(), l0=0.75e-3)).compute_clean_readings(PLACE, TURN, 50)
     assert far == pytest.approx(near / 8.0, rel=1e-6)
     with pytest.raises(InputError, match="axes"):
         with_sensors(rig, rig.sensors.positions, rig.sensors.axes[:3])

@@ -11,12 +11,18 @@ import numpy as np
 import pytest
 
 from sim.studies import accuracy, bound, cold, damping, depth, precision
-from sim.studies.benches import characterised, localizers, open_bench, pose_row, reference_orientation
-from sim.studies.columns import chosen, joined
-from sim.studies.command import carry_out, load_study
+from sim.studies.benches import (
+    make_characterised_device,
+    make_localizers,
+    make_pose_row,
+    make_reference_orientation,
+    open_bench,
+)
+from sim.studies.columns import join_columns, select_rows
+from sim.studies.command import load_study, run_study
 from sim.studies.running import StudyFolder, run_chunks
-from sim.studies.study import Chunk, Options, cut
-from smolbot.config.plugins import names
+from sim.studies.study import Chunk, Options, cut_chunks
+from smolbot.config.plugins import list_plugins
 from smolbot.core.pose import Pose
 from smolbot.errors import InputError
 
@@ -33,7 +39,7 @@ def fails(chunk: Chunk):
 
 
 def pieces(seed=1, work=draws):
-    return cut(Options("draws", seed), work, [(f"p{i}", {"n": 3}) for i in range(5)])
+    return cut_chunks(Options("draws", seed), work, [(f"p{i}", {"n": 3}) for i in range(5)])
 
 
 def small(name, **changes):
@@ -41,15 +47,15 @@ def small(name, **changes):
 
 
 def test_the_number_of_workers_does_not_change_a_result():
-    alone = joined(run_chunks(pieces()))
+    alone = join_columns(run_chunks(pieces()))
     with ThreadPoolExecutor(3) as executor:
-        together = joined(run_chunks(pieces(), None, executor))
+        together = join_columns(run_chunks(pieces(), None, executor))
     assert np.array_equal(alone["value"], together["value"])
-    assert not np.array_equal(alone["value"], joined(run_chunks(pieces(seed=2)))["value"])
+    assert not np.array_equal(alone["value"], join_columns(run_chunks(pieces(seed=2)))["value"])
 
 
 def test_more_chunks_leave_the_first_ones_as_they_were():
-    few, many = (cut(Options("draws", 1), draws, [(f"p{i}", {"n": 1}) for i in range(n)]) for n in (3, 9))
+    few, many = (cut_chunks(Options("draws", 1), draws, [(f"p{i}", {"n": 1}) for i in range(n)]) for n in (3, 9))
     assert [c.seed for c in few] == [c.seed for c in many[:3]]
     assert len({c.seed for c in many}) == 9
 
@@ -63,7 +69,7 @@ def test_a_study_that_was_killed_goes_on_where_it_was(tmp_path):
     assert [folder.load(f"p{i}") is not None for i in range(5)] == [True] * 3 + [False] * 2
     told = []
     resumed = run_chunks([*pieces(work=fails)[:3], *pieces()[3:]], folder, None, lambda done, total: told.append(done))
-    assert np.array_equal(joined(resumed)["value"], joined(run_chunks(pieces()))["value"])
+    assert np.array_equal(join_columns(resumed)["value"], join_columns(run_chunks(pieces()))["value"])
     assert told == [3, 4, 5]
 
 
@@ -98,7 +104,7 @@ def test_the_help_names_every_study():
     from sim.studies.command import app
 
     text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).output
-    assert all(name in text for name in names("studies"))
+    assert all(name in text for name in list_plugins("studies"))
 
 
 def test_nees_of_errors_drawn_from_the_covariance_averages_six():
@@ -111,14 +117,14 @@ def test_nees_of_errors_drawn_from_the_covariance_averages_six():
     for _ in range(600):
         error = root @ rng.standard_normal(6)
         pose = Pose(0.0, truth + error[:3], quaternion_from_rotation_vector(error[3:]), root @ root.T)
-        nees.append(pose_row(pose, truth, turn)["nees"])
+        nees.append(make_pose_row(pose, truth, turn)["nees"])
     assert np.mean(nees) == pytest.approx(6.0, rel=0.08)
 
 
 @pytest.fixture(scope="module")
 def bounded(tmp_path_factory):
     options = Options("bound", seed=4, jobs=1, poses=60, mismatch=0.0)
-    return carry_out(bound.STUDY, options, tmp_path_factory.mktemp("studies") / "bound")
+    return run_study(bound.STUDY, options, tmp_path_factory.mktemp("studies") / "bound")
 
 
 def test_no_estimator_beats_the_bound_by_more_than_chance_and_the_whitened_one_reaches_it(bounded):
@@ -149,17 +155,19 @@ def test_a_study_leaves_its_table_its_figure_and_what_it_was(bounded):
 
 def test_accuracy_of_a_stage_reads_moves_along_and_about_the_right_axes():
     for axis in accuracy.AXES:
-        for step in accuracy.steps(axis, accuracy.WIDE):
-            pose = Pose(0.0, *accuracy.moved(axis, float(step)), np.eye(6))
-            assert np.angle(np.exp(1j * (accuracy.reading(axis, pose) - step))) == pytest.approx(0.0, abs=1e-9)
-        spans = np.ptp(accuracy.steps(axis, accuracy.WIDE)), np.ptp(accuracy.steps(axis, accuracy.FINE))
+        for step in accuracy.list_steps(axis, accuracy.WIDE):
+            pose = Pose(0.0, *accuracy.displace_pose(axis, float(step)), np.eye(6))
+            assert np.angle(np.exp(1j * (accuracy.measure_displacement(axis, pose) - step))) == pytest.approx(
+                0.0, abs=1e-9
+            )
+        spans = np.ptp(accuracy.list_steps(axis, accuracy.WIDE)), np.ptp(accuracy.list_steps(axis, accuracy.FINE))
         expected = (0.05, 0.001) if len(axis) == 1 else (math.radians(340), math.radians(5))
         assert spans == pytest.approx(expected)
 
 
 def test_poses_not_trusted_are_counted_and_kept():
     options = small("cold", mismatch=0.0, poses=4, estimators=("whitened",))
-    parts = [p.work(p) for p in cold.chunks(options)]
+    parts = [p.work(p) for p in cold.make_chunks(options)]
     parts[0]["trusted"][1] = 0.0
     outcome = cold.conclude(options, parts)
     assert outcome.figures["cases"][0]["untrusted"] >= 1
@@ -168,21 +176,21 @@ def test_poses_not_trusted_are_counted_and_kept():
 
 def test_depth_is_where_the_scatter_first_passes_the_limit():
     heights = np.array([80.0, 100.0, 120.0])
-    assert depth.crossing(heights, np.array([0.1, 0.5, 2.0])) == pytest.approx(110.0)
-    assert math.isnan(depth.crossing(heights, np.array([0.1, 0.2, 0.3])))
-    assert depth.device_with("characterised", depth.EDGE_MM).moment == pytest.approx(0.89e-3)
-    assert depth.device_with("characterised", 2 * depth.EDGE_MM).moment == pytest.approx(8 * 0.89e-3)
+    assert depth.find_crossing(heights, np.array([0.1, 0.5, 2.0])) == pytest.approx(110.0)
+    assert math.isnan(depth.find_crossing(heights, np.array([0.1, 0.2, 0.3])))
+    assert depth.make_device("characterised", depth.EDGE_MM).moment == pytest.approx(0.89e-3)
+    assert depth.make_device("characterised", 2 * depth.EDGE_MM).moment == pytest.approx(8 * 0.89e-3)
 
 
 def test_rates_are_those_of_the_timeline():
-    assert precision.rate(2) == pytest.approx(1.0 / (5 / 103.5 + 0.02 + 2 / 207.0))
+    assert precision.compute_rate(2) == pytest.approx(1.0 / (5 / 103.5 + 0.02 + 2 / 207.0))
 
 
 def test_damping_costs_precision_and_the_trend_says_so(monkeypatch):
     monkeypatch.setattr(damping, "DAMPINGS", (0.0, 40.0))
     monkeypatch.setattr(damping, "HALF_PERIODS", (2,))
     options = small("damping", poses=16, estimators=("whitened",))
-    outcome = damping.conclude(options, run_chunks(damping.chunks(options)))
+    outcome = damping.conclude(options, run_chunks(damping.make_chunks(options)))
     assert all(trend["slope_um_s"] > 0 for trend in outcome.figures["trends"])
 
 
@@ -190,7 +198,7 @@ def test_damping_costs_precision_and_the_trend_says_so(monkeypatch):
 @pytest.mark.parametrize("name", ["accuracy", "precision", "damping", "depth", "cold", "speed"])
 def test_every_study_runs_and_draws(name, tmp_path):
     study = load_study(name)
-    outcome, folder = carry_out(study, Options(name, 3, 2, 4, estimators=study.estimators), tmp_path / name)
+    outcome, folder = run_study(study, Options(name, 3, 2, 4, estimators=study.estimators), tmp_path / name)
     assert (folder / f"{name}.png").exists()
     assert json.loads((folder / "study.json").read_text())["study"] == name
     assert outcome.rows
@@ -198,7 +206,7 @@ def test_every_study_runs_and_draws(name, tmp_path):
 
 @pytest.mark.slow
 def test_whitened_poses_reach_the_bound_and_are_honest_over_a_thousand(tmp_path):
-    outcome, _ = carry_out(bound.STUDY, Options("bound", 11, 2, 1000, mismatch=0.0), tmp_path / "bound")
+    outcome, _ = run_study(bound.STUDY, Options("bound", 11, 2, 1000, mismatch=0.0), tmp_path / "bound")
     for case in outcome.figures["cases"]:
         if case["estimator"] == "whitened":
             assert 0.95 < case["over_bound"] < 1.05
@@ -209,23 +217,23 @@ def test_whitened_poses_reach_the_bound_and_are_honest_over_a_thousand(tmp_path)
 @pytest.mark.slow
 def test_mismatches_cost_accuracy_and_a_calibration_wins_most_of_it_back(tmp_path):
     options = Options("accuracy", 5, 2, 4, mismatch=2.0, estimators=("whitened",))
-    outcome, _ = carry_out(accuracy.STUDY, options, tmp_path / "accuracy")
+    outcome, _ = run_study(accuracy.STUDY, options, tmp_path / "accuracy")
     mae = {c["kind"]: c["mae_position_mm"] for c in outcome.figures["cases"] if c["span"] == accuracy.WIDE}
     assert max(mae["ideal"], mae["calibrated"]) < 0.6 * mae["mismatched"]
 
 
 def test_a_constant_in_a_channel_changes_no_pose():
     chunk = Chunk("c", draws, 9, {"rig": "tank"})
-    bench = open_bench(chunk, characterised(), 0.0)
-    place, turn = np.array([0.0, 0.0, 0.08]), reference_orientation()
+    bench = open_bench(chunk, make_characterised_device(), 0.0)
+    place, turn = np.array([0.0, 0.0, 0.08]), make_reference_orientation()
     recording = bench.record(place, turn, 2)
     prior = Pose(0.0, place, turn, np.eye(6) * 1e-6)
     shifted = replace(recording, field=recording.field + 1e-6 * np.eye(10)[3][:, None])
-    for localizer in localizers(bench, ("whitened", "paper"), quiet=2.0).values():
+    for localizer in make_localizers(bench, ("whitened", "paper"), quiet=2.0).values():
         a, b = localizer.locate(recording, prior), localizer.locate(shifted, prior)
         assert b.position == pytest.approx(a.position, abs=1e-9)
 
 
 def test_rows_are_chosen_by_value():
     columns = {"n": np.array([1, 2, 1]), "name": np.array(["a", "a", "b"])}
-    assert len(chosen(columns, n=1, name="a")["n"]) == 1
+    assert len(select_rows(columns, n=1, name="a")["n"]) == 1

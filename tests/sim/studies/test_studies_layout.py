@@ -9,30 +9,30 @@ import numpy as np
 import pytest
 
 from sim.studies import layout as study
-from sim.studies.benches import rig_named
-from sim.studies.layout_search import BLOCK, Judge, Layout, Search
-from sim.studies.layout_value import Mismatch, Poses, Volume, judge
+from sim.studies.benches import load_rig_once
+from sim.studies.layout_search import BLOCK, Layout, LayoutScorer, Search
+from sim.studies.layout_value import Mismatch, Poses, Volume, evaluate_layout_value
 from sim.studies.study import Options
-from smolbot.config.feasibility import noise_levels
+from smolbot.config.feasibility import make_noise_levels
 from smolbot.config.rig import load_rig
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
-from smolbot.localization.bounds import pose_bound
-from smolbot.localization.noise.whitening import whitened_model
+from smolbot.localization.bounds import compute_pose_bound
+from smolbot.localization.noise.whitening import make_whitened_model
 from smolbot.localization.problem import Problem
 
 RIG = load_rig("tank")
-LEVELS = noise_levels(RIG)
-DEVICES = tuple(study.devices().values())
-WINDOW = study.window(RIG)
+LEVELS = make_noise_levels(RIG)
+DEVICES = tuple(study.make_devices().values())
+WINDOW = study.make_window(RIG)
 POSES = Volume().poses(2, 1, 0)
 
 
-def judge_of(weight: float, draws: int = 2) -> Judge:
-    return Judge(DEVICES, LEVELS, WINDOW, POSES, RIG.sensors.bandwidth, Mismatch(), weight, draws)
+def judge_of(weight: float, draws: int = 2) -> LayoutScorer:
+    return LayoutScorer(DEVICES, LEVELS, WINDOW, POSES, RIG.sensors.bandwidth, Mismatch(), weight, draws)
 
 
 def start() -> Layout:
-    found = study.layout_of(RIG.sensors)
+    found = study.find_layout(RIG.sensors)
     assert found is not None
     return found
 
@@ -44,8 +44,10 @@ def test_score_of_the_search_is_the_bound():
     squares = []
     for device in DEVICES:
         for room in range(2):
-            noise = LEVELS.room(RIG.sensors, room, 2500.0)
-            bound = pose_bound(RIG.sensors, device, noise, POSES.positions, POSES.rotations, WINDOW, block=BLOCK)
+            noise = LEVELS.sample_room_model(RIG.sensors, room, 2500.0)
+            bound = compute_pose_bound(
+                RIG.sensors, device, noise, POSES.positions, POSES.rotations, WINDOW, block=BLOCK
+            )
             squares.append(bound.position_rms**2)
     assert score == pytest.approx(np.sqrt(np.mean(squares)), rel=0.03)  # two phases instead of four
 
@@ -55,8 +57,10 @@ def test_score_counts_sensors_out_of_place_as_the_judgement_does():
     with_errors, without = (judge_of(w, 1) for w in (1.0, 0.0))
     squares = with_errors.score(layout, with_errors.shares(layout)) ** 2
     squares -= without.score(layout, without.shares(layout)) ** 2
-    noise = LEVELS.room(RIG.sensors, 0)
-    expected = np.mean([judge(RIG.sensors, d, noise, WINDOW, POSES, Mismatch()).systematic_rms ** 2 for d in DEVICES])
+    noise = LEVELS.sample_room_model(RIG.sensors, 0)
+    expected = np.mean(
+        [evaluate_layout_value(RIG.sensors, d, noise, WINDOW, POSES, Mismatch()).systematic_rms ** 2 for d in DEVICES]
+    )
     assert np.sqrt(squares) == pytest.approx(np.sqrt(expected), rel=0.1)
 
 
@@ -64,10 +68,10 @@ def test_sensors_out_of_place_do_to_a_fit_what_was_expected():
     """Noiseless data of sensors moved, turned and scaled at random, fitted by the whitened estimator."""
     sensors, mismatch = RIG.sensors, Mismatch(0.05e-3, 0.00125, np.radians(0.075))
     device = replace(DEVICES[0], amplitude=DEVICES[0].theta_max, amplitude_std=100.0)
-    noise = LEVELS.room(sensors, 0)
+    noise = LEVELS.sample_room_model(sensors, 0)
     position, rotation = np.array([0.0, 0.0, 0.07]), matrix_from_quaternion(np.array([0.5, 0.5, -0.5, 0.5]))
-    n = WINDOW.n_samples(device.frequency)
-    model = whitened_model(sensors, device, noise, np.ones(10, dtype=bool).tobytes(), n, WINDOW.sample_rate, 0.02)
+    n = WINDOW.count_samples(device.frequency)
+    model = make_whitened_model(sensors, device, noise, np.ones(10, dtype=bool).tobytes(), n, WINDOW.sample_rate, 0.02)
     rng, errors = np.random.default_rng(3), []
     for _ in range(150):
         phase = float(rng.uniform(0, np.pi))
@@ -80,18 +84,20 @@ def test_sensors_out_of_place_do_to_a_fit_what_was_expected():
         size = device.theta_max / np.radians(30.0)
         data = true.response(position, rotation, phase, size)[0]
         errors.append(Problem(model, data).fit(position, rotation, phase, size).position - position)
-    expected = judge(sensors, device, noise, WINDOW, Poses(position[None], rotation[None]), mismatch).systematic_rms[0]
+    expected = evaluate_layout_value(
+        sensors, device, noise, WINDOW, Poses(position[None], rotation[None]), mismatch
+    ).systematic_rms[0]
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(expected, rel=0.2)
 
 
 def test_a_search_only_improves_and_keeps_the_rules():
     judged = judge_of(0.1, 1)
-    search = Search(judged, judged.best_of_random(10, 2, np.random.default_rng(1)), np.random.default_rng(0))
+    search = Search(judged, judged.find_best_of_random(10, 2, np.random.default_rng(1)), np.random.default_rng(0))
     scores = [search.score]
     for _ in range(30):
         search.step()
         scores.append(search.score)
-        assert search.layout.allowed()
+        assert search.layout.is_allowed()
     assert np.all(np.diff(scores) <= 0)
     assert scores[-1] < scores[0]
     np.testing.assert_allclose(search.layout.places, np.round(search.layout.places, 3))
@@ -103,25 +109,25 @@ def test_a_search_only_improves_and_keeps_the_rules():
     ids=["too close", "outside", "one axis"],
 )
 def test_layouts_that_break_a_rule_are_not_allowed(places, axes):
-    assert not Layout(np.array(places, dtype=float), np.array(axes)).allowed()
+    assert not Layout(np.array(places, dtype=float), np.array(axes)).is_allowed()
 
 
 def test_toml_is_read_back_as_the_same_layout():
     layout = start()
-    read = tomllib.loads(study.as_toml(layout))
+    read = tomllib.loads(study.format_toml(layout))
     found = {(*place[:2], axis) for place, axis in zip(read["positions_mm"], read["axes"], strict=True)}
     assert found == {(*np.round(1e3 * p), "xyz"[a]) for p, a in zip(layout.places, layout.axes, strict=True)}
 
 
 def test_study_reports_both_layouts_and_draws_them(tmp_path):
     options = Options("layout", seed=3, jobs=1, poses=1)
-    chunk = study.chunks(options)[0]
+    chunk = study.make_chunks(options)[0]
     short = replace(chunk, arguments={**chunk.arguments, "patience": 3})
     outcome = study.conclude(options, [short.work(short)])
     layouts = outcome.figures["layouts"]
     assert set(layouts) == {"rig", "found"}
     assert 50 < layouts["rig"]["bound_um"] < 500
     assert 0.5 < layouts["rig"]["correlation"] < 1.0
-    assert len(outcome.figures["found"]["axes"]) == len(rig_named("tank").sensors)
+    assert len(outcome.figures["found"]["axes"]) == len(load_rig_once("tank").sensors)
     study.draw(outcome, tmp_path / "layout.png")
     assert (tmp_path / "layout.png").stat().st_size > 10_000

@@ -11,14 +11,14 @@ import pytest
 
 from sim.analysis.lqr import Found
 from sim.studies import margins as study
-from sim.studies.command import _mission_options, carry_out, load_study
-from sim.studies.margins import STUDY, conclude, cycles_of, work_path
-from sim.studies.margins_report import files
+from sim.studies.command import _make_mission_options, load_study, run_study
+from sim.studies.margins import STUDY, conclude, linearize_path, rebuild_cycles
+from sim.studies.margins_report import format_files
 from sim.studies.study import Chunk, Options
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.errors import InputError
 from smolbot.ui.cli.app import main
-from smolbot.ui.cli.options import settings_from
+from smolbot.ui.cli.options import parse_settings
 
 SHORT = (
     ("controller.law", "force_pursuit"),
@@ -37,8 +37,8 @@ def carried(tmp_path_factory):
     folder = tmp_path_factory.mktemp("margins") / "s"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "closest_gains", partial(study.closest_gains, most=4))
-        patch.setattr(study, "_flown", lambda *_: np.zeros((0, 4)))
-        outcome, path = carry_out(load_study("margins"), short(), folder)
+        patch.setattr(study, "_fly_reduced", lambda *_: np.zeros((0, 4)))
+        outcome, path = run_study(load_study("margins"), short(), folder)
     return outcome, path
 
 
@@ -58,12 +58,12 @@ def test_the_study_leaves_margins_at_every_place_and_says_the_worst(carried):
 
 def test_all_parts_together_are_the_flight_once(carried):
     outcome, _ = carried
-    chunk = Chunk("path-1", work_path, 1, {"mission": "line", "own_rig": None, "settings": SHORT, "part": 1})
-    alone = work_path(chunk)
+    chunk = Chunk("path-1", linearize_path, 1, {"mission": "line", "own_rig": None, "settings": SHORT, "part": 1})
+    alone = linearize_path(chunk)
     assert set(alone["cycle"] % study.PARTS) == {1}
     assert set(alone["cycle"]) <= set(outcome.columns["cycle"])
     assert len(set(outcome.columns["cycle"])) == outcome.figures["places"]
-    back = cycles_of(alone)
+    back = rebuild_cycles(alone)
     assert [c.arc for c in back] == list(alone["arc"])
     assert back[0].feedback[1, 0] == alone["feedback_2"][0]
 
@@ -72,9 +72,9 @@ def test_gains_that_are_found_can_be_given_to_a_mission(carried, tmp_path):
     outcome, _ = carried
     outcome.figures["gains"] = {"lookahead_mm": 1.25, "force_un": 80.0}
     path = tmp_path / "gains.toml"
-    path.write_text(files(outcome)["gains.toml"])
-    settings = settings_from(["controller.law=force_pursuit", f"@{path}"])
-    assert dict(load_mission("line", None, settings).gains) == {"lookahead_mm": 1.25, "force_un": 80.0}
+    path.write_text(format_files(outcome)["gains.toml"])
+    settings = parse_settings(["controller.law=force_pursuit", f"@{path}"])
+    assert dict(load_steering_mission("line", None, settings).gains) == {"lookahead_mm": 1.25, "force_un": 80.0}
 
 
 def test_a_settings_file_that_cannot_be_read_is_named(tmp_path):
@@ -82,7 +82,7 @@ def test_a_settings_file_that_cannot_be_read_is_named(tmp_path):
     bad.write_text("gains = [")
     for path in (bad, tmp_path / "none.toml"):
         with pytest.raises(InputError, match=f"--set @{path}: cannot be read as TOML"):
-            settings_from([f"@{path}"])
+            parse_settings([f"@{path}"])
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_what_cannot_be_studied_is_one_clear_error(arguments, message, capsys, t
 
 def test_a_study_of_a_mission_resumes_with_the_same_mission_only():
     def given(mission, settings):
-        return _mission_options(STUDY, mission, 1, 0, None, settings, {}).asked()
+        return _make_mission_options(STUDY, mission, 1, 0, None, settings, {}).asked()
 
     assert given("line", ["a=1", "b=2"]) == given("line", ["b=2", "a=1"])
     assert given("line", None) != given("r_path", None)
@@ -134,9 +134,9 @@ def test_gains_go_no_further_than_the_reduced_plant_follows(passed, monkeypatch)
             count = list(passed.values())[len(asked) - 1]
         return np.array([[i, 0.3, 50.0, i < count] for i in range(3)], dtype=float)
 
-    monkeypatch.setattr(study, "_flown", flown)
+    monkeypatch.setattr(study, "_fly_reduced", flown)
     arguments = {"mission": "line", "own_rig": None, "settings": SHORT, "seed": 1, "weights": None}
-    columns = study.work_gains(Chunk("gains", study.work_gains, 1, arguments))
+    columns = study.search_gains(Chunk("gains", study.search_gains, 1, arguments))
     assert asked == pytest.approx([0.8 * 2.0**share for share in passed])  # a logarithmic gain, from 0.8 to 1.6
     assert columns["_share"][0] == list(passed)[-1]
     assert columns["_values"][0] == asked[-1]
@@ -145,7 +145,7 @@ def test_gains_go_no_further_than_the_reduced_plant_follows(passed, monkeypatch)
 @pytest.mark.slow
 def test_both_sets_of_gains_are_flown_in_the_same_worlds_of_the_reduced_plant():
     arguments = {"mission": "line", "own_rig": None, "settings": SHORT, "seed": 4, "weights": "0.1,10,0.5"}
-    columns = study.work_gains(Chunk("gains", study.work_gains, 1, arguments))
+    columns = study.search_gains(Chunk("gains", study.search_gains, 1, arguments))
     before, after = columns["_flown_before"], columns["_flown_after"]
     assert list(before[:, 0]) == [4, 5, 6]
     assert np.all(before[:, 1] < 1.0)

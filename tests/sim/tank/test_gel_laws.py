@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from sim.tank.carriers.gel import kernels as k
-from sim.tank.carriers.gel.truth import draw_gel, gel_generators, pack_cube, pack_gel
-from sim.tank.magnetics.magnet import pack_device
+from sim.tank.carriers.gel import gel_kernels as k
+from sim.tank.carriers.gel.mismatch import make_gel_generators, pack_cube, pack_gel, sample_gel
+from sim.tank.magnetics.device_packing import pack_device
 from sim.tank.settings import TankSettings
 from sim.tank.world import TankWorld
 from smolbot.config.rig import load_rig
@@ -22,7 +22,7 @@ from smolbot.core.shots import Excite, Listen, MoveMagnet, RingDown, Rotate, Sho
 
 RIG, ROBOT = load_rig("gel"), load_robot("helical")
 SIDE, REMANENCE = 0.0508, 1.27
-IDEAL = draw_gel(TankSettings(), gel_generators(0)[0], ideal=True)
+IDEAL = sample_gel(TankSettings(), make_gel_generators(0)[0], ideal=True)
 GEL = pack_gel(RIG, ROBOT, TankSettings(), IDEAL)
 FREE = GEL.copy()  # no plates in the way
 FREE[k.LOW], FREE[k.HIGH] = -1.0, 1.0
@@ -33,7 +33,7 @@ finite = st.floats(-1.0, 1.0)
 
 def cube_at(point):
     b, g = np.empty(3), np.empty((3, 3))
-    k.cuboid_field(*point, SIDE / 2, REMANENCE, b, g)
+    k.compute_cuboid_field(*point, SIDE / 2, REMANENCE, b, g)
     return b, g
 
 
@@ -58,7 +58,7 @@ def test_the_turned_and_steered_cube_is_magpylibs_too(steer, turn):
     cube = pack_cube(RIG, IDEAL)
     point = np.array([0.004, -0.011, 0.049])
     b, g = np.empty(3), np.empty((3, 3))
-    k.magnet_field(point, cube, steer, turn, b, g, np.empty((4, 3, 3)))
+    k.compute_magnet_field(point, cube, steer, turn, b, g, np.empty((4, 3, 3)))
     axis = np.array([np.cos(steer), np.sin(steer), 0.0])
     down = Rotation.from_matrix(np.column_stack([axis, np.cross([0, 0, -1.0], axis), [0, 0, -1.0]]))
     world = Rotation.from_rotvec(turn * axis) * down
@@ -73,7 +73,7 @@ def test_a_hundred_millitesla_act_and_they_turn_against_the_magnet():
     fields = []
     for turn in np.linspace(0, 2 * np.pi, 181):
         b = np.empty(3)
-        k.magnet_field(point, cube, 0.0, float(turn), b, np.empty((3, 3)), np.empty((4, 3, 3)))
+        k.compute_magnet_field(point, cube, 0.0, float(turn), b, np.empty((3, 3)), np.empty((4, 3, 3)))
         fields.append(b)
     fields = np.array(fields)
     assert np.mean(np.linalg.norm(fields, axis=1)) == pytest.approx(0.1, rel=0.02)
@@ -83,7 +83,7 @@ def test_a_hundred_millitesla_act_and_they_turn_against_the_magnet():
 
 def moved(load, gel=GEL, forward=(1.0, 0.0, 0.0)):
     out = np.empty(6)
-    k.flow(np.array(forward), np.asarray(load, dtype=float), gel, 1.0, 1.0, out)
+    k.compute_gel_flow(np.array(forward), np.asarray(load, dtype=float), gel, 1.0, 1.0, out)
     return out
 
 
@@ -133,9 +133,9 @@ def spin_in(field, frequency, turns, gel, step=2e-3):
         angle = 2 * np.pi * frequency * i * step
         rotation = matrix_from_quaternion(state[3:7])
         b = field * np.array([0.0, np.cos(angle), np.sin(angle)])
-        state[7] = k.magnetic_load(rotation, state[7], b, NONE, DEVICE, load)
-        k.flow(np.ascontiguousarray(rotation[:, 2]), load, gel, 1.0, 1.0, out)
-        k.move(state, out, step)
+        state[7] = k.compute_magnetic_load(rotation, state[7], b, NONE, DEVICE, load)
+        k.compute_gel_flow(np.ascontiguousarray(rotation[:, 2]), load, gel, 1.0, 1.0, out)
+        k.advance_pose(state, out, step)
         now = np.arctan2(rotation[2, 0], rotation[1, 0])
         rolled += (now - last + np.pi) % (2 * np.pi) - np.pi
         last = now
@@ -172,7 +172,8 @@ def test_the_robot_steps_out_where_drag_and_yield_ask_for_more_than_m_b(share, f
 
 def test_the_same_seed_at_twice_the_scale_is_the_same_gel_with_everything_doubled():
     one, two = (
-        draw_gel(TankSettings.model_validate({"mismatch": {"scale": s}}), gel_generators(7)[0]) for s in (1.0, 2.0)
+        sample_gel(TankSettings.model_validate({"mismatch": {"scale": s}}), make_gel_generators(7)[0])
+        for s in (1.0, 2.0)
     )
     for name, value in one.as_dict().items():
         other = np.array(two.as_dict()[name])

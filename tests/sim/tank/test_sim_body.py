@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from sim.tank.carriers.bullet import Bodies
-from sim.tank.carriers.hydrodynamics import GRAVITY, Hull, float_step
-from sim.tank.mismatch import Streams, draw
+from sim.tank.carriers.hydrodynamics import GRAVITY, Hull, compute_float_step
+from sim.tank.mismatch import RandomStreams, sample_truth
 from sim.tank.settings import TankSettings
 from smolbot.core.rotations import (
     matrix_from_quaternion,
+    multiply_quaternions,
     quaternion_from_axes,
     quaternion_from_rotation_vector,
-    quaternion_product,
 )
 
 STEPS = [1e-3, 3e-4, 2.5e-3]
@@ -23,7 +23,7 @@ LEVEL = quaternion_from_axes(np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), "zy")
 @pytest.fixture
 def world(rig, robot):
     settings = TankSettings()
-    hull = Hull.build(rig, robot, settings, draw(settings, 6, 10, Streams.from_seed(0), ideal=True))
+    hull = Hull.build(rig, robot, settings, sample_truth(settings, 6, 10, RandomStreams.from_seed(0), ideal=True))
     bodies = Bodies(rig, robot, np.array([0, 0, hull.float_height]), LEVEL)
     yield hull, bodies
     bodies.close()
@@ -33,7 +33,7 @@ def drift(hull, bodies, magnetic, duration, step):
     """Run under a constant body-frame force and torque; returns the last state."""
     for _ in range(round(duration / step)):
         state = bodies.state()
-        bodies.move(*float_step(*state, magnetic, hull.values, hull.float_height, step), step)
+        bodies.move(*compute_float_step(*state, magnetic, hull.values, hull.float_height, step), step)
     return bodies.state()
 
 
@@ -61,7 +61,9 @@ def test_alignment_time_constant_is_rotation_drag_over_torque(world, rig, robot,
         times.append(k * step)
         angles.append(np.arcsin(np.cross(rotation[:, 2], direction)[2]))
         bodies.move(
-            *float_step(position, quaternion, velocity, spin, (0, 0, 0, *torque), hull.values, hull.float_height, step),
+            *compute_float_step(
+                position, quaternion, velocity, spin, (0, 0, 0, *torque), hull.values, hull.float_height, step
+            ),
             step,
         )
     later = np.array(times) > 5e-3
@@ -86,7 +88,7 @@ def test_robot_floats_where_displaced_liquid_weighs_as_much_as_it(world, rig, ro
 def test_surface_rights_a_tilted_robot(world):
     hull, bodies = world
     tilt = quaternion_from_rotation_vector(np.array([0.2, 0.1, 0.0]))
-    bodies.place(np.array([0, 0, hull.float_height]), quaternion_product(tilt, LEVEL))
+    bodies.place(np.array([0, 0, hull.float_height]), multiply_quaternions(tilt, LEVEL))
     _, quaternion, _, _ = drift(hull, bodies, (0,) * 6, 2.0, 1e-3)
     assert matrix_from_quaternion(np.array(quaternion))[2, 1] > 0.9999
 
@@ -107,5 +109,5 @@ def test_a_robot_heavier_than_its_liquid_rests_on_the_floor(world, rig, robot):
     sunk = hull.values.copy()
     sunk[10] = 2 * hull.values[11]
     for _ in range(4000):
-        bodies.move(*float_step(*bodies.state(), (0,) * 6, sunk, hull.float_height, 1e-3), 1e-3)
+        bodies.move(*compute_float_step(*bodies.state(), (0,) * 6, sunk, hull.float_height, 1e-3), 1e-3)
     assert bodies.state()[0][2] == pytest.approx(45e-3 + 0.5 * robot.size[1], abs=5e-5)

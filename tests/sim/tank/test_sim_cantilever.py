@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.tank.magnetics.cantilever import STATE_LENGTH, swing
-from sim.tank.magnetics.coil_fields import pack
-from sim.tank.magnetics.coils import volume
-from sim.tank.magnetics.magnet import MAGNET_MASS, pack_device
+from sim.tank.magnetics.cantilever import STATE_LENGTH, advance_cantilever
+from sim.tank.magnetics.coil_fields import pack_coils
+from sim.tank.magnetics.device_packing import MAGNET_MASS, pack_device
+from sim.tank.magnetics.tank_coils import find_magnet_volume
 from sim.tank.tank import NO_SAMPLES
 
 MOMENT, L0, THETA_MAX, FREQUENCY = 0.89e-3, 1.5e-3, np.radians(17.8), 103.5
@@ -33,7 +33,7 @@ class Bench:
         """Deflection (and currents) every 20 us, shape (steps * substeps, 1 + n_coils)."""
         trace = np.empty((steps * substeps, 1 + len(self.circuits)))
         for k in range(steps):
-            swing(
+            advance_cantilever(
                 *LEVEL, self.device, self.earth, self.rows, self.table, self.circuits, self.state,
                 np.empty((1, 7)), 0, trace, k * substeps, step, substeps, NO_SAMPLES, 0,
             )  # fmt: skip
@@ -72,7 +72,7 @@ def test_cantilever_in_steel_is_about_six_micronewton_metre_per_radian():
 def test_drive_at_resonance_grows_as_the_torque_about_the_axis_of_oscillation(rig, damping):
     """A' = Q / (2 I omega) - eta A with Q = m |B . (y x m)|, to which the pull of the gradient on the lever l0 adds."""
     coils = rig.flat_coils()[:1]
-    field = pack(coils, np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1), *volume(rig))
+    field = pack_coils(coils, np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1), *find_magnet_volume(rig))
     bench = Bench(damping, "exponential", coil=field)
     current, omega = 0.3, 2 * np.pi * FREQUENCY
     bench.circuits[0, 2], bench.state[3] = current, omega
@@ -107,7 +107,9 @@ def test_deflection_never_exceeds_the_stops():
 
 def test_coil_current_rises_and_decays_with_its_time_constant(rig):
     coils = rig.round_coils()[:1]
-    bench = Bench(1.1, "linear", coil=pack(coils, np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1), *volume(rig)))
+    bench = Bench(
+        1.1, "linear", coil=pack_coils(coils, np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1), *find_magnet_volume(rig))
+    )
     tau = 3e-3
     bench.circuits[0, 1], bench.circuits[0, 3] = 8.0, tau
     time = 2e-5 * np.arange(1, 1501)
@@ -119,7 +121,9 @@ def test_coil_current_rises_and_decays_with_its_time_constant(rig):
 
 def test_excitation_starts_at_zero_and_reaches_the_commanded_peak(rig):
     coils = rig.flat_coils()[:1]
-    bench = Bench(1.1, "linear", coil=pack(coils, np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1), *volume(rig)))
+    bench = Bench(
+        1.1, "linear", coil=pack_coils(coils, np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1), *find_magnet_volume(rig))
+    )
     bench.circuits[0, 2:], bench.state[3] = (2.0, 1e-3), 2 * np.pi * FREQUENCY
     current = bench.run(48)[:, 1]
     assert abs(current[0]) < 0.01

@@ -6,10 +6,10 @@ import magpylib
 import numpy as np
 import pytest
 
-from sim.tank.carriers.endoscope_hand import Hand, Led, routes_of
-from sim.tank.carriers.endoscope_shaft import Shaft
-from sim.tank.carriers.routes import Route
-from sim.tank.settings import HandSection, TankSettings
+from sim.tank.carriers.endoscope_operator import EndoscopeOperator, OperatorParameters, build_routes
+from sim.tank.carriers.endoscope_shaft import EndoscopeShaft
+from sim.tank.carriers.routes import SplineRoute
+from sim.tank.settings import OperatorSection, TankSettings
 from sim.tank.world import TankWorld
 from smolbot.config.document import validate
 from smolbot.config.rig import load_rig
@@ -20,15 +20,15 @@ from smolbot.core.shots import Excite, Listen, Rest, RingDown, Shot
 STILL = {"tremor_mm": 0.0, "tremor_deg": 0.0, "torsion_deg": 0.0, "scatter_mm": 0.0}
 
 
-def section(**changes) -> HandSection:
+def section(**changes) -> OperatorSection:
     settings, faults = validate(TankSettings, load_rig("kidney").sections.tank, ("tank",))
     assert settings is not None, faults
     return settings.hand.model_copy(update=changes)
 
 
-def hand(seed=1, **changes) -> Hand:
+def hand(seed=1, **changes) -> EndoscopeOperator:
     kind = section(**changes)
-    return Hand(kind, Led.draw(kind, seed))
+    return EndoscopeOperator(kind, OperatorParameters.draw(kind, seed))
 
 
 def test_the_tank_holds_the_device_where_the_track_says_at_every_time():
@@ -55,22 +55,22 @@ def test_another_seed_is_another_hand_and_the_same_seed_the_same():
 
 def test_the_tip_rests_before_and_after():
     track = hand()
-    for times in (np.linspace(0.0, track.begins, 20), np.linspace(track.ends, track.ends + 5.0, 20)):
+    for times in (np.linspace(0.0, track.start_time, 20), np.linspace(track.end_time, track.end_time + 5.0, 20)):
         assert np.ptp(track.poses(times), axis=0).max() < 1e-5
 
 
 def test_the_shipped_track_bends_by_more_than_half_a_turn_and_comes_back():
-    first, second = (np.trapezoid(bend, arc) for arc, bend in (route.bends for route in routes_of(section())))
+    first, second = (np.trapezoid(bend, arc) for arc, bend in (route.bends for route in build_routes(section())))
     assert first > np.pi
     assert second > np.radians(45.0)
     track = hand(**STILL)
-    ends = track.poses(np.array([track.begins, track.ends]))
+    ends = track.poses(np.array([track.start_time, track.end_time]))
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
 
 
 def test_a_hand_keeps_to_its_speed_and_is_slower_in_bends():
     track = hand(pace_percent=0.0, **STILL)
-    times = np.arange(track.begins, track.ends, 2e-3)
+    times = np.arange(track.start_time, track.end_time, 2e-3)
     poses = track.poses(times)
     speed = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) / 2e-3
     turn = 2.0 * np.arccos(np.clip(np.abs(np.sum(poses[1:, 3:] * poses[:-1, 3:], axis=1)), 0.0, 1.0)) / 2e-3
@@ -82,14 +82,14 @@ def test_a_hand_keeps_to_its_speed_and_is_slower_in_bends():
 
 def test_tremor_is_as_large_as_asked():
     shaken, calm = hand(tremor_mm=0.2, tremor_deg=0.0), hand(tremor_mm=0.0, tremor_deg=0.0)
-    times = np.arange(calm.begins + 1.0, calm.ends - 1.0, 1e-3)
+    times = np.arange(calm.start_time + 1.0, calm.end_time - 1.0, 1e-3)
     off = np.linalg.norm(shaken.poses(times)[:, :3] - calm.poses(times)[:, :3], axis=1)
     assert np.sqrt(np.mean(off**2)) == pytest.approx(0.2e-3, rel=0.05)
 
 
 def test_the_tip_points_the_way_it_goes_in():
     track = hand(**STILL)
-    times = np.arange(track.begins + 1.0, track.begins + 12.0, 0.05)
+    times = np.arange(track.start_time + 1.0, track.start_time + 12.0, 0.05)
     poses = track.poses(times)
     ahead = np.array([matrix_from_quaternion(q)[:, 2] for q in poses[:, 3:]])
     step = track.poses(times + 1e-2)[:, :3] - track.poses(times - 1e-2)[:, :3]
@@ -100,16 +100,16 @@ def test_the_tip_points_the_way_it_goes_in():
 def test_a_frame_does_not_roll_in_a_flat_bend():
     angle = np.linspace(0.0, np.pi, 13)
     points = 0.02 * np.stack([np.sin(angle), 1.0 - np.cos(angle), 0.0 * angle], axis=1)
-    frames = Route(points, np.array([1.0, 0.0, 0.0])).frames(np.linspace(0.0, 0.06, 40))
+    frames = SplineRoute(points, np.array([1.0, 0.0, 0.0])).frames(np.linspace(0.0, 0.06, 40))
     np.testing.assert_allclose(frames[:, :, 0], np.tile([0.0, 0.0, 1.0], (40, 1)), atol=1e-6)
     np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-9)
 
 
 def test_a_shaft_makes_the_field_of_thin_magnets_laid_along_it():
     track = hand(**STILL)
-    shaft = Shaft.draw(section().shaft, 3, 1.5e-3)
+    shaft = EndoscopeShaft.draw(section().shaft, 3, 1.5e-3)
     points = np.array(load_rig("kidney").sensors.positions)
-    places = track.behind(np.array([0.0]), shaft.distances)[0]  # straight behind the entrance
+    places = track.compute_shaft_positions(np.array([0.0]), shaft.distances)[0]  # straight behind the entrance
     magnets = []
     strength = np.cumsum(shaft.poles)[:-1]  # pole strength between two poles, A·m
     for a, b, q in zip(places[:-1], places[1:], strength, strict=True):
@@ -133,9 +133,9 @@ def magpylib_turn(direction):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_shaft_has_no_pole_too_many_and_the_strength_that_was_asked_for(seed):
     kind = section().shaft
-    shaft = Shaft.draw(kind, seed, 1.5e-3)
+    shaft = EndoscopeShaft.draw(kind, seed, 1.5e-3)
     assert abs(shaft.poles.sum()) < 1e-12
-    size = np.linalg.norm(shaft.at_magnet(1.5e-3))
+    size = np.linalg.norm(shaft.compute_field_at_magnet(1.5e-3))
     assert 0.6 * 45e-6 <= size <= 1.4 * 45e-6
     surface = 1e-7 * np.abs(shaft.poles[1:-1]).max() / (1.5e-3) ** 2
     assert surface <= 1.4 * 120e-6
@@ -143,7 +143,7 @@ def test_a_shaft_has_no_pole_too_many_and_the_strength_that_was_asked_for(seed):
 
 def test_sensors_hear_the_shaft_through_their_low_pass():
     track = hand(2)
-    shaft = Shaft.draw(section().shaft, 2, 1.5e-3)
+    shaft = EndoscopeShaft.draw(section().shaft, 2, 1.5e-3)
     sensors = load_rig("kidney").sensors
     rate, tau, clock = 50e3, 1.0 / (2 * np.pi * 1000.0), 25.0
     found = shaft.heard(track, clock, 1450, rate, tau, sensors.positions, sensors.axes)

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from sim.tank.mismatch import Streams, draw
+from sim.tank.mismatch import RandomStreams, sample_truth
 from sim.tank.settings import MismatchSection, TankSettings
 from sim.tank.world import TankWorld
 from smolbot.config.document import Document
@@ -144,7 +144,7 @@ def test_a_start_outside_the_container_is_refused(open_tank):
 def test_doubling_the_mismatch_doubles_what_is_drawn_and_ideal_draws_nothing():
     def truth(scale, ideal=False):
         settings = TankSettings(mismatch=MismatchSection(scale=scale))
-        return draw(settings, 6, 10, Streams.from_seed(4), ideal=ideal)
+        return sample_truth(settings, 6, 10, RandomStreams.from_seed(4), ideal=ideal)
 
     once, twice, none = truth(1.0), truth(2.0), truth(2.0, ideal=True)
     assert np.allclose(twice.coil_places, 2 * once.coil_places)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.tank.magnetics.magnet import MAGNET_MASS, pack_device
-from sim.tank.magnetics.sensors import TrueSensors
-from sim.tank.mismatch import Streams, draw
+from sim.tank.magnetics.device_packing import MAGNET_MASS, pack_device
+from sim.tank.magnetics.true_sensors import TrueSensors
+from sim.tank.mismatch import RandomStreams, sample_truth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import load_rig
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
@@ -20,8 +20,8 @@ LISTEN = Shot((Excite((4.0, 4.0), FREQUENCY, 5), RingDown(0.02), Listen(2, FREQU
 
 def quiet_sensors(**settings):
     rig = load_rig("tank", settings)
-    streams = Streams.from_seed(0)
-    truth = draw(TankSettings(), 6, len(rig.sensors), streams, ideal=True)
+    streams = RandomStreams.from_seed(0)
+    truth = sample_truth(TankSettings(), 6, len(rig.sensors), streams, ideal=True)
     return TrueSensors(rig, truth, streams.field_noise, streams.sensor_noise, streams.constants)
 
 
@@ -38,7 +38,7 @@ def still(sensors, theta, pose, n=20, currents=0, coupling=None):
     poses = np.tile(pose, (2, 1))
     coupling = np.zeros((currents, len(sensors.positions))) if coupling is None else coupling
     times = np.array([-1.0, 1.0])
-    return sensors.clean(0.0, n, device(), coupling, times, trace, times, poses)
+    return sensors.compute_clean_readings(0.0, n, device(), coupling, times, trace, times, poses)
 
 
 @pytest.mark.parametrize("theta", [0.0, THETA_MAX])
@@ -73,7 +73,9 @@ def test_sensors_low_pass_lags_and_weakens_as_a_first_order_one_does():
     times = np.arange(-2000, n + 10) * 2e-5
     trace = 0.01 * np.cos(omega * times)[:, None]
     pose = np.tile([0.0, 0.0, 0.08, 1.0, 0.0, 0.0, 0.0], (2, 1))
-    heard = sensors.clean(0.0, n, device(), np.zeros((0, 10)), times, trace, np.array([-1.0, 1.0]), pose)[4]
+    heard = sensors.compute_clean_readings(
+        0.0, n, device(), np.zeros((0, 10)), times, trace, np.array([-1.0, 1.0]), pose
+    )[4]
     bright = np.sum((heard - heard.mean()) * np.exp(-1j * omega * times[2000 : 2000 + n])) * 2 / n
     upper, lower = still(sensors, 0.01, pose[0])[4, -1], still(sensors, -0.01, pose[0])[4, -1]
     expected = 0.5 * (upper - lower) / (1 + 1j * 100.0 / 200.0)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from sim.twin.cardmodel import CardModel
-from sim.twin.deviceserver import DeviceServer
+from sim.twin.card_model import CardModel
+from sim.twin.device_server import DeviceServer
 from smolbot.bench.hardware.card import Card
 from smolbot.bench.hardware.driver import Driver
 from smolbot.bench.hardware.wiring import BenchSection
@@ -55,7 +55,7 @@ class NoGuard:
     def abandon(self) -> None:
         pass
 
-    def must_be_open(self) -> None:
+    def check_relays_open(self) -> None:
         pass
 
 

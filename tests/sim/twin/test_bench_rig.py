@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.measure.fault_cases import with_ports
+from sim.measure.fault_cases import copy_rig_with_ports
 from sim.twin.faults import parse_fault
 from sim.twin.twin import Twin
 from smolbot.bench.check.checkup import check_rig
@@ -46,7 +46,7 @@ def free_ports(count: int) -> int:
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> RigConfig:
     folder: Path = tmp_path_factory.mktemp("rig")
-    return load_rig(str(with_ports("twin", folder, free_ports(4))))
+    return load_rig(str(copy_rig_with_ports("twin", folder, free_ports(4))))
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +174,7 @@ def test_a_second_client_cannot_begin_while_the_button_is_pressed(config: RigCon
 def test_a_healthy_bench_passes_its_check_and_its_relays_are_timed(
     rig: BenchRig, twin: Twin, config: RigConfig
 ) -> None:
-    found = check_rig(rig, config, quiet=2.0)
+    found = check_rig(rig, config, noise_duration=2.0)
     assert found.faults == []
     for coil in found.coils:
         assert coil.closes == pytest.approx(1e-3, abs=1e-4)  # the twin's relays take what the rig file says
@@ -191,7 +191,7 @@ def test_slow_relays_a_dead_sensor_and_swapped_wires_are_found(
     monkeypatch.setattr(contacts, "_bits", contacts._bits[[0, 1, 3, 2, 4, 5]])  # +y and -y
     monkeypatch.setattr(contacts, "_output", contacts._output[[0, 1, 3, 2, 4, 5]])
     twin.inject(parse_fault("sensor_dead@now:good"))
-    faults = check_rig(rig, config, quiet=2.0).faults
+    faults = check_rig(rig, config, noise_duration=2.0).faults
     assert "sensor 0 (ai0): dead: every sample is the same" in faults
     assert "coil +y: this is the field of -y" in faults
     assert "coil -y: this is the field of +y" in faults
@@ -202,7 +202,7 @@ def test_slow_relays_a_dead_sensor_and_swapped_wires_are_found(
 
 def test_without_sensors_no_coil_is_blamed(rig: BenchRig, twin: Twin, config: RigConfig) -> None:
     twin.inject(parse_fault("sensors_saturated@now:good"))
-    found = check_rig(rig, config, quiet=2.0)
+    found = check_rig(rig, config, noise_duration=2.0)
     assert len([fault for fault in found.faults if fault.endswith("saturated")]) == 10
     assert not found.coils
     assert "Fewer than 3 sensors" in found.notes[0]

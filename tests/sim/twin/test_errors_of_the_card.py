@@ -112,7 +112,7 @@ def test_a_server_that_was_killed_comes_back_and_knows_no_task(bench: Bench) -> 
     bench.server.kill()
     with pytest.raises(RpcError, match="UNAVAILABLE"):
         bench.card.inputs.stop()
-    bench.server.revive()
+    bench.server.restart()
     again = bench.driver_anew()
     with again.task() as task:
         assert inputs(task).channel_names == ["Dev1/ai0", "Dev1/ai1"]

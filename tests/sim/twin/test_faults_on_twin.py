@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from sim.twin.faults import FAULTS, FaultBox, parse_fault
+from sim.twin.faults import FAULTS, FaultInjector, parse_fault
 from smolbot.bench.hardware.card import LostWindow
 from smolbot.bench.hardware.guard import Guard
 from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
@@ -40,7 +40,7 @@ def test_a_fault_that_comes_once_is_one_stated_error_and_the_next_shot_plays(
     bench.model.faults.add(parse_fault(f"{fault}@now"))
     with pytest.raises(kind, match=said):
         bench.card.play(waveform, no_guard)
-    assert bench.model.rests(1.0)
+    assert bench.model.wait_until_at_rest(1.0)
     heard, _ = bench.card.play(waveform, no_guard)
     assert heard is not None
 
@@ -79,7 +79,7 @@ def test_a_server_that_dies_is_named_and_the_watchdog_opens_every_relay(bench: B
     threading.Timer(0.08, bench.server.kill).start()
     with pytest.raises(RigError, match=r"device server at 127\.0\.0\.1:\d+ is gone \(UNAVAILABLE\)"):
         bench.card.play(shot(bench, pulling=0.6), guard)
-    assert bench.model.rests(2.0)
+    assert bench.model.wait_until_at_rest(2.0)
     assert bench.model.expired
     assert np.count_nonzero(bench.echo.currents[0]) < 0.4 * 50_000  # of the 0.6 s
     guard.close()
@@ -93,7 +93,7 @@ def test_a_server_that_stalls_runs_into_deadlines_and_the_watchdog_opens_every_r
     with pytest.raises(RigError, match="did not answer in time"):
         bench.card.play(shot(bench, pulling=0.6), guard)
     assert tripped.wait(2.0)
-    assert bench.model.rests(2.0)
+    assert bench.model.wait_until_at_rest(2.0)
     assert bench.model.expired
     assert np.count_nonzero(bench.echo.currents[0]) < 0.4 * 50_000
     bench.model.faults.clear()
@@ -102,7 +102,7 @@ def test_a_server_that_stalls_runs_into_deadlines_and_the_watchdog_opens_every_r
 
 def test_an_unfed_watchdog_opens_every_relay_in_time_and_says_so(bench: Bench) -> None:
     class Unfed(Guard):
-        def _run(self) -> None:
+        def _feed_and_watch(self) -> None:
             pass
 
     guard = Unfed(bench.section, bench.driver, lambda reason: None)
@@ -125,14 +125,14 @@ def test_an_unfed_watchdog_opens_every_relay_in_time_and_says_so(bench: Bench) -
 def test_a_stuck_relay_is_seen_at_the_contacts_and_a_pressed_button_at_its_line(bench: Bench) -> None:
     guard = Guard(bench.section, bench.driver, lambda reason: None)
     guard.open()
-    guard.must_be_open()
+    guard.check_relays_open()
     bench.model.faults.add(parse_fault("relay_stuck@now:good"))
     with pytest.raises(RigError, match="a relay did not open"):
         bench.card.play(shot(bench), guard)
     assert guard.pressed() is None
     bench.model.faults.add(parse_fault("button@now:good"))
     with pytest.raises(RigError, match="a relay did not open"):
-        guard.must_be_open()  # looks at all lines
+        guard.check_relays_open()  # looks at all lines
     assert "button" in (guard.pressed() or "")
     guard.close()
 
@@ -158,26 +158,26 @@ def test_frozen_outputs_keep_driving_until_they_are_written_at_once(bench: Bench
     assert state["driven"]
     assert state["relays_closed"] == ["+x", "+y"]
     bench.card.silence()
-    assert bench.model.rests(1.0)
+    assert bench.model.wait_until_at_rest(1.0)
 
 
 def test_faults_wait_for_their_second_after_the_first_shot() -> None:
     now, came = [0.0], []
-    box = FaultBox(came.append, lambda: now[0])
+    box = FaultInjector(came.append, lambda: now[0])
     box.add(parse_fault("button@2.5s"))
     now[0] = 100.0
-    box.tick()
+    box.activate_due()
     assert came == []  # no shot yet
     box.moment("actuation", 1)
     now[0] = 102.4
-    box.tick()
+    box.activate_due()
     assert came == []
     now[0] = 102.6
-    box.tick()
+    box.activate_due()
     assert came == ["button"]
-    assert box.holds("button")
+    assert box.is_active("button")
     now[0] = 110.0
-    assert not box.holds("button")  # it came once
+    assert not box.is_active("button")  # it came once
 
 
 @pytest.mark.parametrize("text", ["flood", "overrun@noon", "overrun@actuation#x", "overrun@now:twice"])

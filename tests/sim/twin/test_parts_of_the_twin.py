@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from sim.twin.cardmodel import CardModel
-from sim.twin.contacts import Contacts
+from sim.twin.card_model import CardModel
 from sim.twin.control import ControlServer, TwinControl
-from sim.twin.deviceserver import DeviceServer
+from sim.twin.device_server import DeviceServer
 from sim.twin.faults import FAULTS, parse_fault
-from sim.twin.hand import Hand
-from sim.twin.journal import Journal, Line
-from smolbot.bench.hardware.waveform import line_bit
+from sim.twin.journal import Journal, OnOffMonitor
+from sim.twin.magnet_operator import MagnetOperator
+from sim.twin.relays_and_amplifiers import RelaysAndAmplifiers
+from smolbot.bench.hardware.waveform import get_line_bit
 from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.errors import RigError
 from tests.sim.twin.conftest import Echo
@@ -32,18 +32,18 @@ Wiring = tuple[BenchSection, tuple[str, ...]]
 def told(section: BenchSection, *names: str) -> int:
     """Levels of the clocked port that close the relays of loads and enable the amplifiers."""
     lines = [load.relay for load in section.loads if load.name in names] + [section.outputs.enable]
-    return sum(1 << line_bit(line) for line in lines)
+    return sum(1 << get_line_bit(line) for line in lines)
 
 
 def test_two_relays_on_one_output_share_its_current_and_a_muted_amplifier_gives_none(wiring: Wiring) -> None:
     section, _ = wiring
     loads = tuple(load.name for load in section.loads)
-    contacts = Contacts(section, loads)
+    contacts = RelaysAndAmplifiers(section, loads)
     volts = np.zeros((len(section.used_outputs), 400))
     volts[0] = 3.0
     lines = np.full(400, told(section, "+x", "excitation x"), np.uint32)
-    lines[300:] &= ~np.uint32(1 << line_bit(section.outputs.enable))
-    currents, closed, _ = contacts.pass_through(0, volts, lines)
+    lines[300:] &= ~np.uint32(1 << get_line_bit(section.outputs.enable))
+    currents, closed, _ = contacts.compute_currents(0, volts, lines)
     both = [loads.index("+x"), loads.index("excitation x")]
     close = round(1e-3 * section.relays.close_ms * RATE)
     gains = np.array([[load.gain_a_per_v] for load in section.loads])[both]
@@ -62,11 +62,11 @@ def test_relays_do_not_care_how_time_is_cut(wiring: Wiring, cuts: list[int], see
     changes = np.sort(rng.choice(np.arange(1, 1000), 5, replace=False))
     levels = rng.integers(0, 128, 6)
     lines = levels[np.searchsorted(changes, np.arange(1000), side="right")].astype(np.uint32)
-    whole = Contacts(section, loads).pass_through(0, volts, lines)[0]
-    cut, pieces = Contacts(section, loads), []
+    whole = RelaysAndAmplifiers(section, loads).compute_currents(0, volts, lines)[0]
+    cut, pieces = RelaysAndAmplifiers(section, loads), []
     edges = [0, *sorted(set(cuts)), 1000]
     for begin, end in itertools.pairwise(edges):
-        pieces.append(cut.pass_through(begin, volts[:, begin:end], lines[begin:end])[0])
+        pieces.append(cut.compute_currents(begin, volts[:, begin:end], lines[begin:end])[0])
     np.testing.assert_array_equal(np.concatenate(pieces, axis=1), whole)
 
 
@@ -78,7 +78,7 @@ def test_the_journal_does_not_care_how_time_is_cut(runs: list[tuple[int, bool]],
     pause = 10
     levels = np.concatenate([np.full(length, on) for length, on in runs] + [np.zeros(30, np.bool_)])
     journal = Journal()
-    line = Line(journal, "driven", pause)
+    line = OnOffMonitor(journal, "driven", pause)
     edges = sorted({0, len(levels), *(cut for cut in cuts if cut < len(levels))})
     for begin, end in itertools.pairwise(edges):
         line.follow(begin, levels[begin:end], 100.0, RATE)
@@ -104,7 +104,7 @@ def test_the_journal_gives_what_came_after_an_entry() -> None:
 
 
 def test_a_hand_moves_when_it_is_asked_late_but_never_early() -> None:
-    hand = Hand(10.0, 0.2, np.random.default_rng(1))
+    hand = MagnetOperator(10.0, 0.2, np.random.default_rng(1))
     took = []
     for number in range(40):
         to, begin = ("near", "away")[number % 2], 100.0 * number

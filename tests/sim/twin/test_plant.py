@@ -11,9 +11,9 @@ import pytest
 
 from sim.tank.settings import TankSettings
 from sim.tank.tank import Tank
-from sim.twin.plant import Plant
-from sim.twin.truth import TruthServer
-from smolbot.bench.hardware.remotewitness import RemoteWitness
+from sim.twin.truth_server import TruthServer
+from sim.twin.twin_plant import TwinPlant
+from smolbot.bench.hardware.remote_witness import RemoteWitness
 from smolbot.config.document import validate
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
@@ -51,7 +51,7 @@ def sampled(plant, shot, constants):
 
 @pytest.fixture(scope="module")
 def both():
-    tank, plant = make(Tank), make(Plant)
+    tank, plant = make(Tank), make(TwinPlant)
     tank.advance(SHOT.windows)
     constants = tank.coils.circuits[:6, 3]
     currents = sampled(plant, SHOT, constants)
@@ -83,7 +83,7 @@ def test_sampled_commands_are_heard_as_windows_are(both):
 
 
 def test_pieces_of_a_recording_fit_together():
-    one, other = make(Plant, seed=3), make(Plant, seed=3)
+    one, other = make(TwinPlant, seed=3), make(TwinPlant, seed=3)
     for plant in (one, other):
         plant.advance(np.zeros((6, 3000)))
         plant.begin_acquisition()
@@ -98,7 +98,7 @@ def test_pieces_of_a_recording_fit_together():
 
 
 def test_volts_are_whole_steps_of_the_converter():
-    plant = make(Plant)
+    plant = make(TwinPlant)
     plant.advance(np.zeros((6, 500)))
     plant.begin_acquisition()
     step = 20.0 / 2**16
@@ -107,7 +107,7 @@ def test_volts_are_whole_steps_of_the_converter():
 
 
 def test_each_recording_has_constants_of_its_own():
-    plant = make(Plant)
+    plant = make(TwinPlant)
     plant.advance(np.zeros((6, 2000)))
     means = []
     for first in (0, 1000):
@@ -117,14 +117,14 @@ def test_each_recording_has_constants_of_its_own():
 
 
 def test_what_was_not_played_cannot_be_heard():
-    plant = make(Plant)
+    plant = make(TwinPlant)
     plant.advance(np.zeros((6, 100)))
     with pytest.raises(InputError, match="keeps samples 0 to 100"):
         plant.volts(50, 100)
 
 
 def test_commands_that_no_card_can_give_change_nothing():
-    plant = make(Plant)
+    plant = make(TwinPlant)
     for bad, message in ((np.zeros((5, 10)), "must have shape"), (np.full((6, 10), np.nan), "finite")):
         with pytest.raises(InputError, match=message):
             plant.advance(bad)
@@ -132,7 +132,7 @@ def test_commands_that_no_card_can_give_change_nothing():
 
 
 def test_the_plant_forgets_what_is_long_past():
-    plant = make(Plant)
+    plant = make(TwinPlant)
     for _ in range(30):
         plant.advance(np.zeros((6, 50_000)))
     assert len(plant.history.since(0.0)[0]) < 15_000
@@ -142,7 +142,7 @@ def test_the_plant_forgets_what_is_long_past():
 
 
 def test_a_magnet_that_turns_near_a_helix_screws_it_forward():
-    plant = make(Plant, "gel", "helical")
+    plant = make(TwinPlant, "gel", "helical")
     plant.magnet(0.0, 0.0, near=False)
     plant.advance(np.zeros((2, 5000)))
     start = plant.history.at(plant.time)
@@ -158,7 +158,7 @@ def test_a_magnet_that_turns_near_a_helix_screws_it_forward():
 
 
 def test_a_magnet_that_is_near_saturates_the_sensors_then_and_only_then():
-    plant = make(Plant, "gel", "helical")
+    plant = make(TwinPlant, "gel", "helical")
     for near in (False, True, None):
         plant.magnet(0.0, 0.0, near=near)
         plant.advance(np.zeros((2, 1000)))
@@ -172,7 +172,7 @@ def test_a_magnet_that_is_near_saturates_the_sensors_then_and_only_then():
 
 
 def test_currents_obey_their_commands_while_the_magnet_is_near():
-    plant = make(Plant, "gel", "helical")
+    plant = make(TwinPlant, "gel", "helical")
     plant.advance(np.full((2, 2500), 2.0))
     assert plant.coils.circuits[:2, 0] == pytest.approx(2.0, rel=1e-9)
     plant.magnet(0.0, 0.0, near=True)
@@ -181,7 +181,7 @@ def test_currents_obey_their_commands_while_the_magnet_is_near():
 
 
 def test_a_robot_outside_the_container_is_an_error_that_says_where_and_when():
-    plant = make(Plant)
+    plant = make(TwinPlant)
     plant.advance(np.zeros((6, 250)))
     plant.carrier.bodies.place(np.array([0.0, 0.0, 0.4]), np.array([1.0, 0.0, 0.0, 0.0]))
     with pytest.raises(RigError, match=r"left the container, to .* 399\.\d+\] mm, at 0\.010 s"):
@@ -189,7 +189,7 @@ def test_a_robot_outside_the_container_is_an_error_that_says_where_and_when():
 
 
 def test_what_was_drawn_can_be_written_down():
-    drawn = make(Plant, "gel", "helical").drawn()
+    drawn = make(TwinPlant, "gel", "helical").drawn()
     assert json.loads(json.dumps(drawn)).keys() == {"truth", "carrier"}
 
 

@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from sim.tank.settings import TankSettings
 from sim.tank.tank import Tank
-from sim.twin.plant import Plant
+from sim.twin.twin_plant import TwinPlant
 from smolbot.config.document import validate
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
@@ -49,7 +49,7 @@ def play(plant, currents):
 
 @pytest.fixture(scope="module")
 def both():
-    tank, plant = make(Tank), make(Plant)
+    tank, plant = make(Tank), make(TwinPlant)
     for _ in range(2):
         tank.advance(SHOT.windows)
         play(plant, commands(plant, SHOT))
@@ -59,7 +59,7 @@ def both():
 def clean(plant, clock, n):
     pose_times, poses = plant.history.since(clock - 2 * plant.sensors.lead)
     used = slice(0, plant._used)
-    return plant.sensors.clean(
+    return plant.sensors.compute_clean_readings(
         clock, n, plant.device, plant.coils.coupling, plant._trace_times[used], plant._trace[used], pose_times, poses
     )
 
@@ -90,7 +90,7 @@ def test_pieces_of_a_clean_signal_fit_together_to_less_than_the_converter_sees(b
 
 
 def test_a_magnet_that_is_measured_turns_the_helix_as_one_that_is_commanded():
-    tank, plant = make(Tank, "gel", "helical"), make(Plant, "gel", "helical")
+    tank, plant = make(Tank, "gel", "helical"), make(TwinPlant, "gel", "helical")
     heading, frequency, turns = 0.3, 0.25, 0.5
     axis = (math.cos(heading), math.sin(heading), 0.0)
     tank.advance((MoveMagnet("near", 0.1),))
@@ -133,8 +133,8 @@ def test_noise_of_many_pieces_has_the_spectrum_of_one_long_recording():
 
 
 def test_hours_of_idling_cost_neither_room_nor_accuracy():
-    plant = make(Plant)
-    late = make(Plant)
+    plant = make(TwinPlant)
+    late = make(TwinPlant)
     late.played = 5 * 3600 * 50_000  # as if it had idled so long
     late.time = late.played / late.rate
     late._trace_times[: late._used] += late.time

@@ -21,9 +21,9 @@ def compiled(bench: Bench, *windows: Actuate | Excite | Rest | Listen) -> Wavefo
 
 def played(bench: Bench, waveform: Waveform) -> FloatArray:
     """Currents (n_loads, samples) in A from the start of the latest shot on."""
-    assert bench.model.rests(1.0)
+    assert bench.model.wait_until_at_rest(1.0)
     shot = [entry for entry in bench.model.journal.since() if entry["what"] == "shot"][-1]
-    first = round((shot["time"] - bench.model.time_of(0)) * RATE)
+    first = round((shot["time"] - bench.model.compute_time(0)) * RATE)
     currents = bench.echo.currents[:, first : first + waveform.samples]
     before = bench.echo.currents[:, max(first - 100, 0) : first]
     assert not before.any()
@@ -57,7 +57,7 @@ def test_a_shot_reaches_its_loads_in_its_windows_and_no_other(bench: Bench, no_g
     assert heard.shape == (10, count)
     assert np.all(np.diff(number, axis=1) == 1)  # none lost, none twice
     shot = [entry for entry in bench.model.journal.since() if entry["what"] == "shot"][-1]
-    assert number[0, 0] == round((shot["time"] - bench.model.time_of(0)) * RATE) + first
+    assert number[0, 0] == round((shot["time"] - bench.model.compute_time(0)) * RATE) + first
 
 
 def test_a_shot_that_only_listens_closes_nothing(bench: Bench, no_guard: NoGuard) -> None:
@@ -71,7 +71,7 @@ def test_the_journal_tells_each_phase_of_each_shot_and_one_drive(bench: Bench, n
     waveform = compiled(bench, Excite((4.0, 0.0), 100.0, 3), Rest(0.01), Listen(2, 100.0))
     for _ in range(2):
         bench.card.play(waveform, no_guard)
-    assert bench.model.rests(1.0)
+    assert bench.model.wait_until_at_rest(1.0)
     entries = bench.model.journal.since()
     phases = [(e["phase"], e["shot"]) for e in entries if e["what"] == "phase"]
     assert phases == [("actuation", 1), ("listening", 1), ("actuation", 2), ("listening", 2)]
@@ -92,5 +92,5 @@ def test_a_stop_from_another_thread_ends_a_shot_at_once(bench: Bench, no_guard: 
     with pytest.raises(RigError):
         bench.card.play(waveform, no_guard)
     stopper.join()
-    assert bench.model.rests(1.0)
+    assert bench.model.wait_until_at_rest(1.0)
     assert np.count_nonzero(bench.echo.currents[0]) < RATE  # of the 2 s, no more than half

@@ -7,9 +7,9 @@ import socket
 import numpy as np
 import pytest
 
-from sim.twin import truth
-from sim.twin.truth import TruthServer
-from smolbot.bench.hardware.remotewitness import RemoteWitness
+from sim.twin import truth_server
+from sim.twin.truth_server import TruthServer
+from smolbot.bench.hardware.remote_witness import RemoteWitness
 from smolbot.errors import InputError, RigError
 
 
@@ -21,7 +21,7 @@ def block(count=2000):
 
 
 def test_a_listener_that_does_not_listen_is_hung_up_on(monkeypatch):
-    monkeypatch.setattr(truth, "BACKLOG", 3)
+    monkeypatch.setattr(truth_server, "MAX_WAITING_BLOCKS", 3)
     server = TruthServer("127.0.0.1", 0, {})
     with socket.create_connection(("127.0.0.1", server.port)) as deaf:
         assert deaf.recv(3) == b"{}\n"

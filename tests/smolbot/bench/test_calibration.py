@@ -12,12 +12,12 @@ import pytest
 from sim.tank.world import TankWorld
 from smolbot.bench.calibration.device import (
     Calibration,
+    CalibrationPlan,
     DrivePoint,
-    Plan,
     SweepPoint,
     Uncertainty,
     calibrate,
-    weighted_mean,
+    compute_weighted_mean,
 )
 from smolbot.config.device import load_device
 from smolbot.config.rig import load_rig
@@ -26,7 +26,7 @@ from smolbot.errors import InputError, SignalLostError
 from smolbot.functions.targets import expected_hum, find_target
 from smolbot.ui.cli.app import main
 
-QUICK = Plan(sweep_points=3, repeats=2)
+QUICK = CalibrationPlan(sweep_points=3, repeats=2)
 
 
 class Blind:
@@ -92,12 +92,12 @@ def test_plans_and_heights_of_no_use_are_refused():
     with pytest.raises(InputError, match="known z of the device above the sensors, in m; got 60"):
         calibrate(tank.rig, load_robot("gradient").device, 60.0)
     with pytest.raises(InputError, match="repeats must be at least 2; got 1"):
-        Plan(repeats=1)
+        CalibrationPlan(repeats=1)
 
 
 def test_scatter_beyond_what_is_claimed_widens_the_mean():
-    claimed = weighted_mean([(1.0, 0.1), (1.0, 0.1), (1.0, 0.1)])
-    scattered = weighted_mean([(0.0, 0.1), (1.0, 0.1), (2.0, 0.1)])
+    claimed = compute_weighted_mean([(1.0, 0.1), (1.0, 0.1), (1.0, 0.1)])
+    scattered = compute_weighted_mean([(0.0, 0.1), (1.0, 0.1), (2.0, 0.1)])
     assert claimed == pytest.approx((1.0, 0.1 / np.sqrt(3)))
     assert scattered == pytest.approx((1.0, 1.0 / np.sqrt(3)))
 

@@ -9,11 +9,11 @@ import pytest
 from scipy.signal import lfilter
 
 from smolbot.bench.check.edges import find_edges
-from smolbot.bench.check.hum import measure_hum
-from smolbot.bench.check.prediction import predict
-from smolbot.bench.check.wiring import match
+from smolbot.bench.check.prediction import predict_responses
+from smolbot.bench.check.response_match import match_responses
+from smolbot.bench.check.sensor_noise import measure_sensor_noise
 from smolbot.config.rig import load_rig
-from smolbot.core.coil_probe import AFTER, BEFORE, HELD, Probe
+from smolbot.core.coil_probe import BASELINE_DURATION, DECAY_DURATION, HOLD_DURATION, Probe
 from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
 
@@ -32,7 +32,7 @@ def quiet(fields: list[np.ndarray]) -> list[Recording]:
 def test_white_noise_has_the_density_that_it_was_made_with():
     rng = np.random.default_rng(1)
     density = np.array([6e-12, 12e-12, 30e-12])
-    hum = measure_hum(quiet([white(rng, 1.0, (3, 150_000)) * density[:, None] for _ in range(4)]), 50.0)
+    hum = measure_sensor_noise(quiet([white(rng, 1.0, (3, 150_000)) * density[:, None] for _ in range(4)]), 50.0)
     np.testing.assert_allclose(hum.floor, density, rtol=0.04)
     np.testing.assert_allclose(hum.slow, density, rtol=0.6)  # a dozen degrees of freedom
     np.testing.assert_allclose(hum.rms, density * math.sqrt(2500.0), rtol=0.05)  # averaged down to 5 kHz
@@ -42,9 +42,9 @@ def test_the_sensors_low_pass_is_made_good_in_the_floor():
     rng = np.random.default_rng(2)
     keep = math.exp(-2 * math.pi * 1000.0 / RATE)
     noise = lfilter([1 - keep], [1, -keep], white(rng, 6e-12, (4, 200_000)), axis=1)
-    hum = measure_hum(quiet([noise]), 50.0, bandwidth=1000.0)
+    hum = measure_sensor_noise(quiet([noise]), 50.0, bandwidth=1000.0)
     np.testing.assert_allclose(hum.floor, 6e-12, rtol=0.06)
-    assert np.all(measure_hum(quiet([noise]), 50.0).floor < 0.98 * 6e-12)
+    assert np.all(measure_sensor_noise(quiet([noise]), 50.0).floor < 0.98 * 6e-12)
 
 
 def test_slow_noise_is_heard_at_1_hz_and_not_in_the_floor():
@@ -55,7 +55,7 @@ def test_slow_noise_is_heard_at_1_hz_and_not_in_the_floor():
     drive = math.sqrt(1 - keep**2) * deviation * rng.standard_normal((4, 16 * 150_000))
     slow = lfilter([1.0], [1, -keep], drive, axis=1)
     pieces = np.split(slow + white(rng, 1e-12, slow.shape), 16, axis=1)
-    hum = measure_hum(quiet(pieces), 50.0)
+    hum = measure_sensor_noise(quiet(pieces), 50.0)
     expected = math.sqrt(2 * deviation**2 / (math.pi * corner * (1 + (1.0 / corner) ** 2)))
     np.testing.assert_allclose(hum.slow, expected, rtol=0.35)
     np.testing.assert_allclose(hum.floor, 1e-12, rtol=0.1)
@@ -71,7 +71,7 @@ def test_mains_and_harmonics_are_measured_where_the_grid_is(frequency):
         field[0] += 9e-9 * np.sin(2 * np.pi * frequency * time + 0.4) + 2e-9 * np.cos(6 * np.pi * frequency * time)
         field[1] += 4e-9 * np.cos(2 * np.pi * frequency * time) + 1e-9 * np.sin(10 * np.pi * frequency * time)
         fields.append(field)
-    hum = measure_hum(quiet(fields), 50.0)
+    hum = measure_sensor_noise(quiet(fields), 50.0)
     assert hum.mains_frequency == pytest.approx(frequency, abs=2e-3)
     np.testing.assert_allclose(hum.mains, [9e-9, 4e-9], rtol=0.01)
     np.testing.assert_allclose(hum.harmonics[0], [0, 2e-9, 0, 0, 0, 0, 0], atol=6e-11)
@@ -84,7 +84,7 @@ def test_a_line_that_nobody_knows_of_does_not_raise_the_floor():
     rng = np.random.default_rng(5)
     time = np.arange(200_000) / RATE
     field = white(rng, 6e-12, (3, len(time))) + 5e-9 * np.sin(2 * np.pi * 211.0 * time)
-    hum = measure_hum(quiet([field]), 50.0, bandwidth=1000.0)
+    hum = measure_sensor_noise(quiet([field]), 50.0, bandwidth=1000.0)
     np.testing.assert_allclose(hum.floor, 6e-12, rtol=0.1)
 
 
@@ -92,14 +92,14 @@ def test_a_stuck_channel_has_no_span():
     rng = np.random.default_rng(6)
     field = white(rng, 6e-12, (2, 100_000))
     field[1] = 3.05e-10
-    assert measure_hum(quiet([field]), 50.0).span[1] == 0.0
+    assert measure_sensor_noise(quiet([field]), 50.0).span[1] == 0.0
 
 
 def test_too_little_to_say_something_of_1_hz_is_refused():
     with pytest.raises(InputError, match="at least 1 s; got 0.500 s"):
-        measure_hum(quiet([np.zeros((2, 25_000))]), 50.0)
+        measure_sensor_noise(quiet([np.zeros((2, 25_000))]), 50.0)
     with pytest.raises(InputError, match="got none"):
-        measure_hum([], 50.0)
+        measure_sensor_noise([], 50.0)
 
 
 def two_poles(time: np.ndarray, constant: float, lag: float) -> np.ndarray:
@@ -112,8 +112,8 @@ def two_poles(time: np.ndarray, constant: float, lag: float) -> np.ndarray:
 
 def stepped(closes: float, opens: float, constant: float, lag: float, pattern: np.ndarray, noise: float) -> Probe:
     rng = np.random.default_rng(7)
-    time = np.arange(round((BEFORE + HELD + AFTER) * RATE)) / RATE
-    on, off = BEFORE, BEFORE + HELD
+    time = np.arange(round((BASELINE_DURATION + HOLD_DURATION + DECAY_DURATION) * RATE)) / RATE
+    on, off = BASELINE_DURATION, BASELINE_DURATION + HOLD_DURATION
     share = two_poles(time - on - closes, constant, lag) - two_poles(time - off - opens, constant, lag)
     mains = 10e-9 * np.sin(2 * np.pi * 50.0 * time + 1.0)
     field = pattern[:, None] * share + mains + 2e-7 + noise * rng.standard_normal((len(pattern), len(time)))
@@ -150,7 +150,7 @@ def test_a_relay_that_does_not_open_never_lets_the_field_go():
 
 @pytest.fixture(scope="module")
 def nominal():
-    return predict(load_rig("tank"))
+    return predict_responses(load_rig("tank"))
 
 
 def slightly_off(nominal, seed: int) -> np.ndarray:
@@ -165,7 +165,9 @@ SEEDS = range(8)
 
 
 def faults_of(nominal, measured: np.ndarray) -> tuple[dict[str, str], dict[int, str]]:
-    coils, sensors = match(measured, nominal.response, nominal.names, np.ones(measured.shape[1], bool), nominal.spread)
+    coils, sensors = match_responses(
+        measured, nominal.response, nominal.names, np.ones(measured.shape[1], bool), nominal.spread
+    )
     return (
         {name: c.fault for name, c in zip(nominal.names, coils) if c.fault},
         {k: s.fault for k, s in enumerate(sensors) if s.fault},

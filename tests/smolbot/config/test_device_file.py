@@ -7,7 +7,7 @@ import datetime
 import numpy as np
 import pytest
 
-from smolbot.config.device import DeviceConfig, Uncertainty, load_device, write_device
+from smolbot.config.device import DeviceConfig, DeviceUncertainty, load_device, write_device
 from smolbot.errors import ConfigError, MissingFileError
 
 
@@ -18,7 +18,7 @@ def written(tmp_path, along_device):
         "tank",
         datetime.date(2026, 11, 22),
         along_device,
-        Uncertainty(0.003, 0.012, 0.3),
+        DeviceUncertainty(0.003, 0.012, 0.3),
         0.0597,
         'the "new" one',
     )

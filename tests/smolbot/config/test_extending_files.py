@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smolbot.config.document import Document
-from smolbot.config.library import holds_rig, open_file, shipped
+from smolbot.config.library import holds_rig, list_shipped, open_file
 from smolbot.config.load import load_mission
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
 from smolbot.config.toml_layers import lay_over, read_layer, set_values, write_layer
 from smolbot.errors import ConfigError
-from smolbot.runs.recording.files import RunFiles
+from smolbot.runs.recording.run_files import RunFiles
 
-EVERY = [(kind, name) for kind in ("missions", "rigs", "robots") for name in shipped(kind)]
+EVERY = [(kind, name) for kind in ("missions", "rigs", "robots") for name in list_shipped(kind)]
 
 
 def comments(text: str) -> int:
@@ -42,7 +42,7 @@ def write(tmp_path):
 
 @pytest.mark.parametrize(("kind", "name"), EVERY)
 def test_a_text_that_is_taken_apart_and_put_together_says_the_same_with_every_comment(kind, name):
-    text = shipped(kind)[name].read_text(encoding="utf-8")
+    text = list_shipped(kind)[name].read_text(encoding="utf-8")
     again = write_layer(read_layer(text))
     assert tomllib.loads(again) == tomllib.loads(text)
     assert sorted(filter(None, again.splitlines())) == sorted(filter(None, text.splitlines()))
@@ -233,8 +233,8 @@ def test_an_unknown_parent_names_both_files(write, parent, words):
 
 
 def test_whether_a_file_is_a_rigs_is_told_by_what_it_extends(write):
-    assert holds_rig(shipped("rigs")["twin"])
-    assert not holds_rig(shipped("missions")["s_path_blocked"])
+    assert holds_rig(list_shipped("rigs")["twin"])
+    assert not holds_rig(list_shipped("missions")["s_path_blocked"])
     assert not holds_rig(write.__closure__[0].cell_contents / "nothing.toml")
 
 

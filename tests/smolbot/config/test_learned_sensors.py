@@ -10,7 +10,7 @@ import pytest
 from smolbot.config.document import ConfigError
 from smolbot.config.rig import load_rig
 from smolbot.config.sensors import SensorsFile, UncertaintySection, write_sensors
-from smolbot.flight.session import LEARNED, run
+from smolbot.flight.session import LEARNED_SENSORS_FILE, run
 
 OFF = {f"sensors.{key}": "0" for key in ("place_tolerance_mm", "gain_tolerance_percent", "axis_tolerance_deg")}
 
@@ -78,7 +78,7 @@ def test_a_flight_leaves_what_it_learned_and_the_next_one_starts_from_it(tmp_pat
     first = run("line", seed=4, out=tmp_path / "one", report=False)
     learned = [e for e in first.events if e.what == "array learned"]
     assert learned
-    path = tmp_path / "one" / LEARNED
+    path = tmp_path / "one" / LEARNED_SENSORS_FILE
     nominal, next_rig = load_rig("tank"), load_rig("tank", {"sensors.calibrated": str(path)})
     moved = next_rig.sensors.positions - nominal.sensors.positions
     assert 2e-6 < np.abs(moved).max() < 6e-4
@@ -93,4 +93,4 @@ def test_nothing_is_learned_or_left_where_no_tolerance_is_given(tmp_path):
     off = {f"rig__{k.replace('.', '__')}": v for k, v in OFF.items()}
     flown = run("line", seed=4, out=tmp_path / "one", report=False, **off)
     assert not [e for e in flown.events if e.what == "array learned"]
-    assert not (tmp_path / "one" / LEARNED).exists()
+    assert not (tmp_path / "one" / LEARNED_SENSORS_FILE).exists()

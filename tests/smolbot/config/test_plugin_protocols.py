@@ -241,7 +241,7 @@ BROKEN = [
 def test_a_plug_in_that_breaks_its_protocol_is_refused_when_loaded(plug_in, group, plugin, fault):
     plug_in(group, "bad", plugin)
     with pytest.raises(PluginError) as refused:
-        plugins.load(group, "bad")
+        plugins.load_plugin(group, "bad")
     said = str(refused.value)
     assert said.startswith(f"{group[:-1].capitalize()} 'bad' (plugged_in_bad:made) ")
     assert fault in said
@@ -268,14 +268,14 @@ def test_other_names_defaults_and_more_than_is_asked_for_keep_a_protocol():
 
 def test_every_plug_in_of_ours_keeps_its_protocol():
     for group in plugins.PROTOCOLS:
-        for name in plugins.names(group):
-            plugins.load(group, name)
+        for name in plugins.list_plugins(group):
+            plugins.load_plugin(group, name)
 
 
 def test_whatever_a_foreign_module_does_when_imported_is_one_clear_error(plug_in):
     plug_in("controllers", "bad", None)
     with pytest.raises(PluginError, match=r"'bad' \(plugged_in_bad:made\) cannot be loaded: ZeroDivisionError: by me"):
-        plugins.load("controllers", "bad")
+        plugins.load_plugin("controllers", "bad")
 
 
 def test_a_world_that_opens_what_is_no_rig_is_refused_before_anything_is_played(monkeypatch):

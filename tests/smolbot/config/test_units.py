@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.config.library import shipped
+from smolbot.config.library import list_shipped
 from smolbot.config.rig import load_rig
 from smolbot.config.rig_sections import ContainerSection
 from smolbot.config.units import SI, SIVector
@@ -28,12 +28,12 @@ from smolbot.config.units import SI, SIVector
 )
 def test_the_unit_at_the_end_of_a_key_says_what_it_is_in_si(key, value, expected):
     section = type("Section", (), {key: value, "one": SI(key)})()
-    assert section.one == pytest.approx(expected, rel=1e-15)
+    assert section.sample_factor == pytest.approx(expected, rel=1e-15)
     many = type("Section", (), {key: (value, -value), "both": SIVector(key)})()
     np.testing.assert_allclose(many.both, [expected, -expected], rtol=1e-15)
 
 
-@pytest.mark.parametrize("name", shipped("rigs"))
+@pytest.mark.parametrize("name", list_shipped("rigs"))
 def test_a_containers_corners_are_those_that_its_file_names(name):
     """Bit for bit as they were before one place worked them out: recorded flights depend on the last digit."""
     box = load_rig(name).container

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from sim.tank.static_bench import StaticBench
-from smolbot.bench.calibration.device import Plan
+from smolbot.bench.calibration.device import CalibrationPlan
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
-from smolbot.config.sample_checks import unsound_channels
+from smolbot.config.sample_checks import find_invalid_channels
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
@@ -194,7 +194,7 @@ def test_sound_channels_are_not_taken_for_stuck_whatever_the_converter(bits):
     bench = StaticBench(rig, load_robot("gradient").device, 3)
     heard = [bench.record(np.array([0.0, 0.0, z]), TURN, n) for z in (0.05, 0.1, 0.2) for n in (1, 2, 20)]
     for recording in [*heard, *bench.quiet(1.0)]:
-        found = unsound_channels(1e6 * recording.field, bench.rate, rig)
+        found = find_invalid_channels(1e6 * recording.field, bench.rate, rig)
         assert not found["stuck (constant for a while)"].any()
 
 
@@ -206,11 +206,11 @@ def test_a_channel_that_hangs_late_in_a_dying_swing_is_stuck_although_little_of_
     time = np.arange(round(20 * RATE / (2.0 * 103.5))) / RATE
     phases = np.linspace(0.0, 2.0, 10)[:, None]
     volts = 0.1 + step * np.round(300.0 * np.exp(-31.7 * time) * np.sin(2.0 * np.pi * 103.5 * time + phases))
-    assert not unsound_channels(volts, RATE, rig)["stuck (constant for a while)"].any()
+    assert not find_invalid_channels(volts, RATE, rig)["stuck (constant for a while)"].any()
     held = np.flatnonzero((time >= 1e-3 * at_ms) & (time < 1e-3 * at_ms + 1e-3))
     volts[4, held] = volts[4, held[0]]
     assert 8.0 < abs(volts[4, held[-1] + 1] - volts[4, held[0]]) / step < 24.0
-    assert np.flatnonzero(unsound_channels(volts, RATE, rig)["stuck (constant for a while)"]).tolist() == [4]
+    assert np.flatnonzero(find_invalid_channels(volts, RATE, rig)["stuck (constant for a while)"]).tolist() == [4]
 
 
 @pytest.mark.parametrize(
@@ -260,7 +260,7 @@ def test_calibrations_that_cannot_be_carried_out_are_refused(run, options, says)
 
 def test_a_plan_needs_a_finite_height_error():
     with pytest.raises(InputError, match="finite"):
-        Plan(height_std=float("nan"))
+        CalibrationPlan(height_std=float("nan"))
 
 
 def test_a_localizer_refuses_what_it_could_only_choke_on(heard):

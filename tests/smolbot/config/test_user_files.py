@@ -11,7 +11,7 @@ import pytest
 
 from lookup_tables import FieldTable
 from smolbot.config.document import Document
-from smolbot.config.library import find_file, shipped
+from smolbot.config.library import find_file, list_shipped
 from smolbot.config.load import load_mission
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
@@ -392,7 +392,7 @@ def test_sensors_that_cannot_find_a_pose_are_a_fault_of_the_rig(settings, words)
 
 def test_every_shipped_file_loads_and_names_what_it_is():
     for kind, load in (("missions", load_mission), ("rigs", load_rig), ("robots", load_robot)):
-        for name, path in shipped(kind).items():
+        for name, path in list_shipped(kind).items():
             assert find_file(name, kind) == path
             assert load(name).name == name
 

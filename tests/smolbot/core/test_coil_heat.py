@@ -9,57 +9,64 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from smolbot.config.rig import load_rig
-from smolbot.core.coil_heat import ALPHA, Coil, CoilHeat, mean_squares, stepped, wound_capacity
+from smolbot.core.coil_heat import (
+    COPPER_TEMPERATURE_COEFFICIENT,
+    CoilHeat,
+    ThermalCoil,
+    advance_temperature,
+    compute_mean_square_currents,
+    compute_winding_heat_capacity,
+)
 from smolbot.core.shots import Actuate, Excite, Listen, RingDown
-from smolbot.flight.safety.duty_cycle import Duty
-from smolbot.flight.safety.heat_store import EVERY, HeatMemory
+from smolbot.flight.safety.duty_cycle import DutyCycle
+from smolbot.flight.safety.heat_store import SAVE_INTERVAL, HeatMemory
 
-COIL = Coil("+x", resistance=1.0, capacity=58.0, thermal_resistance=8.0, limit=90.0)
+COIL = ThermalCoil("+x", resistance=1.0, capacity=58.0, thermal_resistance=8.0, limit=90.0)
 
 
-@pytest.mark.parametrize("square", [0.0, 4.0, 1.0 / (8.0 * ALPHA), 64.0])
+@pytest.mark.parametrize("square", [0.0, 4.0, 1.0 / (8.0 * COPPER_TEMPERATURE_COEFFICIENT), 64.0])
 @pytest.mark.parametrize("begin", [25.0, 90.0])
 def test_a_step_is_what_an_integrator_finds_also_where_heating_outruns_cooling(square, begin):
     def slope(_, t):
-        return (square * (1.0 + ALPHA * (t - 20.0)) - (t - 25.0) / 8.0) / 58.0
+        return (square * (1.0 + COPPER_TEMPERATURE_COEFFICIENT * (t - 20.0)) - (t - 25.0) / 8.0) / 58.0
 
     for duration in (0.1, 30.0, 600.0):
         found = solve_ivp(slope, (0.0, duration), [begin], rtol=1e-10, atol=1e-8).y[0, -1]
-        assert stepped(COIL, begin, square, duration, 25.0) == pytest.approx(found, rel=1e-6)
+        assert advance_temperature(COIL, begin, square, duration, 25.0) == pytest.approx(found, rel=1e-6)
 
 
 def test_one_long_step_is_many_short_ones():
     short = 25.0
     for _ in range(1000):
-        short = stepped(COIL, short, 30.0, 0.1, 25.0)
-    assert short == pytest.approx(stepped(COIL, 25.0, 30.0, 100.0, 25.0), rel=1e-10)
+        short = advance_temperature(COIL, short, 30.0, 0.1, 25.0)
+    assert short == pytest.approx(advance_temperature(COIL, 25.0, 30.0, 100.0, 25.0), rel=1e-10)
 
 
 def test_a_steady_current_ends_where_heat_made_is_heat_given_off():
-    end = stepped(COIL, 25.0, 8.0, 1e6, 25.0)
-    assert 8.0 * (1.0 + ALPHA * (end - 20.0)) == pytest.approx((end - 25.0) / 8.0, rel=1e-9)
+    end = advance_temperature(COIL, 25.0, 8.0, 1e6, 25.0)
+    assert 8.0 * (1.0 + COPPER_TEMPERATURE_COEFFICIENT * (end - 20.0)) == pytest.approx((end - 25.0) / 8.0, rel=1e-9)
 
 
 def test_an_undriven_coil_cools_by_e_in_its_time_constant():
-    after = stepped(COIL, 85.0, 0.0, 8.0 * 58.0, 25.0)
+    after = advance_temperature(COIL, 85.0, 0.0, 8.0 * 58.0, 25.0)
     assert after - 25.0 == pytest.approx(60.0 / math.e)
 
 
 def test_over_whole_cycles_a_sine_heats_as_half_its_peak_squared():
     time_ = np.linspace(0.0, 5 / 103.5, 200001)
     square = np.trapezoid((3.0 * np.sin(2 * np.pi * 103.5 * time_)) ** 2, time_) / time_[-1]
-    assert mean_squares(Excite((3.0, -2.0), 103.5, 5), 4, 2) == pytest.approx([0, 0, 0, 0, square, 2.0])
-    assert mean_squares(Actuate((1.0, 0.0, 2.0, 0.0), 0.1), 4, 2) == [1.0, 0.0, 4.0, 0.0, 0.0, 0.0]
-    assert not mean_squares(Listen(2, 103.5), 4, 2)
-    assert not mean_squares(RingDown(0.1), 4, 2)
-    assert not mean_squares(Actuate((0.0,) * 4, 0.1), 4, 2)
+    assert compute_mean_square_currents(Excite((3.0, -2.0), 103.5, 5), 4, 2) == pytest.approx([0, 0, 0, 0, square, 2.0])
+    assert compute_mean_square_currents(Actuate((1.0, 0.0, 2.0, 0.0), 0.1), 4, 2) == [1.0, 0.0, 4.0, 0.0, 0.0, 0.0]
+    assert not compute_mean_square_currents(Listen(2, 103.5), 4, 2)
+    assert not compute_mean_square_currents(RingDown(0.1), 4, 2)
+    assert not compute_mean_square_currents(Actuate((0.0,) * 4, 0.1), 4, 2)
 
 
 def test_no_more_copper_is_believed_than_fits_the_winding():
-    honest = wound_capacity(1.0, 200, math.pi * 0.05, 4e-4)
-    assert wound_capacity(0.5, 200, math.pi * 0.05, 4e-4) == pytest.approx(2.0 * honest)
-    full = wound_capacity(0.01, 200, math.pi * 0.05, 4e-4)
-    assert wound_capacity(0.001, 200, math.pi * 0.05, 4e-4) == full
+    honest = compute_winding_heat_capacity(1.0, 200, math.pi * 0.05, 4e-4)
+    assert compute_winding_heat_capacity(0.5, 200, math.pi * 0.05, 4e-4) == pytest.approx(2.0 * honest)
+    full = compute_winding_heat_capacity(0.01, 200, math.pi * 0.05, 4e-4)
+    assert compute_winding_heat_capacity(0.001, 200, math.pi * 0.05, 4e-4) == full
 
 
 def test_the_shipped_coils_weigh_what_their_geometry_says():
@@ -83,7 +90,7 @@ def test_duty_is_the_driven_share_of_the_sliding_time():
     rng = np.random.default_rng(3)
     gaps, lengths = rng.uniform(0.0, 0.3, 200), rng.uniform(0.01, 0.4, 200)
     starts = np.cumsum(gaps + lengths) - lengths
-    duty = Duty(("a", "b"), window=3.0)
+    duty = DutyCycle(("a", "b"), window=3.0)
     shares = []
     for start, length in zip(starts, lengths):
         end = start + length
@@ -112,7 +119,7 @@ def test_the_next_run_begins_with_coils_as_the_last_has_left_them_but_for_what_t
     HeatMemory(tmp_path / "heat" / "bench.json", clock).keep(warm(85.0), now=True)
     clock.now += 8.0 * 58.0
     found = CoilHeat((COIL, None), 25.0)
-    HeatMemory(tmp_path / "heat" / "bench.json", clock).recall(found)
+    HeatMemory(tmp_path / "heat" / "bench.json", clock).restore(found)
     assert found.temperatures == [pytest.approx(25.0 + 60.0 / math.e), 25.0]
     assert found.peaks == found.temperatures
 
@@ -123,7 +130,7 @@ def test_the_next_run_begins_with_coils_as_the_last_has_left_them_but_for_what_t
 def test_a_note_that_says_nothing_leaves_coils_cold(tmp_path, text):
     (tmp_path / "bench.json").write_text(text)
     found = CoilHeat((COIL,), 25.0)
-    HeatMemory(tmp_path / "bench.json", Clock()).recall(found)
+    HeatMemory(tmp_path / "bench.json", Clock()).restore(found)
     assert found.temperatures == [25.0]
 
 
@@ -135,8 +142,8 @@ def test_a_killed_run_is_remembered_by_some_seconds(tmp_path):
         heat.temperatures[0] += 1.0
         memory.keep(heat)
     found = CoilHeat((COIL,), 25.0)
-    HeatMemory(tmp_path / "bench.json", clock).recall(found)
-    assert 50.0 - EVERY <= found.temperatures[0] <= 50.0
+    HeatMemory(tmp_path / "bench.json", clock).restore(found)
+    assert 50.0 - SAVE_INTERVAL <= found.temperatures[0] <= 50.0
 
 
 def test_a_place_that_cannot_be_written_costs_one_warning_and_no_run(tmp_path):

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import (
+    compute_rotation_error,
     matrix_from_quaternion,
+    multiply_quaternions,
     quaternion_from_axes,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,
-    quaternion_product,
-    rotation_error,
-    rotation_vector,
+    rotation_vector_from_quaternion,
 )
 from smolbot.errors import InputError
 
@@ -50,13 +50,13 @@ def test_half_turns_survive_the_way_through_a_matrix(axis):
 
 @given(quaternions, quaternions)
 def test_the_product_turns_by_one_and_then_the_other(a, b):
-    both = matrix_from_quaternion(quaternion_product(a, b))
+    both = matrix_from_quaternion(multiply_quaternions(a, b))
     assert both == pytest.approx(matrix_from_quaternion(a) @ matrix_from_quaternion(b), abs=1e-12)
 
 
 @given(vectors)
 def test_log_undoes_exp_up_to_half_a_turn(vector):
-    assert rotation_vector(quaternion_from_rotation_vector(3.1 / np.sqrt(3) * vector)) == pytest.approx(
+    assert rotation_vector_from_quaternion(quaternion_from_rotation_vector(3.1 / np.sqrt(3) * vector)) == pytest.approx(
         3.1 / np.sqrt(3) * vector, abs=1e-9
     )
 
@@ -70,14 +70,16 @@ def test_exp_agrees_with_scipys_rotation_vector(vector):
 @pytest.mark.parametrize("size", [0.0, 1e-300, 1e-13, 1e-9])
 def test_tiny_turns_keep_their_size_and_direction(size):
     turn = size * np.array([0.6, 0.0, -0.8])
-    assert rotation_vector(quaternion_from_rotation_vector(turn)) == pytest.approx(turn, rel=1e-6, abs=0)
+    assert rotation_vector_from_quaternion(quaternion_from_rotation_vector(turn)) == pytest.approx(
+        turn, rel=1e-6, abs=0
+    )
 
 
 @given(quaternions, vectors)
 def test_the_error_is_the_world_turn_that_takes_truth_to_estimate(truth, error):
-    estimate = quaternion_product(quaternion_from_rotation_vector(error), truth)
-    assert rotation_error(estimate, truth) == pytest.approx(error, abs=1e-9)
-    assert rotation_error(-estimate, truth) == pytest.approx(error, abs=1e-9)
+    estimate = multiply_quaternions(quaternion_from_rotation_vector(error), truth)
+    assert compute_rotation_error(estimate, truth) == pytest.approx(error, abs=1e-9)
+    assert compute_rotation_error(-estimate, truth) == pytest.approx(error, abs=1e-9)
 
 
 @pytest.mark.parametrize("order", ["xy", "yx", "yz", "zy", "zx", "xz"])

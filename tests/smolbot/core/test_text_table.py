@@ -7,7 +7,7 @@ import pytest
 
 from smolbot.core.text_table import read_table
 from smolbot.errors import InputError
-from smolbot.runs.optics.opticaltrack import COLUMNS, NEEDED, read_optical_track
+from smolbot.runs.optics.optical_track import COLUMNS, NEEDED, read_optical_track
 
 HEAD = ",".join(COLUMNS)
 
@@ -19,7 +19,7 @@ def test_separators_comments_blank_lines_and_byte_order_marks_do_not_matter(tmp_
     path.write_text(begin + "\n".join(separator.join(row) for row in (("x", "y"), ("0.5", "1"), ("-2e1", "3"))) + "\n")
     table = read_table(path)
     assert table.names == ("x", "y")
-    np.testing.assert_array_equal([row.finite(("x", "y")) for row in table.rows], [[0.5, 1.0], [-20.0, 3.0]])
+    np.testing.assert_array_equal([row.parse_finite(("x", "y")) for row in table.rows], [[0.5, 1.0], [-20.0, 3.0]])
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import smolbot
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.config.plugins import load_world
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
@@ -19,12 +19,12 @@ from smolbot.errors import ConfigError, InputError, InterlockError, RigError, Sm
 from smolbot.flight import session as flying
 from smolbot.flight.assembly import make_loop
 from smolbot.flight.loop import Loop
-from smolbot.flight.session import LEARNED, fly
+from smolbot.flight.session import LEARNED_SENSORS_FILE, fly
 from smolbot.runs.folder import RunFolder
 
 FILES = {
     *("mission.toml", "rig.toml", "robot.toml", "provenance.json", "cycles.csv", "summary.json"),
-    *("path.png", "run.mcap", LEARNED),
+    *("path.png", "run.mcap", LEARNED_SENSORS_FILE),
 }
 WALL = ("wall_s", "compute_ms", "realtime_factor", "run", "recording")
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "2.0"}
@@ -32,13 +32,13 @@ SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.
 
 @pytest.fixture(scope="module")
 def short():
-    return load_mission("line", settings=SHORT)
+    return load_steering_mission("line", settings=SHORT)
 
 
 @pytest.fixture(scope="module")
 def plain():
     """The same, by the paper's estimator, which needs no noise to be learned first: for tests of the loop itself."""
-    return load_mission("line", settings={**SHORT, "localization.estimator": "paper"})
+    return load_steering_mission("line", settings={**SHORT, "localization.estimator": "paper"})
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_a_run_can_be_flown_again_from_its_own_folder(flown, tmp_path):
         text = text.replace(f'{key} = "{name}"', f'{key} = "{own}"')
         (tmp_path / own).write_text((folder / own).read_text())
     (tmp_path / "mission.toml").write_text(text)
-    again = fly(load_mission(str(tmp_path / "mission.toml")), 3)
+    again = fly(load_steering_mission(str(tmp_path / "mission.toml")), 3)
     assert json.dumps(timeless(again.summary)) == json.dumps(timeless(flown[0].summary))
 
 
@@ -159,7 +159,7 @@ def test_a_notebook_flies_with_settings_and_the_same_errors(tmp_path):
     with pytest.raises(InputError, match="not empty"):
         smolbot.run("line", out=tmp_path / "a")
     with pytest.raises(InputError, match="overrides belong to loading"):
-        smolbot.run(load_mission("line"), rig="tank")
+        smolbot.run(load_steering_mission("line"), rig="tank")
 
 
 def test_a_used_run_folder_is_refused_and_left_as_it_is(tmp_path):
@@ -184,10 +184,10 @@ class Interrupt:
 
 
 def test_ctrl_c_stops_cleanly_and_leaves_a_complete_folder(plain, tmp_path):
-    run = fly(plain, 3, folder=RunFolder(tmp_path / "run"), listeners=lambda _: (Interrupt(5),))
+    run = fly(plain, 3, folder=RunFolder(tmp_path / "run"), make_listeners=lambda _: (Interrupt(5),))
     assert run.status == "stopped"
     assert "Ctrl-C" in run.stop_reason
-    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES - {LEARNED}
+    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES - {LEARNED_SENSORS_FILE}
     assert json.loads((tmp_path / "run/summary.json").read_text())["status"] == "stopped"
     assert len((tmp_path / "run/cycles.csv").read_text().splitlines()) == 1 + 5
 
@@ -254,14 +254,14 @@ def test_a_failing_rig_ends_the_flight_with_its_reason(plain, fly_wrapped, tmp_p
     assert run.summary["verdict"] == "failed"
     assert rig.stops >= 1
     assert len(run.cycles) == 3
-    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES - {LEARNED}
+    assert {p.name for p in (tmp_path / "run").iterdir()} == FILES - {LEARNED_SENSORS_FILE}
 
 
 def test_a_rig_that_fails_at_once_still_leaves_a_folder(plain, fly_wrapped, tmp_path):
     run, _ = fly_wrapped(plain, fail_at=1, folder=RunFolder(tmp_path / "run"))
     assert run.status == "failed"
     assert run.cycles == []
-    assert {p.name for p in (tmp_path / "run").iterdir()} >= FILES - {"cycles.csv", LEARNED}
+    assert {p.name for p in (tmp_path / "run").iterdir()} >= FILES - {"cycles.csv", LEARNED_SENSORS_FILE}
 
 
 def test_a_signal_that_was_never_there_is_searched_for_and_then_given_up(plain, fly_wrapped):
@@ -339,7 +339,7 @@ def test_time_in_a_pause_does_not_count_towards_the_longest_duration(plain):
         loop.pause.held = 2.0 <= record.shot.end - begun[0] < 2.0 + held if begun else not begun.append(record.shot.end)
 
     begun: list[float] = []
-    brief = load_mission("line", settings={**SHORT, "stop.max_duration_s": "20"})
+    brief = load_steering_mission("line", settings={**SHORT, "stop.max_duration_s": "20"})
     rig = load_world("tank", brief.rig.document).open(brief.rig, brief.robot, brief.start, 3)
     loop = make_loop(rig, brief, (pause,))
     run = loop.fly()
@@ -371,7 +371,7 @@ def test_a_sensor_that_becomes_noisy_on_the_way_is_found_and_weighed_less(fly_wr
         return replace(heard, field=field)
 
     settings = {"path.points_mm": "[[-5.0, 0.0], [5.0, 0.0]]", "rig.tank.mismatch.scale": "0"}
-    run, _ = fly_wrapped(load_mission("line", settings=SHORT | settings), spoil=noisy)
+    run, _ = fly_wrapped(load_steering_mission("line", settings=SHORT | settings), spoil=noisy)
     ratios = [e.detail["power_ratios"] for e in run.events if e.what == "noise refreshed"]
     assert run.status == "completed"
     assert np.argmax(ratios[0]) == 5

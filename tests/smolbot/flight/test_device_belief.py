@@ -11,7 +11,7 @@ from smolbot import Device, load_mission
 from smolbot.flight.assembly import make_loop
 from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.session import open_rig
-from smolbot.motion.robot import magnet_inertia
+from smolbot.motion.robot import compute_magnet_inertia
 
 DEVICE = Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, 0.31, 103.5, 31.7, "exponential")
 
@@ -24,7 +24,7 @@ def test_a_learned_magnet_is_scheduled_with_the_next_retune_and_changes_no_inert
     belief.retune(103.9, 30.0)
     assert belief.scheduled is belief.device
     assert (belief.device.moment, belief.device.frequency, belief.device.damping) == (0.9e-3, 103.9, 30.0)
-    assert belief.inertia == magnet_inertia(DEVICE.moment, DEVICE.l0)
+    assert belief.inertia == compute_magnet_inertia(DEVICE.moment, DEVICE.l0)
 
 
 def test_in_a_flight_all_parts_have_the_same_belief_and_shots_are_made_for_the_last_retune():
@@ -44,4 +44,4 @@ def test_in_a_flight_all_parts_have_the_same_belief_and_shots_are_made_for_the_l
     happened = [event.what for event in loop.events if event.what in ("array learned", "device retuned")]
     assert happened[0] == happened[-1] == "array learned"
     assert "device retuned" in happened
-    assert belief.inertia == magnet_inertia(mission.robot.device.moment, mission.robot.device.l0)
+    assert belief.inertia == compute_magnet_inertia(mission.robot.device.moment, mission.robot.device.l0)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.safety.duty_cycle import DutyCycle
 from smolbot.flight.safety.stop_latch import Latch
 
 PULLS = st.lists(st.tuples(st.integers(0, 1), st.floats(0.0, 4.0), st.floats(0.01, 15.0)), min_size=1, max_size=15)
@@ -19,7 +19,7 @@ def driven_within(spans, begin, end):
 @settings(max_examples=40)
 @given(PULLS, st.sampled_from([2.0, 10.0]))
 def test_the_share_of_each_coil_is_the_driven_part_of_the_time_just_past(pulls, window):
-    duty, clock = Duty(("+x", "-x"), window), 0.0
+    duty, clock = DutyCycle(("+x", "-x"), window), 0.0
     spans, most = ([], []), [0.0, 0.0]
     for coil, pause, length in pulls:
         start, clock = clock + pause, clock + pause + length
@@ -33,12 +33,12 @@ def test_the_share_of_each_coil_is_the_driven_part_of_the_time_just_past(pulls, 
 
 def test_a_latch_is_open_until_somebody_shuts_it_and_a_run_that_is_over_is_another_thing():
     latch = Latch()
-    assert (latch.is_shut, latch.over, latch.reason, latch.ending) == (False, False, "", "failed")
+    assert (latch.tripped, latch.over, latch.reason, latch.ending) == (False, False, "", "failed")
     latch.end()
     assert latch.over
-    assert not latch.is_shut
-    assert latch.shut("too hot")
-    assert (latch.is_shut, latch.reason, latch.ending) == (True, "too hot", "failed")
+    assert not latch.tripped
+    assert latch.trip("too hot")
+    assert (latch.tripped, latch.reason, latch.ending) == (True, "too hot", "failed")
 
 
 def test_a_signal_handler_shuts_without_halting_what_it_may_have_interrupted():
@@ -46,13 +46,13 @@ def test_a_signal_handler_shuts_without_halting_what_it_may_have_interrupted():
     latch.bind(lambda: halted.append("rig"))
     latch.bind(lambda: halted.append("supply"))
     assert halted == []
-    assert latch.shut("killed", "stopped", halt=False)
+    assert latch.trip("killed", "stopped", halt=False)
     assert halted == []
-    assert not latch.shut("killed again")
+    assert not latch.trip("killed again")
     assert halted == ["rig", "supply"]
     assert (latch.reason, latch.ending) == ("killed", "stopped")
 
 
 def test_the_same_reason_twice_shuts_once():
     latch = Latch()
-    assert [latch.shut("Ctrl-C", "stopped") for _ in range(2)] == [True, False]
+    assert [latch.trip("Ctrl-C", "stopped") for _ in range(2)] == [True, False]

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.config.rig import load_rig
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_axes, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_axes, quaternion_from_rotation_vector
 from smolbot.core.shots import Listen, MoveMagnet, Rotate, Shot
 from smolbot.errors import ConfigError
-from smolbot.flight.preview.helix import preview_helix, tightest_bend
+from smolbot.flight.preview.helix import compute_tightest_bend, preview_helix
 from smolbot.flight.session import fly, run
 from smolbot.flight.tracking.tracker import Tracker
-from smolbot.motion import helixkernels as kernels
+from smolbot.motion import helix_kernels as kernels
 from smolbot.paths.curve import Curve
 from smolbot.ui.cli import app as command_line
 from tests.conftest import mission_of
@@ -88,7 +88,7 @@ def test_the_folder_tells_what_was_drawn_and_shows_the_run(flown):
 
 
 def test_the_witness_changes_nothing():
-    mission = load_mission(LINE, "gel", {"controller.gains.max_turns": "2", "stop.max_duration_s": "50"})
+    mission = load_steering_mission(LINE, "gel", {"controller.gains.max_turns": "2", "stop.max_duration_s": "50"})
     one, other = (fly(mission, 4, witness=w) for w in (True, False))
     assert [c.shot for c in one.cycles] == [c.shot for c in other.cycles]
     for a, b in zip(one.cycles, other.cycles, strict=True):
@@ -106,16 +106,16 @@ def test_preview_says_go_and_counts_turns_and_pauses():
 
 
 def test_preview_refuses_a_hairpin_and_a_gel_that_holds_the_robot():
-    hairpin = preview_helix(load_mission(LINE, settings={"path.points_mm": "[[-6, 0], [2, 0], [-6, 0.6]]"}))
+    hairpin = preview_helix(load_steering_mission(LINE, settings={"path.points_mm": "[[-6, 0], [2, 0], [-6, 0.6]]"}))
     assert any("turns with" in r for r in hairpin.reasons)
-    stiff = load_mission(LINE, settings={"rig.medium.yield_stress_pa": "220"})
+    stiff = load_steering_mission(LINE, settings={"rig.medium.yield_stress_pa": "220"})
     assert any("lose the robot" in r for r in preview_helix(stiff).reasons)
 
 
 @pytest.mark.parametrize(("beside_mm", "go"), [(2.0, True), (2.5, False)])
 def test_preview_refuses_a_start_from_which_the_robot_would_go_on_too_far_beside_the_path(beside_mm, go):
     """A fifth of its length, 1.5 mm, is how far it may be from the path once it is past the path's start."""
-    seen = preview_helix(load_mission(LINE, settings={"start.offset_mm": f"[1.0, {beside_mm}]"}))
+    seen = preview_helix(load_steering_mission(LINE, settings={"start.offset_mm": f"[1.0, {beside_mm}]"}))
     beside = np.abs(seen.trail[1:, 1])  # the path lies on y = 0
     assert seen.trail[1, 0] > -7e-3
     assert beside.max() < 4.5e-3
@@ -147,7 +147,7 @@ def test_the_preview_command_exits_by_its_verdict(monkeypatch, capsys):
 )
 def test_robot_law_and_rig_have_to_fit(settings, rig, words):
     with pytest.raises(ConfigError) as error:
-        load_mission("s_path", rig, SHORT | settings)
+        load_steering_mission("s_path", rig, SHORT | settings)
     assert words in str(error.value)
 
 
@@ -163,11 +163,11 @@ def test_the_blocked_rig_is_the_rig_but_for_the_lump():
 def test_the_bend_of_a_circle_is_its_radius():
     angle = np.linspace(0, np.pi, 400)
     circle = Curve(8e-3 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(400)]))
-    assert tightest_bend(circle) == pytest.approx(8e-3, rel=0.02)
+    assert compute_tightest_bend(circle) == pytest.approx(8e-3, rel=0.02)
 
 
 def heard(time, position, roll=0.0):
-    turned = quaternion_product(ACROSS, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))
+    turned = multiply_quaternions(ACROSS, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))
     return Pose(time, np.asarray(position), turned, np.diag([3e-5] * 3 + [5e-3] * 3) ** 2)
 
 
@@ -177,12 +177,12 @@ def test_a_tracked_helix_goes_with_its_turns_forgets_its_roll_and_keeps_its_plac
     listen = Listen(20, 181.0)
     for i in range(3):
         tracker.update(Shot((listen,), start=0.1 * i), heard(0.1 * i, start))
-    assert not tracker.vague
+    assert not tracker.orientation_uncertain
     shot = Shot((MoveMagnet("near", 10.0), Rotate((-1.0, 0, 0), 0.25, 4.0), MoveMagnet("away", 10.0)), start=1.0)
     tracker.update(shot, None)
     assert tracker.misses == 0
     assert tracker.pose.position[0] - start[0] == pytest.approx(4 * helix().advance, rel=0.05)
-    assert tracker.vague  # its roll may be anything now: a fit has to start from nothing
+    assert tracker.orientation_uncertain  # its roll may be anything now: a fit has to start from nothing
     found = start + np.array([4.3e-3, 0.2e-3, 0.0])
     tracker.update(Shot((listen,), start=40.0), heard(40.0, found, roll=2.6))
     assert tracker.misses == 0
@@ -207,13 +207,13 @@ def test_a_step_out_is_no_outlier_to_the_tracker():
 @pytest.mark.parametrize("tilt", [-0.7, 0.2, 0.9])
 def test_believed_turns_there_and_back_lead_back_and_stay_between_the_plates(tilt):
     state = np.array([2e-3, -4e-3, 0.048, 0.3, 0.0, np.nan])
-    there = kernels.screw_on(helix().body, helix().factors, state, 0.3 + tilt, 1.0, 6.0, 0.25)
+    there = kernels.advance_screw(helix().body, helix().factors, state, 0.3 + tilt, 1.0, 6.0, 0.25)
     for end in (-1, 1):
         height = there[2] + (helix().center_ahead + end * helix().half_length) * np.sin(there[4])
         assert helix().low - 1e-4 < height < helix().high + 1e-4
     under = np.array([-3e-3, 0.0, 0.0495, 0.0, 0.0, np.nan])  # on the line through the magnet nothing pulls aside
-    straight = kernels.screw_on(helix().body, np.array([1.0, 0, 0, 0]), under, 0.0, 1.0, 6.0, 0.25)
-    back = kernels.screw_on(helix().body, np.array([1.0, 0, 0, 0]), straight, 0.0, -1.0, 6.0, 0.25)
+    straight = kernels.advance_screw(helix().body, np.array([1.0, 0, 0, 0]), under, 0.0, 1.0, 6.0, 0.25)
+    back = kernels.advance_screw(helix().body, np.array([1.0, 0, 0, 0]), straight, 0.0, -1.0, 6.0, 0.25)
     np.testing.assert_allclose(back[:2], under[:2], atol=4e-4)
 
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.core.drive import amplitude_after, drive
+from smolbot.core.drive import compute_amplitude_after_burst, compute_drive
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import (
-    mean_rotation,
+    compute_mean_rotation,
+    compute_rotation_error,
+    multiply_quaternions,
     quaternion_from_rotation_vector,
-    quaternion_product,
-    rotation_error,
 )
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Excite, Listen, RingDown, Shot
-from smolbot.flight.tracking.passive_trackers import LedTracker
+from smolbot.flight.tracking.passive_trackers import VelocityTracker
 from smolbot.flight.tracking.tracker import Tracker
-from smolbot.motion.led import Motion
-from smolbot.motion.robot import magnet_inertia
+from smolbot.motion.external_motion import ExternalMotion
+from smolbot.motion.robot import compute_magnet_inertia
 
 DEVICE = Device(0.89e-3, np.array([1.0, 0.0, 0.0]), 1.5e-3, np.radians(17.8), 103.5, 1.1, "linear")
-MOTION = Motion(8e-3, np.radians(30.0), 0.3)
+MOTION = ExternalMotion(8e-3, np.radians(30.0), 0.3)
 VELOCITY, TURN = np.array([8e-3, -5e-3, 2e-3]), np.array([0.1, -0.2, 0.8])
 
 
@@ -36,7 +36,7 @@ def led_pose(time: float) -> Pose:
 
 
 def led_tracker(until: float) -> Tracker:
-    tracker = LedTracker(DEVICE, MOTION)
+    tracker = VelocityTracker(DEVICE, MOTION)
     for start in np.arange(0.0, until, 0.075):
         one = shot(float(start))
         tracker.update(one, led_pose(one.end - 0.0145))
@@ -50,7 +50,7 @@ def test_a_steady_hand_is_foreseen_in_place_and_turn():
     ahead = tracker.pose.time + 0.06
     foreseen, truth = tracker.pose_at(ahead), led_pose(ahead)
     assert np.linalg.norm(foreseen.position - truth.position) < 1.5e-4
-    assert np.linalg.norm(rotation_error(foreseen.orientation, truth.orientation)) < np.radians(1.0)
+    assert np.linalg.norm(compute_rotation_error(foreseen.orientation, truth.orientation)) < np.radians(1.0)
 
 
 def test_a_tracker_that_believes_in_rest_lags_behind_a_hand():
@@ -69,14 +69,14 @@ def test_a_gap_leaves_the_pose_in_as_much_doubt_as_the_motion_says():
     last = tracker.pose
     soon, late = (np.sqrt(np.diag(tracker.pose_at(last.time + wait).covariance)) for wait in (0.05, 5.0))
     assert np.all(late[:3] > 5.0 * soon[:3])
-    assert late[0] == pytest.approx(MOTION.speed * np.sqrt(2.0 * MOTION.change * 5.0), rel=0.15)
+    assert late[0] == pytest.approx(MOTION.speed * np.sqrt(2.0 * MOTION.correlation_time * 5.0), rel=0.15)
 
 
 @pytest.mark.parametrize("wait", [0.05, 0.3, 2.0])
 def test_what_a_wandering_rate_adds_agrees_with_walks_drawn_at_random(wait):
     rng = np.random.default_rng(1)
     steps, walks = 200, 40000
-    keep = np.exp(-wait / steps / MOTION.change)
+    keep = np.exp(-wait / steps / MOTION.correlation_time)
     rate, path = np.zeros(walks), np.zeros(walks)
     for _ in range(steps):
         after = keep * rate + np.sqrt(1.0 - keep**2) * rng.standard_normal(walks)
@@ -88,13 +88,13 @@ def test_what_a_wandering_rate_adds_agrees_with_walks_drawn_at_random(wait):
 
 @pytest.mark.parametrize("phase", np.linspace(0.0, 2.0 * np.pi, 13)[:-1])
 def test_a_burst_that_minds_a_swing_ends_near_the_stops_whatever_its_phase(phase):
-    inertia = magnet_inertia(DEVICE.moment, DEVICE.l0)
+    inertia = compute_magnet_inertia(DEVICE.moment, DEVICE.l0)
     fields = np.array([[0.0, 0.0, -1e-4], [0.0, 1e-4, 0.0]])  # T per A; the device is driven along body -z
     pose = Pose(0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(6))
     left = 0.9
     ends = []
     for minded in (0.0, left):
-        currents = drive(fields, pose, DEVICE, inertia, 3, 10.0, minded).currents
+        currents = compute_drive(fields, pose, DEVICE, inertia, 3, 10.0, minded).currents
         ends.append(swing_after(float(currents @ (fields @ [0.0, 0.0, -1.0])), phase, left, inertia))
     assert ends[1] > 0.85
     if np.cos(phase - 0.5 * np.pi) < -0.95 or np.cos(phase + 0.5 * np.pi) < -0.95:
@@ -117,17 +117,19 @@ def swing_after(field: float, phase: float, left: float, inertia: float) -> floa
 
 
 def test_a_burst_from_rest_is_what_it_was():
-    inertia = magnet_inertia(DEVICE.moment, DEVICE.l0)
+    inertia = compute_magnet_inertia(DEVICE.moment, DEVICE.l0)
     fields, pose = np.array([[0.0, 0.0, -1e-4]]), Pose(0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(6))
-    once, twice = (drive(fields, pose, DEVICE, inertia, 3, 10.0, left).currents for left in (0.0, 1.0))
+    once, twice = (compute_drive(fields, pose, DEVICE, inertia, 3, 10.0, left).currents for left in (0.0, 1.0))
     np.testing.assert_allclose(twice, 2.0 * once)
-    assert amplitude_after(1e-4 * float(np.abs(once[0])), DEVICE, inertia, 3) == pytest.approx(DEVICE.theta_max)
+    assert compute_amplitude_after_burst(1e-4 * float(np.abs(once[0])), DEVICE, inertia, 3) == pytest.approx(
+        DEVICE.theta_max
+    )
 
 
 def test_the_mean_of_rotations_is_the_middle_of_them():
     middle = quaternion_from_rotation_vector(np.array([0.4, -1.0, 2.0]))
     turns = [np.array([0.0, 0.3, 0.1]), np.array([-0.2, 0.0, 0.05])]
-    both = [quaternion_product(quaternion_from_rotation_vector(s * t), middle) for t in turns for s in (1.0, -1.0)]
+    both = [multiply_quaternions(quaternion_from_rotation_vector(s * t), middle) for t in turns for s in (1.0, -1.0)]
     signs = np.array([1.0, -1.0, -1.0, 1.0])[:, None]
-    mean = mean_rotation(signs * np.array(both))
-    assert np.linalg.norm(rotation_error(mean, middle)) < 1e-6
+    mean = compute_mean_rotation(signs * np.array(both))
+    assert np.linalg.norm(compute_rotation_error(mean, middle)) < 1e-6

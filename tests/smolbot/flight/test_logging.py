@@ -9,7 +9,7 @@ import pytest
 
 import smolbot
 from smolbot.core.sensing import Recording
-from smolbot.flight.safety.supervisor import unbounded
+from smolbot.flight.safety.supervisor import make_limits_only_safety
 
 
 def test_events_of_a_flight_and_its_end_are_told_once_each(caplog):
@@ -23,7 +23,7 @@ def test_events_of_a_flight_and_its_end_are_told_once_each(caplog):
 
 
 def test_a_lost_window_is_a_warning(caplog):
-    safety = unbounded(smolbot.Limits(("+x",), 8.0), 3)
+    safety = make_limits_only_safety(smolbot.Limits(("+x",), 8.0), 3)
     shot = smolbot.Shot((smolbot.Listen(2, 100.0),))
     with caplog.at_level(logging.WARNING, "smolbot"):
         assert safety.after(shot, None, 1.0) is None

@@ -19,7 +19,7 @@ from smolbot.flight.assembly import make_loop
 from smolbot.flight.session import fly, run
 from smolbot.localization.localizer import Localizer
 from smolbot.motion.controller import Command
-from smolbot.runs.observation_summary import observation_verdict, scatter, watching
+from smolbot.runs.observation_summary import compute_pose_rate, compute_scatter, evaluate_observation
 from smolbot.runs.run import CycleRecord
 from smolbot.ui.cli import app as command_line
 
@@ -167,7 +167,7 @@ def pose(position, turn=(0.0, 0.0, 0.0), time=0.0, trusted=True) -> Pose:
 def test_scatter_is_the_standard_deviation_of_a_sample():
     rng = np.random.default_rng(4)
     places, turns = 1e-3 * rng.standard_normal((10, 3)), 0.01 * rng.standard_normal((10, 3))
-    found = scatter([pose(p, t) for p, t in zip(places, turns)])
+    found = compute_scatter([pose(p, t) for p, t in zip(places, turns)])
     deviations = 1e3 * np.sqrt(np.sum((places - places.mean(axis=0)) ** 2, axis=0) / 9.0)
     assert [found["sigma_mm"][a] for a in "xyz"] == pytest.approx(deviations)
     assert found["sigma_mm"]["distance"] == pytest.approx(np.sqrt(np.sum(deviations**2)))
@@ -183,7 +183,7 @@ def test_gaps_are_runs_of_shots_that_gave_no_pose():
         cycles.append(CycleRecord(shot, seen, seen, Command(None), 0.0))
     from smolbot.runs.run import Run
 
-    found = watching(Run(cycles=cycles))
+    found = compute_pose_rate(Run(cycles=cycles))
     assert found["gaps"] == {"count": 2, "shots": 2, "longest_s": pytest.approx(0.2)}
     assert found["pose_rate_hz"] == pytest.approx(7 / 0.9)
 
@@ -191,7 +191,7 @@ def test_gaps_are_runs_of_shots_that_gave_no_pose():
 def test_a_verdict_names_every_limit_that_was_missed(bend):
     settings = {**QUICK, "verdict.mean_localization_mm": "0.01", "verdict.min_rate_hz": "50.0"}
     mission = load_mission("endoscope", None, settings)
-    verdict, reasons = observation_verdict(mission, bend, bend.summary)
+    verdict, reasons = evaluate_observation(mission, bend, bend.summary)
     assert verdict == "failed"
     assert len(reasons) == 2
     assert "exceeds 0.01 mm" in reasons[0]

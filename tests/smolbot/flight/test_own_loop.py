@@ -115,7 +115,7 @@ def test_an_error_while_a_run_is_ended_leaves_outputs_at_zero_too(flying, monkey
     def broken():
         raise OSError("no room to keep the heat of the coils")
 
-    monkeypatch.setattr(flying.safety, "end", broken)
+    monkeypatch.setattr(flying.safety, "end_window", broken)
 
     def own_loop():
         with flying:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.errors import ConfigError
 from smolbot.flight.preview.gradient import preview
 from smolbot.flight.session import run
@@ -37,7 +37,7 @@ def test_every_mission_that_must_not_fly_has_its_reason_here(missions):
 @pytest.mark.parametrize("name", UNFIT)
 def test_a_mission_that_does_not_fit_is_refused_for_exactly_its_reason(missions, name):
     with pytest.raises(ConfigError) as error:
-        load_mission(str(missions / f"{name}.toml"))
+        load_steering_mission(str(missions / f"{name}.toml"))
     faults = str(error.value).splitlines()
     assert len(faults) == 1
     assert re.search(UNFIT[name], faults[0])
@@ -45,7 +45,7 @@ def test_a_mission_that_does_not_fit_is_refused_for_exactly_its_reason(missions,
 
 @pytest.mark.parametrize("name", NO_GO)
 def test_a_mission_that_would_not_end_is_a_no_go_for_exactly_its_reason(missions, name):
-    seen = preview(load_mission(str(missions / f"{name}.toml")))
+    seen = preview(load_steering_mission(str(missions / f"{name}.toml")))
     assert not seen.go
     assert len(seen.reasons) == 1
     assert re.search(NO_GO[name], seen.reasons[0])
@@ -55,7 +55,7 @@ def test_a_mission_that_would_not_end_is_a_no_go_for_exactly_its_reason(missions
 
 @pytest.mark.parametrize("name", ["line", "r_path", "r_small"])
 def test_a_shipped_mission_is_a_go(name):
-    mission = load_mission(name)
+    mission = load_steering_mission(name)
     seen = preview(mission)
     assert seen.go
     assert seen.length == pytest.approx(mission.path.length)
@@ -77,4 +77,4 @@ def test_the_timeline_limits_the_rate_and_the_turnaround_lowers_it(line):
 @pytest.mark.parametrize("name", ["line", "r_path", "r_small"])
 def test_the_expected_duration_is_within_15_percent_of_the_flown_one(name):
     flown = [run(name, seed=seed).duration for seed in range(1, 9)]
-    assert np.mean(flown) == pytest.approx(preview(load_mission(name)).duration, rel=0.15)
+    assert np.mean(flown) == pytest.approx(preview(load_steering_mission(name)).duration, rel=0.15)

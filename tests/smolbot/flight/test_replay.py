@@ -15,7 +15,7 @@ from smolbot.config.device import DeviceConfig, write_device
 from smolbot.config.load import load_mission
 from smolbot.config.plugins import load_world
 from smolbot.errors import ConfigError, InputError
-from smolbot.flight.replay import apart, figures, replay
+from smolbot.flight.replay import compute_figures, compute_pose_differences, replay
 from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
 from smolbot.runs.recording.reader import read_run
@@ -38,15 +38,15 @@ class Missing:
     def __init__(self, rig, lost):
         self._rig = rig
         self._lost = lost
-        self._played = 0
+        self._play_checked = 0
 
     def __getattr__(self, name):
         return getattr(self._rig, name)
 
     def play(self, shot):
-        self._played += 1
+        self._play_checked += 1
         heard = self._rig.play(shot)
-        return None if self._played in self._lost else heard
+        return None if self._play_checked in self._lost else heard
 
 
 def test_the_same_settings_give_the_same_poses_bit_for_bit(flown):
@@ -57,7 +57,7 @@ def test_the_same_settings_give_the_same_poses_bit_for_bit(flown):
     for mine, theirs in zip(run.cycles, again.cycles, strict=True):
         assert mine.pose.position.tobytes() == theirs.pose.position.tobytes()
         assert mine.tracked.covariance.tobytes() == theirs.tracked.covariance.tobytes()
-    assert apart(again)["distance_mm"]["max"] == 0.0
+    assert compute_pose_differences(again)["distance_mm"]["max"] == 0.0
 
 
 def test_what_was_learned_in_flight_is_learned_again(flown):
@@ -75,9 +75,9 @@ def test_a_flight_that_lost_windows_is_replayed_bit_for_bit(tmp_path, lost):
 
     def lossy(mission, seed):
         world = load_world("tank", mission.rig.document)
-        return Missing(world.open(mission.rig, mission.robot, mission.put_down, seed), lost)
+        return Missing(world.open(mission.rig, mission.robot, mission.start_placement, seed), lost)
 
-    run = fly(mission, 4, folder=RunFolder(tmp_path / "run"), opener=lossy)
+    run = fly(mission, 4, folder=RunFolder(tmp_path / "run"), open_rig=lossy)
     again = replay(tmp_path / "run")
     assert again.first_difference() is None
     assert len(again.cycles) == len(run.cycles) > 5
@@ -100,14 +100,14 @@ def test_a_replay_does_not_know_the_truth(flown):
 
 
 def test_fewer_half_periods_locate_less_well(flown):
-    found = figures(replay(flown[1], half_periods=1))
+    found = compute_figures(replay(flown[1], half_periods=1))
     assert found["replayed"]["sigma_mm_median"] > 1.4 * found["recorded"]["sigma_mm_median"]
     assert found["replayed"]["localization_error_mm"]["mean"] > found["recorded"]["localization_error_mm"]["mean"]
 
 
 def test_the_papers_estimator_locates_less_well_in_the_same_windows(flown):
     again = replay(flown[1], estimator="paper")
-    found = figures(again)
+    found = compute_figures(again)
     assert found["replayed"]["windows"] == found["recorded"]["windows"]
     assert found["replayed"]["localization_error_mm"]["mean"] > found["recorded"]["localization_error_mm"]["mean"]
     assert again.first_difference().startswith("cycle 0, pose")
@@ -139,7 +139,7 @@ def test_half_periods_that_were_not_heard_are_refused(flown, half_periods):
 def test_a_run_of_the_reduced_plant_has_nothing_to_locate_in(tmp_path):
     from sim.reduced.rig import open_reduced
 
-    fly(load_mission("line", None, SHORT), 1, folder=RunFolder(tmp_path / "run"), opener=open_reduced)
+    fly(load_mission("line", None, SHORT), 1, folder=RunFolder(tmp_path / "run"), open_rig=open_reduced)
     with pytest.raises(InputError, match="reduced plant make no signals"):
         replay(tmp_path / "run")
 

@@ -7,13 +7,18 @@ import pytest
 
 from smolbot.core.sensing import Device
 from smolbot.flight.device_belief import DeviceBelief
-from smolbot.flight.tracking.resonance_filter import FLOOR, START, WANDER, Resonance
+from smolbot.flight.tracking.resonance_filter import (
+    MEASUREMENT_FLOOR,
+    PROCESS_NOISE_DENSITY,
+    START_STD,
+    ResonanceFilter,
+)
 
 DEVICE = Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, 0.31, 103.5, 31.7, "exponential")
 COVARIANCE = np.diag([0.12**2, 0.5**2])
 
 
-def follow(resonance: Resonance, truth: np.ndarray, n: int, seed: int = 0) -> int:
+def follow(resonance: ResonanceFilter, truth: np.ndarray, n: int, seed: int = 0) -> int:
     rng = np.random.default_rng(seed)
     changes = 0
     for i in range(n):
@@ -24,7 +29,7 @@ def follow(resonance: Resonance, truth: np.ndarray, n: int, seed: int = 0) -> in
 
 @pytest.mark.parametrize("truth", [(103.8, 31.7), (103.2, 31.7), (103.5, 36.0)])
 def test_a_device_that_is_off_is_replaced_by_one_that_is_not(truth):
-    resonance = Resonance(DeviceBelief(DEVICE))
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
     assert follow(resonance, np.array(truth), 150) >= 1
     assert resonance.belief.device.frequency == pytest.approx(truth[0], abs=0.08)
     assert resonance.belief.device.damping == pytest.approx(truth[1], abs=1.0)
@@ -33,12 +38,12 @@ def test_a_device_that_is_off_is_replaced_by_one_that_is_not(truth):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_device_that_is_right_is_left_alone(seed):
-    resonance = Resonance(DeviceBelief(DEVICE))
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
     assert follow(resonance, np.array([103.5, 31.7]), 300, seed) == 0
 
 
 def test_an_outlier_and_an_estimate_without_information_are_ignored():
-    resonance = Resonance(DeviceBelief(DEVICE))
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
     follow(resonance, np.array([103.5, 31.7]), 30)
     before = resonance.off
     assert resonance.update(4.0, np.array([9.0, 0.0]), COVARIANCE) is None
@@ -56,7 +61,7 @@ OFF_MODEL = np.array([0.05, 0.5])
 @pytest.mark.parametrize("claimed", [0.02 * np.array([1.0, 10.0]), 0.12 * np.array([1.0, 4.0])], ids=["sharp", "blunt"])
 def test_what_it_claims_to_know_is_what_it_knows_of_a_device_that_wanders(claimed):
     """Errors over claimed standard deviations have a mean square of one; three times as much doubt would not do."""
-    rng, resonance = np.random.default_rng(7), Resonance(DeviceBelief(DEVICE))
+    rng, resonance = np.random.default_rng(7), ResonanceFilter(DeviceBelief(DEVICE))
     truth, squares = np.array([DEVICE.frequency, DEVICE.damping]), []
     for i in range(3000):
         truth = truth + WANDERS * rng.standard_normal(2)
@@ -71,19 +76,19 @@ def test_what_it_claims_to_know_is_what_it_knows_of_a_device_that_wanders(claime
 
 def textbook(seen, claims, times):
     """What is believed of a device that nobody replaces: information adds up, and is lost as time goes by."""
-    off, covariance = np.zeros(2), np.diag(START**2)
+    off, covariance = np.zeros(2), np.diag(START_STD**2)
     for i, (value, claim) in enumerate(zip(seen, claims)):
         wait = max(times[i] - times[i - 1], 0.0) if i else 0.0
-        covariance = covariance + np.diag(WANDER**2 * wait)
-        heard = np.linalg.inv(claim + np.diag(FLOOR**2))
+        covariance = covariance + np.diag(PROCESS_NOISE_DENSITY**2 * wait)
+        heard = np.linalg.inv(claim + np.diag(MEASUREMENT_FLOOR**2))
         after = np.linalg.inv(np.linalg.inv(covariance) + heard)
         off, covariance = off + after @ heard @ (value - off), after
     return off, np.sqrt(np.diag(covariance))
 
 
 def test_what_is_believed_is_what_a_textbooks_filter_believes():
-    rng, resonance = np.random.default_rng(2), Resonance(DeviceBelief(DEVICE))
-    assert resonance.sigma == pytest.approx(START)
+    rng, resonance = np.random.default_rng(2), ResonanceFilter(DeviceBelief(DEVICE))
+    assert resonance.sigma == pytest.approx(START_STD)
     times = np.cumsum(rng.choice([0.0, 0.11, 2.0], 25))
     times[12] = times[11] - 1.0  # a recording that comes out of turn is none the surer for it
     mixing = np.array([[1.0, 0.4], [-0.3, 1.0]])
@@ -113,7 +118,7 @@ SURELY = np.diag([1e-3, 1e-2]) ** 2
     ],
 )
 def test_a_device_is_made_anew_where_that_is_worth_its_while(damping, frequency_off, damping_off, replaced):
-    resonance = Resonance(DeviceBelief(replace(DEVICE, damping=damping)))
+    resonance = ResonanceFilter(DeviceBelief(replace(DEVICE, damping=damping)))
     seen, rounds = np.array([frequency_off, damping_off]), range(2000)
     found = next((new for _ in rounds if (new := resonance.update(0.0, seen, SURELY)) is not None), None)
     assert (found is not None) == replaced
@@ -125,7 +130,7 @@ def test_a_device_is_made_anew_where_that_is_worth_its_while(damping, frequency_
 
 
 def test_a_new_device_begins_with_no_difference_and_a_damping_is_not_negative():
-    resonance = Resonance(DeviceBelief(replace(DEVICE, damping=0.5)))
+    resonance = ResonanceFilter(DeviceBelief(replace(DEVICE, damping=0.5)))
     while (device := resonance.update(0.0, np.array([0.0, -2.0]), np.diag([0.1, 0.3]) ** 2)) is None:
         assert resonance.off[1] < 0.0
     assert device.damping == 0.0
@@ -135,27 +140,27 @@ def test_a_new_device_begins_with_no_difference_and_a_damping_is_not_negative():
 @pytest.mark.parametrize("entry", [0, 1])
 @pytest.mark.parametrize(("deviations", "taken"), [(4.95, True), (5.05, False)])
 def test_an_estimate_is_an_outlier_beyond_five_standard_deviations(entry, deviations, taken):
-    resonance, claim = Resonance(DeviceBelief(DEVICE)), np.diag([0.4, 4.0]) ** 2
-    sigma = np.sqrt(np.diag(claim) + START**2 + FLOOR**2)
+    resonance, claim = ResonanceFilter(DeviceBelief(DEVICE)), np.diag([0.4, 4.0]) ** 2
+    sigma = np.sqrt(np.diag(claim) + START_STD**2 + MEASUREMENT_FLOOR**2)
     resonance.update(0.0, deviations * sigma * np.eye(2)[entry], claim)
     assert (resonance.off[entry] > 0.0) == taken
 
 
 @pytest.mark.parametrize("off", [np.array([-3.5, 0.0]), np.array([0.0, 18.0])])
 def test_a_line_of_the_mains_or_another_liquid_is_not_taken_for_the_device(off):
-    resonance = Resonance(DeviceBelief(DEVICE))
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
     assert resonance.update(0.0, off, np.diag([0.05, 0.5]) ** 2) is None
     assert resonance.off.tolist() == [0.0, 0.0]
-    assert Resonance(DeviceBelief(DEVICE)).update(0.0, 0.4 * off, np.diag([0.05, 0.5]) ** 2) is not None
+    assert ResonanceFilter(DeviceBelief(DEVICE)).update(0.0, 0.4 * off, np.diag([0.05, 0.5]) ** 2) is not None
 
 
 @pytest.mark.parametrize("entry", [0, 1])
 @pytest.mark.parametrize(("deviations", "replaced"), [(3.9, False), (4.1, True)])
 def test_a_change_has_to_stand_out_by_four_standard_deviations(entry, deviations, replaced):
     """The estimate is chosen so that what is believed after it is so many claimed standard deviations from nothing."""
-    resonance, claim = Resonance(DeviceBelief(DEVICE)), np.diag([0.1, 1.0]) ** 2
-    heard = np.diag(claim) + FLOOR**2
-    gain = START**2 / (START**2 + heard)
-    sigma = np.sqrt((1.0 - gain) * START**2)
+    resonance, claim = ResonanceFilter(DeviceBelief(DEVICE)), np.diag([0.1, 1.0]) ** 2
+    heard = np.diag(claim) + MEASUREMENT_FLOOR**2
+    gain = START_STD**2 / (START_STD**2 + heard)
+    sigma = np.sqrt((1.0 - gain) * START_STD**2)
     device = resonance.update(0.0, (deviations * sigma / gain) * np.eye(2)[entry], claim)
     assert (device is not None) == replaced

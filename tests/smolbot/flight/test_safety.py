@@ -13,17 +13,17 @@ import pytest
 from smolbot.config.load import load_mission
 from smolbot.config.plugins import load_world
 from smolbot.config.rig import load_rig
-from smolbot.core.coil_heat import Coil, CoilHeat, stepped
+from smolbot.core.coil_heat import CoilHeat, ThermalCoil, advance_temperature
 from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, RingDown, Rotate, Shot
 from smolbot.errors import OperatorStopError, RigError, SafetyError
 from smolbot.flight.assembly import make_loop, make_safety
-from smolbot.flight.safety.duty_cycle import Duty
-from smolbot.flight.safety.sensor_monitor import SoundWatch
+from smolbot.flight.safety.duty_cycle import DutyCycle
+from smolbot.flight.safety.sensor_monitor import SensorMonitor
 from smolbot.flight.safety.stop_latch import Latch
-from smolbot.flight.safety.supervisor import Rules, Safety, unbounded
+from smolbot.flight.safety.supervisor import Safety, SafetyRules, make_limits_only_safety
 from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
 
@@ -35,8 +35,8 @@ SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.
 def a_safety(*, rules=None, duty=None, heat=None, sensors=3, patience=2, broken=()):
     names = ("+x", "-x", "excitation x", "excitation y")
     return Safety(
-        LIMITS, rules or Rules(), duty or Duty(names, 10.0), heat or CoilHeat((None,) * 4, 25.0),
-        SoundWatch(sensors, patience, broken),
+        LIMITS, rules or SafetyRules(), duty or DutyCycle(names, 10.0), heat or CoilHeat((None,) * 4, 25.0),
+        SensorMonitor(sensors, patience, broken),
     )  # fmt: skip
 
 
@@ -81,7 +81,7 @@ def test_the_safety_knows_where_the_magnet_is():
 
 
 def test_a_coil_that_is_driven_for_too_long_is_stopped_by_its_duty():
-    safety, now, played = a_safety(rules=Rules(max_duty=0.5)), 0.0, 0
+    safety, now, played = a_safety(rules=SafetyRules(max_duty=0.5)), 0.0, 0
     with pytest.raises(SafetyError, match=r"Coil '\+x' would be driven for 5\d % of 10 s; at most 50 % \(max_duty\)"):
         while True:
             safety.before(pulling(now, duration=0.13), now, a_pose())
@@ -92,16 +92,16 @@ def test_a_coil_that_is_driven_for_too_long_is_stopped_by_its_duty():
 
 
 def test_a_coil_never_passes_its_temperature_for_the_shot_that_would_is_not_played():
-    coil = Coil("+x", 1.0, 20.0, 8.0, limit=60.0)
+    coil = ThermalCoil("+x", 1.0, 20.0, 8.0, limit=60.0)
     safety, now, reckoned = a_safety(heat=CoilHeat((coil, None, None, None), 25.0)), 0.0, 25.0
     shot = pulling()
     while True:
-        after = stepped(coil, reckoned, 64.0, 0.1, 25.0)
+        after = advance_temperature(coil, reckoned, 64.0, 0.1, 25.0)
         if after > 60.0:
             break
         safety.before(replace(shot, start=now), now, a_pose())
         now += 0.2
-        reckoned = stepped(coil, after, 0.0, 0.1, 25.0)
+        reckoned = advance_temperature(coil, after, 0.0, 0.1, 25.0)
     assert now > 5.0
     stops(safety, replace(shot, start=now), now, a_pose(), r"Coil '\+x' would reach 60.\d °C .* at most 60 °C")
 
@@ -111,7 +111,7 @@ def test_a_coil_never_passes_its_temperature_for_the_shot_that_would_is_not_play
     [((30.0, 0, 50), "robot's x is 30.0"), ((0, -30.0, 50), "robot's y is -30.0"), ((0, 0, 70.0), "robot's z is 70.0")],
 )
 def test_a_robot_outside_the_container_stops_the_run(place, words):
-    rules = Rules(reach=((-0.022, -0.022, 0.045), (0.022, 0.022, 0.06)))
+    rules = SafetyRules(allowed_box=((-0.022, -0.022, 0.045), (0.022, 0.022, 0.06)))
     stops(a_safety(rules=rules), pulling(), 0.0, a_pose(place), words)
 
 
@@ -119,14 +119,16 @@ def test_a_robot_outside_the_container_stops_the_run(place, words):
     "pose", [a_pose((30.0, 0, 50), 5.0), a_pose((30.0, 0, 50), trusted=False), a_pose((21.9, 0, 50))]
 )
 def test_a_pose_that_may_be_inside_or_is_not_trusted_stops_nothing(pose):
-    a_safety(rules=Rules(reach=((-0.022, -0.022, 0.045), (0.022, 0.022, 0.06)))).before(pulling(), 0.0, pose)
+    a_safety(rules=SafetyRules(allowed_box=((-0.022, -0.022, 0.045), (0.022, 0.022, 0.06)))).before(
+        pulling(), 0.0, pose
+    )
 
 
 @pytest.mark.parametrize(
     "driving", [pulling(), Shot((MoveMagnet("near", 5.0), Rotate((1, 0, 0), 0.5, 2.0), MoveMagnet("away", 5.0)))]
 )
 def test_driving_with_an_uncertain_pose_ends_after_some_shots(driving):
-    safety = a_safety(rules=Rules(max_sigma=5e-3, uncertain_shots=3))
+    safety = a_safety(rules=SafetyRules(max_sigma=5e-3, uncertain_shots=3))
     vague = a_pose(sigma_mm=7.0)
     for pose in (vague, vague, a_pose(), vague, vague):
         safety.before(driving, safety._time, pose)
@@ -142,7 +144,7 @@ def test_a_robot_that_was_never_seen_is_not_driven_but_a_coil_may_be_learned():
 
 
 def test_windows_lost_in_a_row_are_stale_data_and_single_ones_are_counted():
-    safety, shot = a_safety(rules=Rules(stale_shots=3)), pulling()
+    safety, shot = a_safety(rules=SafetyRules(stale_shots=3)), pulling()
     for lost in (True, False, True, True, False):
         assert (safety.after(shot, None if lost else heard(shot), 0.2) is None) == lost
     assert safety.recovered == {"lost_windows": 3}
@@ -154,7 +156,7 @@ def test_windows_lost_in_a_row_are_stale_data_and_single_ones_are_counted():
 
 
 def test_a_shot_that_does_not_listen_loses_no_window():
-    safety = a_safety(rules=Rules(stale_shots=2))
+    safety = a_safety(rules=SafetyRules(stale_shots=2))
     for _ in range(5):
         assert safety.after(Shot((Rotate((1, 0, 0), 0.5, 2.0),)), None, 0.0) is None
     assert safety.recovered == {"lost_windows": 0}
@@ -168,7 +170,7 @@ def test_a_shot_that_does_not_listen_loses_no_window():
     ],
 )
 def test_a_recording_of_another_time_counts_as_lost(early, now, words):
-    safety, shot = a_safety(rules=Rules(stale_shots=2, max_age=1.0)), pulling()
+    safety, shot = a_safety(rules=SafetyRules(stale_shots=2, max_age=1.0)), pulling()
     assert safety.after(shot, heard(shot, early=early), now) is None
     with pytest.raises(SafetyError, match=words):
         safety.after(shot, heard(shot, early=early), now)
@@ -205,8 +207,8 @@ def test_a_tail_may_be_too_loud_and_a_world_without_samples_has_no_dead_sensors(
 def test_the_first_reason_stays_and_what_is_bound_is_halted():
     latch, halted = Latch(), []
     latch.bind(lambda: halted.append("early"))
-    assert latch.shut("first", "stopped")
-    assert not latch.shut("second")
+    assert latch.trip("first", "stopped")
+    assert not latch.trip("second")
     latch.bind(lambda: halted.append("late"))
     assert (latch.reason, latch.ending) == ("first", "stopped")
     assert halted == ["early", "early", "late"]
@@ -259,12 +261,12 @@ def flown_on(mission, folder=None, listeners=None, latch=None, real=False, **fau
 
     def open_faulty(mission, seed):
         world = load_world("tank", mission.rig.document)
-        rigs.append(Faulty(world.open(mission.rig, mission.robot, mission.put_down, seed), **faults))
+        rigs.append(Faulty(world.open(mission.rig, mission.robot, mission.start_placement, seed), **faults))
         rigs[0].witness = None if real else rigs[0].inner.witness
         return rigs[0]
 
     try:
-        run = fly(mission, 3, folder=folder, opener=open_faulty, listeners=listeners, latch=latch)
+        run = fly(mission, 3, folder=folder, open_rig=open_faulty, make_listeners=listeners, latch=latch)
     except ValueError as error:
         return None, rigs[0], error
     return run, rigs[0], None
@@ -327,7 +329,7 @@ def test_who_shuts_the_latch_ends_the_run_at_any_moment_and_nothing_more_is_play
     latch = Latch()
 
     def press(rig):
-        thread = threading.Thread(target=latch.shut, args=("stopped by the operator (key)", "stopped"))
+        thread = threading.Thread(target=latch.trip, args=("stopped by the operator (key)", "stopped"))
         thread.start()
         thread.join()
 
@@ -412,7 +414,7 @@ def test_a_device_that_cannot_even_be_stopped_leaves_a_record(brief):
 
 def test_a_run_that_is_over_plays_nothing_more(brief):
     world = load_world("tank", brief.rig.document)
-    with world.open(brief.rig, brief.robot, brief.put_down, 3) as tank:
+    with world.open(brief.rig, brief.robot, brief.start_placement, 3) as tank:
         rig = Faulty(tank)
         loop = make_loop(rig, brief)
         first = loop.fly()
@@ -452,10 +454,10 @@ def test_a_wrong_key_is_a_fault_of_the_rig_file(setting):
 
 def without_safety(mission, seed):
     world = load_world("tank", mission.rig.document)
-    place = getattr(mission, "put_down", None) or mission.start
+    place = getattr(mission, "start_placement", None) or mission.start
     rig = world.open(mission.rig, mission.robot, place, seed)
     loop = make_loop(rig, mission)
-    loop.safety = unbounded(rig.limits, len(rig.sensors))
+    loop.safety = make_limits_only_safety(rig.limits, len(rig.sensors))
     run = loop.fly()
     rig.close()
     return run
@@ -500,7 +502,7 @@ def test_every_shipped_rig_says_what_its_coils_bear(name):
             if coil.name.startswith("excitation")
             else (limits.max_current**2, limits.max_actuation)
         )
-        assert stepped(coil, 25.0, square, longest, 25.0) < 27.0
+        assert advance_temperature(coil, 25.0, square, longest, 25.0) < 27.0
 
 
 def test_a_rig_file_without_the_section_is_watched_all_the_same(brief):
@@ -513,7 +515,7 @@ def test_a_rig_file_without_the_section_is_watched_all_the_same(brief):
     assert faults == []
     mission.rig = RigConfig(mission.rig.document, sections)
     world = load_world("tank", mission.rig.document)
-    with world.open(mission.rig, mission.robot, mission.put_down, 3) as rig:
+    with world.open(mission.rig, mission.robot, mission.start_placement, 3) as rig:
         safety = make_safety(rig, mission)
     assert safety.heat.coils[0].capacity == pytest.approx(58.6, abs=0.1)
     assert safety.rules.reach[1][0] == pytest.approx(0.025)

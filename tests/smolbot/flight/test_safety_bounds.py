@@ -8,16 +8,16 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 
-from smolbot.core.coil_heat import Coil, CoilHeat, stepped
+from smolbot.core.coil_heat import CoilHeat, ThermalCoil, advance_temperature
 from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot
 from smolbot.errors import SafetyError
-from smolbot.flight.safety.duty_cycle import Duty
+from smolbot.flight.safety.duty_cycle import DutyCycle
 from smolbot.flight.safety.heat_store import HeatMemory
-from smolbot.flight.safety.sensor_monitor import SoundWatch
-from smolbot.flight.safety.supervisor import Rules, Safety, unbounded
+from smolbot.flight.safety.sensor_monitor import SensorMonitor
+from smolbot.flight.safety.supervisor import Safety, SafetyRules, make_limits_only_safety
 
 LIMITS = Limits(("+x", "-x"), max_current=8.0, max_rotation_frequency=1.0)
 NAMES = ("+x", "-x", "excitation x", "excitation y")
@@ -27,7 +27,12 @@ REACH = ((-0.082, -0.071, 0.055), (0.072, 0.083, 0.096))
 
 def a_safety(rules=None, coils=(None,) * 4, sensors=3, patience=2, memory=None):
     return Safety(
-        LIMITS, rules or Rules(), Duty(NAMES, 8.0), CoilHeat(coils, 25.0), SoundWatch(sensors, patience), memory=memory
+        LIMITS,
+        rules or SafetyRules(),
+        DutyCycle(NAMES, 8.0),
+        CoilHeat(coils, 25.0),
+        SensorMonitor(sensors, patience),
+        heat_memory=memory,
     )
 
 
@@ -62,7 +67,7 @@ def test_a_robot_counts_as_outside_where_three_standard_deviations_still_lie_out
     for deviations in (2.9, 3.2):
         place = [0.0, 0.0, 0.08]
         place[axis] = REACH[side][axis] + outward * deviations * sigma[axis]
-        found[deviations] = refusal(a_safety(Rules(reach=REACH)), pulling(), pose=a_pose(place, sigma))
+        found[deviations] = refusal(a_safety(SafetyRules(allowed_box=REACH)), pulling(), pose=a_pose(place, sigma))
     assert found[2.9] == ""
     low, high = 1e3 * REACH[0][axis], 1e3 * REACH[1][axis]
     at = (low, high)[side] + outward * 3.2e3 * sigma[axis]
@@ -77,7 +82,7 @@ def test_a_pose_is_as_unsure_as_its_worst_axis(axis):
     for sigma, unsure in ((0.0625, False), (0.079, True)):  # the bound itself is allowed
         sigmas = [1e-4] * 3
         sigmas[axis] = sigma
-        why = refusal(a_safety(Rules(max_sigma=0.0625, uncertain_shots=1)), pulling(), pose=a_pose(sigma=sigmas))
+        why = refusal(a_safety(SafetyRules(max_sigma=0.0625, uncertain_shots=1)), pulling(), pose=a_pose(sigma=sigmas))
         assert (why != "") == unsure
     assert why == (
         "Uncertain pose: its standard deviation was above 62.5 mm (max_sigma_mm) in 1 shots in a row that drive the "
@@ -86,7 +91,7 @@ def test_a_pose_is_as_unsure_as_its_worst_axis(axis):
 
 
 def test_looking_for_a_robot_and_learning_coils_need_no_pose():
-    safety = a_safety(Rules(max_sigma=1e-6, uncertain_shots=1))
+    safety = a_safety(SafetyRules(max_sigma=1e-6, uncertain_shots=1))
     for shot in (
         Shot((Excite((1.0, 0.0), 128.0, 2), RingDown(0.02), HEAR), "search"),
         Shot((HEAR,), "hold"),
@@ -103,12 +108,14 @@ def test_looking_for_a_robot_and_learning_coils_need_no_pose():
 
 def test_a_robot_that_is_only_looked_at_may_not_be_outside_either():
     looking = Shot((Excite((1.0, 0.0), 128.0, 2), RingDown(0.02), HEAR))
-    assert "robot's x is 140.0" in refusal(a_safety(Rules(reach=REACH)), looking, pose=a_pose((0.14, 0, 0.08)))
+    assert "robot's x is 140.0" in refusal(
+        a_safety(SafetyRules(allowed_box=REACH)), looking, pose=a_pose((0.14, 0, 0.08))
+    )
 
 
 @pytest.mark.parametrize(("late", "words"), [(0.0, ""), (2.0**-20, r"was 0.50 s old when it came (max_age_ms = 500)")])
 def test_a_recording_ages_from_its_end_and_is_of_use_up_to_the_longest_age(late, words):
-    safety, shot = a_safety(Rules(max_age=0.5, stale_shots=1)), pulling(start=16.0)
+    safety, shot = a_safety(SafetyRules(max_age=0.5, stale_shots=1)), pulling(start=16.0)
     listens = shot.start + 0.125 + 0.03125
     came = listens + HEAR.duration + 0.5 + late
     if not words:
@@ -124,7 +131,7 @@ def test_a_recording_ages_from_its_end_and_is_of_use_up_to_the_longest_age(late,
 @pytest.mark.parametrize(("duration", "most"), [(0.015625, 0.05), (0.5, 0.26953125)])
 def test_a_shot_may_begin_half_of_itself_early_and_by_some_hundredths_of_a_second_in_any_case(duration, most):
     for early, fine in ((0.98 * most, True), (1.02 * most, False)):
-        safety = a_safety(Rules(stale_shots=2))
+        safety = a_safety(SafetyRules(stale_shots=2))
         shot = Shot((Actuate((0.0, 0.0), duration), RingDown(0.03125 - 0.015625 * (duration < 0.1)), HEAR), start=4.0)
         assert shot.duration == pytest.approx(2.0 * most if duration > 0.1 else 0.0390625)
         listens = shot.start + shot.duration - HEAR.duration
@@ -135,7 +142,7 @@ def test_a_shot_may_begin_half_of_itself_early_and_by_some_hundredths_of_a_secon
 
 
 def test_a_lost_window_is_told_with_the_shot_it_was_of():
-    safety = a_safety(Rules(stale_shots=2))
+    safety = a_safety(SafetyRules(stale_shots=2))
     safety.after(pulling(1.0), None, 1.2)
     with pytest.raises(
         SafetyError, match=r"2 listening windows in a row were lost \(stale_shots = 2\); .* at 2.500 s "
@@ -144,7 +151,7 @@ def test_a_lost_window_is_told_with_the_shot_it_was_of():
 
 
 def test_a_share_up_to_the_highest_is_allowed_and_one_above_is_told_with_both():
-    safety = a_safety(Rules(max_duty=0.75))
+    safety = a_safety(SafetyRules(max_duty=0.75))
     for i in range(48):  # an eighth of a second each, of 8 s
         safety.before(pulling(0.125 * i), 0.125 * i, a_pose())
     assert safety.duty.peaks == [0.75, 0.0, 0.0, 0.0]
@@ -154,11 +161,11 @@ def test_a_share_up_to_the_highest_is_allowed_and_one_above_is_told_with_both():
 
 
 def test_excitation_coils_have_a_share_and_a_temperature_of_their_own():
-    coils = (None, None, Coil("excitation x", 2.0, 10.0, 5.0, limit=300.0), None)
+    coils = (None, None, ThermalCoil("excitation x", 2.0, 10.0, 5.0, limit=300.0), None)
     safety, burst = a_safety(coils=coils), Excite((4.0, 0.0), 128.0, 32)
     safety.before(Shot((burst, RingDown(0.25), HEAR)), 1.0, a_pose())
     assert safety.duty.peaks == [0.0, 0.0, 0.25 / 8.0, 0.0]
-    hot = stepped(coils[2], 25.0, 8.0, 0.25, 25.0)
+    hot = advance_temperature(coils[2], 25.0, 8.0, 0.25, 25.0)
     assert hot > 25.3
     assert safety.figures() == {
         "duty_peak": dict(zip(NAMES, safety.duty.peaks)),
@@ -169,23 +176,23 @@ def test_excitation_coils_have_a_share_and_a_temperature_of_their_own():
 
 
 def test_coils_heat_while_driven_and_cool_in_every_pause_within_and_between_shots():
-    coil = Coil("+x", 1.0, 20.0, 8.0, limit=1e3)
+    coil = ThermalCoil("+x", 1.0, 20.0, 8.0, limit=1e3)
     safety, expected, clock = a_safety(coils=(coil, None, None, None)), 25.0, 0.0
     for start in (2.0, 4.0, 40.0):
         shot = Shot((Rest(0.25), Actuate((8.0, 0.0), 0.125), RingDown(0.125), HEAR), start=start)
         safety.before(shot, start, a_pose())
         for idle, driven in ((start - clock + 0.25, 0.125), (0.125 + HEAR.duration, 0.0)):
-            expected = stepped(coil, expected, 0.0, idle, 25.0)
-            expected = stepped(coil, expected, 64.0, driven, 25.0) if driven else expected
+            expected = advance_temperature(coil, expected, 0.0, idle, 25.0)
+            expected = advance_temperature(coil, expected, 64.0, driven, 25.0) if driven else expected
         clock = shot.end
         assert safety.heat.temperatures[0] == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_pull_that_would_heat_a_coil_too_much_is_refused_with_both_temperatures():
-    coil = Coil("-x", 1.0, 0.5, 8.0, limit=40.0)
+    coil = ThermalCoil("-x", 1.0, 0.5, 8.0, limit=40.0)
     safety = a_safety(coils=(None, coil, None, None))
     shot = Shot((Actuate((0.0, 8.0), 0.2), Rest(30.0)))
-    reached = stepped(coil, 25.0, 64.0, 0.2, 25.0)
+    reached = advance_temperature(coil, 25.0, 64.0, 0.2, 25.0)
     assert refusal(safety, shot) == (
         f"Coil '-x' would reach {reached:.1f} °C by the end of the next shot; at most 40 °C (max_temperature_c). "
         "Nothing was played."
@@ -194,7 +201,7 @@ def test_a_pull_that_would_heat_a_coil_too_much_is_refused_with_both_temperature
 
 @pytest.mark.parametrize("ended", [False, True])
 def test_what_coils_are_left_at_is_noted_as_soon_as_a_run_is_over(tmp_path, ended):
-    coil = Coil("+x", 1.0, 20.0, 8.0, limit=1e3)
+    coil = ThermalCoil("+x", 1.0, 20.0, 8.0, limit=1e3)
     memory = HeatMemory(tmp_path / "heat.json", clock=lambda: 1e6)  # no time goes by: only the first note is due
     safety = a_safety(coils=(coil, None, None, None), memory=memory)
     safety.before(pulling(0.0), 0.0, a_pose())
@@ -236,7 +243,7 @@ def test_several_sensors_are_named_together_and_a_quiet_shot_without_a_drive_cou
 
 
 def test_without_rules_only_a_rigs_limits_end_a_run():
-    safety, far = unbounded(LIMITS, 3), a_pose((9.0, 9.0, 9.0), (1.0, 1.0, 1.0))
+    safety, far = make_limits_only_safety(LIMITS, 3), a_pose((9.0, 9.0, 9.0), (1.0, 1.0, 1.0))
     for i in range(100):
         shot = pulling(0.125 * i)
         safety.before(shot, 0.125 * i, far)
@@ -254,10 +261,10 @@ def test_without_other_rules_a_third_lost_window_or_a_fifth_unsure_pose_in_a_row
     assert [safety.after(pulling(i), None, i + 0.5) for i in range(2)] == [None, None]
     with pytest.raises(SafetyError, match="3 listening windows in a row"):
         safety.after(pulling(2.0), None, 2.5)
-    unsure, vague = a_safety(Rules(max_sigma=1e-3)), a_pose(sigma=(2e-3, 1e-4, 1e-4))
+    unsure, vague = a_safety(SafetyRules(max_sigma=1e-3)), a_pose(sigma=(2e-3, 1e-4, 1e-4))
     assert [refusal(unsure, pulling(i), i, vague)[:14] for i in range(5)] == ["", "", "", "", "Uncertain pose"]
 
 
 def test_what_ends_a_run_cannot_be_changed_while_it_runs():
     with pytest.raises(FrozenInstanceError):
-        Rules().max_duty = 1.0
+        SafetyRules().max_duty = 1.0

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smolbot.core.drive import amplitude_after
+from smolbot.core.drive import compute_amplitude_after_burst
 from smolbot.core.limits import Limits
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Listen
 from smolbot.flight.device_belief import DeviceBelief
-from smolbot.flight.scheduler import SEARCH_DIRECTIONS, Scheduler, stretched_actuation
+from smolbot.flight.scheduler import SEARCH_DIRECTIONS, Scheduler, compute_actuation_time
 from smolbot.motion.controller import Command, Cycle
-from smolbot.motion.robot import magnet_inertia
+from smolbot.motion.robot import compute_magnet_inertia
 
 LIMITS = Limits(("+x", "-x", "+y", "-y"), 8.0, True, 0.1, 10.0, 0.2, 0.005, 3.0)
 CYCLE = Cycle(5, 0.020, 2, 10.0)
@@ -142,7 +142,9 @@ def test_the_mix_drives_along_y_x_m_and_wastes_nothing_across_it(heading):
 def test_a_burst_brings_the_device_to_its_stops_and_no_further(per_ampere):
     burst = scheduler(per_ampere).next(PULL, Belief(facing(30))).excite
     field = per_ampere * np.linalg.norm(burst.currents)
-    amplitude = amplitude_after(field, DEVICE, magnet_inertia(DEVICE.moment, DEVICE.l0), burst.cycles)
+    amplitude = compute_amplitude_after_burst(
+        field, DEVICE, compute_magnet_inertia(DEVICE.moment, DEVICE.l0), burst.cycles
+    )
     strongest = np.max(np.abs(burst.currents)) == pytest.approx(CYCLE.excite_current)
     assert strongest or amplitude == pytest.approx(DEVICE.theta_max, rel=1e-6)
     assert amplitude <= DEVICE.theta_max * (1 + 1e-9) or np.max(np.abs(burst.currents)) < 0.021 * 10
@@ -155,7 +157,7 @@ def test_the_swing_grows_as_its_equation_of_motion_says(damping_model):
 
     eta = 31.7 if damping_model == "exponential" else 0.0
     device = Device(0.89e-3, np.array([0.0, 0, 1]), 1.5e-3, 0.3, 103.5, eta, damping_model)
-    inertia, field, cycles, w = magnet_inertia(device.moment, device.l0), 1e-4, 5, 2 * np.pi * 103.5
+    inertia, field, cycles, w = compute_magnet_inertia(device.moment, device.l0), 1e-4, 5, 2 * np.pi * 103.5
 
     def swing(t, y):
         return [y[1], device.moment * field / inertia * np.sin(w * t) - 2 * eta * y[1] - w**2 * y[0]]
@@ -163,13 +165,13 @@ def test_the_swing_grows_as_its_equation_of_motion_says(damping_model):
     end = cycles / 103.5
     flown = solve_ivp(swing, (0, end), [0, 0], rtol=1e-9, atol=1e-12, dense_output=True)
     last = flown.sol(np.linspace(end - 0.5 / 103.5, end, 400))[0]
-    assert amplitude_after(field, device, inertia, cycles) == pytest.approx(np.abs(last).max(), rel=0.05)
+    assert compute_amplitude_after_burst(field, device, inertia, cycles) == pytest.approx(np.abs(last).max(), rel=0.05)
 
 
 def test_sharp_turns_stretch_the_actuation_in_proportion():
     t_min, t_max, sharp = 0.03, 0.08, np.radians(30)
     turns = np.radians([0, 29.9, 31, 90, 180])
-    times = [stretched_actuation(t, t_min, t_max, sharp) for t in turns]
+    times = [compute_actuation_time(t, t_min, t_max, sharp) for t in turns]
     assert times[:2] == [t_min, t_min]
     assert times[2:] == pytest.approx(t_min + (t_max - t_min) * turns[2:] / np.pi)
-    assert [stretched_actuation(-t, t_min, t_max, sharp) for t in turns] == times
+    assert [compute_actuation_time(-t, t_min, t_max, sharp) for t in turns] == times

@@ -15,7 +15,7 @@ from smolbot.core.sensing import Device
 from smolbot.core.shots import Actuate, Listen, MoveMagnet, RingDown, Rotate, Shot
 from smolbot.flight.tracking import tracker as believed
 from smolbot.flight.tracking.tracker import Tracker
-from smolbot.localization.synthetic import SightedSwing
+from smolbot.localization.synthetic import SyntheticSwing
 from smolbot.motion.helix import Helix
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -43,13 +43,17 @@ class Textbook:
         self.amplitude, self.drift, self.surprise = 0.75, np.zeros(3), 1.0
         self.P = np.zeros((10, 10))
         self.P[:6, :6] = 4.0 * first.covariance + np.diag(np.repeat(FIRST, 3) ** 2)
-        self.P[6, 6], self.P[7:, 7:] = 0.3**2, believed.DRIFT_START**2 * np.eye(3)
+        self.P[6, 6], self.P[7:, 7:] = 0.3**2, believed.DRIFT_START_STD**2 * np.eye(3)
 
     def predict(self, time: float) -> None:
         wait, F = time - self.time, np.eye(10)
         F[:3, 7:] = wait * np.eye(3)
         Q = np.zeros(10)
-        Q[:6], Q[6], Q[7:] = believed.WANDER**2 * wait, believed.AMPLITUDE_WANDER**2, believed.DRIFT_WANDER**2 * wait
+        Q[:6], Q[6], Q[7:] = (
+            believed.PROCESS_NOISE_DENSITY**2 * wait,
+            believed.AMPLITUDE_STD**2,
+            believed.DRIFT_NOISE_DENSITY**2 * wait,
+        )
         self.P, self.time = F @ self.P @ F.T + np.diag(Q), time
         self.position = self.position + wait * self.drift
 
@@ -89,7 +93,7 @@ def test_a_track_is_that_of_a_textbooks_filter(joint, worse):
         place, seen = first.position + off[:3], Rotation.from_rotvec(off[3:6]) * turn
         amplitude = 0.8 * DEVICE.theta_max + off[6] if joint else None
         pose = replace(a_pose(time, place, seen), covariance=R[:6, :6], r_squared=0.9, flip_margin=3.0)
-        tracked = track.update(HEARD, pose, SightedSwing(amplitude, R.copy()) if joint else None)
+        tracked = track.update(HEARD, pose, SyntheticSwing(amplitude, R.copy()) if joint else None)
         book.predict(time)
         size = 7 if joint else 6
         far = book.correct(place, seen, amplitude, R[:size, :size]) > chi2.isf(1e-5, size)
@@ -105,7 +109,9 @@ def test_a_track_is_that_of_a_textbooks_filter(joint, worse):
     assert missed < 20
     ahead = track.pose_at(time + 0.7)
     assert ahead.position == pytest.approx(book.position + 0.7 * book.drift, abs=1e-9)
-    assert ahead.covariance == pytest.approx(book.P[:6, :6] + np.diag(believed.WANDER**2 * 0.7), rel=1e-6, abs=1e-15)
+    assert ahead.covariance == pytest.approx(
+        book.P[:6, :6] + np.diag(believed.PROCESS_NOISE_DENSITY**2 * 0.7), rel=1e-6, abs=1e-15
+    )
     assert track.pose_at(time - 5.0).position == pytest.approx(book.position, abs=1e-9)  # there is no way back
 
 
@@ -140,7 +146,7 @@ def test_one_good_pose_in_a_hundred_thousand_is_taken_for_an_outlier(joint, shar
         S = book.P[:size, :size] + np.diag((JOINT[:size] / scale) ** 2 + believed.MODEL_FLOOR[:size] ** 2)
         off = np.sqrt(share * chi2.isf(1e-5, size)) * np.linalg.cholesky(S)[:, direction]
         seen = a_pose(0.0, first.position + off[:3], Rotation.from_rotvec(off[3:6]) * turn)
-        swing = SightedSwing((0.75 + off[-1]) * DEVICE.theta_max, np.diag(JOINT**2)) if joint else None
+        swing = SyntheticSwing((0.75 + off[-1]) * DEVICE.theta_max, np.diag(JOINT**2)) if joint else None
         track.update(HEARD, seen, swing)
         assert track.misses == outlier
         assert track.pose.trusted != outlier
@@ -174,7 +180,7 @@ def test_errors_of_tracks_are_as_large_as_claimed_in_every_entry():
         for i in range(25):
             wait = 0.25
             drift = drift + nature.drift_change * np.sqrt(wait) * rng.standard_normal(3)
-            walk = np.array(nature.wander) * np.sqrt(wait) * rng.standard_normal(6)
+            walk = np.array(nature.heading_noise) * np.sqrt(wait) * rng.standard_normal(6)
             place, turn = place + wait * drift + walk[:3], Rotation.from_rotvec(walk[3:]) * turn
             if i > 10:  # before it is heard
                 squares["foreseen"].append([*misses(track.pose_at(wait * i), place, turn), 1.0])
@@ -182,7 +188,7 @@ def test_errors_of_tracks_are_as_large_as_claimed_in_every_entry():
             off = np.hypot(sharp, np.array(nature.misplaced) * [1, 1, 1, 1, 1, 1, DEVICE.theta_max])
             off = off * rng.standard_normal(7)
             pose = a_pose(wait * i, place + off[:3], Rotation.from_rotvec(off[3:6]) * turn, sharp[:6])
-            track.update(HEARD, pose, SightedSwing(share * DEVICE.theta_max + off[6], np.diag(sharp**2)))
+            track.update(HEARD, pose, SyntheticSwing(share * DEVICE.theta_max + off[6], np.diag(sharp**2)))
             if i in (2, 5, 16, 24):
                 amplitude, sigma = track.amplitude
                 squares["early" if i < 10 else "late"].append(
@@ -197,7 +203,7 @@ def test_amplitudes_are_those_of_the_swing_where_it_is_heard_well():
     assert track.amplitude is None
     rest = a_pose(0.0, [0.0, 0.0, 0.06], Rotation.identity())
     for i in range(5):
-        track.update(HEARD, replace(rest, time=0.1 * i), SightedSwing(0.2, np.diag((JOINT / 100.0) ** 2)))
+        track.update(HEARD, replace(rest, time=0.1 * i), SyntheticSwing(0.2, np.diag((JOINT / 100.0) ** 2)))
     value, sigma = track.amplitude
     assert value == pytest.approx(0.2, rel=0.01)
     assert sigma < 0.03 * 0.2
@@ -295,9 +301,9 @@ def test_a_shot_that_does_not_listen_is_no_miss_and_keeps_trust():
 
 @pytest.fixture(scope="module")
 def helix() -> Helix:
-    from smolbot.config.mission import load_mission
+    from smolbot.config.mission import load_steering_mission
 
-    return load_mission("s_path", settings={"cycle.half_periods": "4"}).helix_setup().helix  # quicker to check
+    return load_steering_mission("s_path", settings={"cycle.half_periods": "4"}).helix_setup().helix  # quicker to check
 
 
 def maneuver(turns, degrees, *, rotates=True):
@@ -316,7 +322,7 @@ def screwed(helix, turns, degrees, *, rotates=True):
     for i in range(4):
         track.update(HEARD, a_pose(0.1 * i, [-3e-3, 1e-3, 0.0495], lying, 0.1 * SIGMA))
     old = track.pose
-    assert not track.vague
+    assert not track.orientation_uncertain
     new = track.update(maneuver(turns, degrees, rotates=rotates), None)
     seen = new.body_axis("z")
     left = np.array([-seen[1], seen[0], 0.0]) / np.hypot(seen[0], seen[1])
@@ -340,7 +346,7 @@ def test_a_helix_that_was_turned_is_in_doubt_along_its_axis_aside_and_about_it(h
     spread = np.degrees(np.sqrt(np.diag(turning)))
     assert spread[:2] == pytest.approx([180.0, 6.0], rel=1e-3)
     assert spread[2] == pytest.approx(np.hypot(5.0, 0.3 * np.degrees(turned)), rel=1e-3)
-    assert track.vague
+    assert track.orientation_uncertain
     assert new.time == 1.0 + 20.0 + turns / 0.25
 
 
@@ -349,9 +355,9 @@ def test_a_helix_in_doubt_of_its_orientation_is_vague_and_no_other_robot_is(heli
         doubtful = np.array([1e-4] * 3 + [1e-2, sigma, 1e-2])
         for robot in (helix, None):
             track = Tracker(robot, DEVICE, None)
-            assert not track.vague
+            assert not track.orientation_uncertain
             track.update(HEARD, a_pose(0.0, [0.0, 0.0, 0.05], Rotation.identity(), doubtful))
-            assert track.vague == (vague and robot is helix)
+            assert track.orientation_uncertain == (vague and robot is helix)
 
 
 def test_a_gel_holds_a_helix_whose_magnet_only_came_and_went(helix):
@@ -386,6 +392,6 @@ def test_windows_that_pull_nothing_or_beyond_the_table_move_nothing(line):
         assert (np.linalg.norm(step[:2]) > 1e-5) == (np.linalg.norm(turn) > 0.1) == moved
         assert step[2] == pytest.approx(0.0, abs=1e-12)
         wait = 0.3 + sum(w.duration for w in windows) + HEARD.duration - 0.2
-        assert noise[[2, 3, 4]] == pytest.approx(believed.WANDER[[2, 3, 4]] ** 2 * wait)
+        assert noise[[2, 3, 4]] == pytest.approx(believed.PROCESS_NOISE_DENSITY[[2, 3, 4]] ** 2 * wait)
         along = (0.3**2) * (step[:2] @ step[:2])
-        assert noise[:2] == pytest.approx(believed.WANDER[:2] ** 2 * wait + along, rel=1e-6)
+        assert noise[:2] == pytest.approx(believed.PROCESS_NOISE_DENSITY[:2] ** 2 * wait + along, rel=1e-6)

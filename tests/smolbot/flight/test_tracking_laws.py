@@ -10,11 +10,11 @@ import pytest
 
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import (
-    half_turned,
+    compute_rotation_error,
+    flip_orientation,
+    multiply_quaternions,
     quaternion_from_axes,
     quaternion_from_rotation_vector,
-    quaternion_product,
-    rotation_error,
 )
 from smolbot.core.shots import Actuate, Listen, RingDown, Shot
 from smolbot.flight.tracking.tracker import Tracker
@@ -172,11 +172,14 @@ def scattered(track, rng, times, worse) -> tuple[float, int]:
     squares, misses, rest = [], 0, pose(0.0, (0, 0))
     for time in times:
         off = worse * SIGMA * rng.standard_normal(6)
-        turned = quaternion_product(quaternion_from_rotation_vector(off[3:]), rest.orientation)
+        turned = multiply_quaternions(quaternion_from_rotation_vector(off[3:]), rest.orientation)
         seen = replace(rest, time=time + 0.02, position=rest.position + off[:3], orientation=turned)
         track.update(quiet(time), seen)
         misses += track.misses > 0
-        error = [*track.pose.position - rest.position, *rotation_error(track.pose.orientation, rest.orientation)]
+        error = [
+            *track.pose.position - rest.position,
+            *compute_rotation_error(track.pose.orientation, rest.orientation),
+        ]
         squares.append(error @ np.linalg.solve(track.pose.covariance, error) / 6.0)
     return float(np.mean(squares[60:])), misses
 
@@ -210,7 +213,7 @@ def test_a_robot_that_turns_less_or_more_than_believed_is_in_doubt_by_that_and_n
     seen = pose(pull.end, 1e3 * step, turned + error)
     track.update(Shot(LISTEN, start=pull.end), replace(seen, time=pull.end + 0.02))
     assert track.misses == 0
-    assert np.linalg.norm(rotation_error(track.pose.orientation, seen.orientation)) < 0.15 * abs(error)
+    assert np.linalg.norm(compute_rotation_error(track.pose.orientation, seen.orientation)) < 0.15 * abs(error)
 
 
 def test_carrying_a_pose_on_in_time_moves_nothing_and_forgets_a_little():
@@ -247,7 +250,7 @@ def test_a_robot_that_turned_unseen_is_believed_again_although_it_is_found_as_it
     track = settled()
     for i in range(5, 12):  # found from nothing, either twin comes out
         seen = pose(0.1 * i + 0.02, (1.0, 0.5), heading=2.0)
-        seen = replace(seen, orientation=half_turned(seen.orientation)) if i % 2 else seen
+        seen = replace(seen, orientation=flip_orientation(seen.orientation)) if i % 2 else seen
         track.update(quiet(0.1 * i), seen)
     assert track.misses == 0
     assert track.pose.position[:2] == pytest.approx([1e-3, 5e-4], abs=2e-4)

@@ -9,11 +9,11 @@ import pytest
 
 from smolbot.config.rig import load_rig
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.array.calibration import calibrate_sensors
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 
 RATE = 50_000.0
 
@@ -40,10 +40,10 @@ def track_recordings(array, gains, device, n_poses, seed, pose_at, noise=1e-10):
         place = np.append(rng.uniform(-25, 25, 2), rng.uniform(55, 85))
         pose = pose_at(tuple(place), rng.uniform(-180, 180))
         turn = quaternion_from_rotation_vector(0.4 * rng.standard_normal(3))
-        pose = Pose(0.0, pose.position, quaternion_product(turn, np.array(pose.orientation)), np.eye(6))
+        pose = Pose(0.0, pose.position, multiply_quaternions(turn, np.array(pose.orientation)), np.eye(6))
         time = 0.02 + np.arange(n) / RATE
-        theta = deflection(device, time, rng.uniform(0.5, 0.95) * device.theta_max, rng.uniform(-3, 3))
-        field = gains[:, None] * sensor_field(array, device, pose.position, pose.orientation, theta)
+        theta = compute_deflection(device, time, rng.uniform(0.5, 0.95) * device.theta_max, rng.uniform(-3, 3))
+        field = gains[:, None] * compute_sensor_field(array, device, pose.position, pose.orientation, theta)
         field = field + noise * rng.standard_normal(field.shape) + 5e-8 * rng.standard_normal((len(array), 1))
         poses.append(pose)
         recordings.append(Recording(field, RATE, 0.02))
@@ -73,7 +73,7 @@ def test_gains_are_found_up_to_a_common_factor(nominal, along_device, pose_at):
     relative = found.gains / np.median(found.gains)
     assert relative[3] == pytest.approx(1.01, abs=3e-3)
     assert np.abs(np.delete(relative, 3) - 1.0).max() < 3e-3
-    corrected = found.corrected(recordings[0])
+    corrected = found.correct_recording(recordings[0])
     assert corrected.field[3] == pytest.approx(recordings[0].field[3] / found.gains[3])
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from smolbot.core.sensing import Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.array.filter import ArrayBelief, ArrayFilter, surprising, tilt_frames
-from smolbot.localization.array.terms import OF_DEVICE, PER_SENSOR
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.array.filter import ArrayFilter, ArrayPrior, compute_tilt_frames, is_significant
+from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE, DEVIATIONS_PER_SENSOR
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.noise.whitening import prepare_whitened
@@ -23,14 +23,14 @@ DEVIATIONS = np.array([5e-3, *np.radians([0.3, 0.3]), 2e-4, 2e-4, 2e-4])
 
 def belief_of(array, device):
     deviations = np.concatenate([np.tile(DEVIATIONS, len(array)), [0.02, 4.5e-5]])
-    return ArrayBelief(array, device, np.diag(deviations**2), tilt_frames(array))
+    return ArrayPrior(array, device, np.diag(deviations**2), compute_tilt_frames(array))
 
 
 def drawn(belief, seed, size=1.0):
     """Deviations drawn as the belief says, and the array and device that have them."""
     rng = np.random.default_rng(seed)
     q = size * np.sqrt(np.diag(belief.covariance)) * np.clip(rng.standard_normal(len(belief.covariance)), -2, 2)
-    moment, l0 = belief.moment_and_l0(q)
+    moment, l0 = belief.compute_moment_and_l0(q)
     return q, belief.array(q), replace(belief.device, moment=moment, l0=l0)
 
 
@@ -44,8 +44,8 @@ def noise(array):
 
 def heard(array, device, pose, rng, noise, constant=5e-8):
     time = 0.008 + np.arange(483) / RATE
-    theta = deflection(device, time, 0.8 * device.theta_max, rng.uniform(-3, 3))
-    field = sensor_field(array, device, pose.position, pose.orientation, theta)
+    theta = compute_deflection(device, time, 0.8 * device.theta_max, rng.uniform(-3, 3))
+    field = compute_sensor_field(array, device, pose.position, pose.orientation, theta)
     field = field + noise * rng.standard_normal(field.shape) + constant * rng.standard_normal((len(array), 1))
     return Recording(field, RATE, 0.008)
 
@@ -58,9 +58,9 @@ def test_a_fit_leans_by_what_its_terms_say(array, devices, pose_at, kind):
     pose = pose_at((7.0, -4.0, 60.0), 35.0, "zy" if kind == "along" else "xz")
     recording = heard(true, device, pose, np.random.default_rng(0), 0.0)
     found, swing = localizer.locate_swing(recording, pose)
-    terms = swing.of_the_array(belief.frames)
+    terms = swing.compute_array_terms(belief.frames)
     off = found.position - pose.position
-    corrected = off + terms.pose[:3] + terms.lean[:3] @ q
+    corrected = off + terms.pose[:3] + terms.sensitivity[:3] @ q
     assert np.linalg.norm(off) > 5e-5
     assert np.linalg.norm(corrected) < 0.1 * np.linalg.norm(off)
 
@@ -71,7 +71,7 @@ def test_what_no_pose_explains_is_what_the_information_says(array, along_device,
     pose = pose_at((-5.0, 9.0, 60.0), 140.0)
     recording = heard(true, device, pose, np.random.default_rng(0), 0.0)
     _, swing = Localizer(array, along_device).locate_swing(recording, pose)
-    terms = swing.of_the_array(belief.frames)
+    terms = swing.compute_array_terms(belief.frames)
     expected = terms.information @ q
     assert np.linalg.norm(terms.right - expected) < 0.1 * np.linalg.norm(expected)
 
@@ -103,7 +103,7 @@ def fly(noise, true, device, belief, pose_at, seed, learn=True, n=150):
             moved = step + np.append(slip * rng.standard_normal(2), 0.0)
             variance = np.array([slip**2, slip**2, 1e-10, 1e-4, 1e-4, 1e-4 + (0.3 * turn[2]) ** 2])
             learned.moved(moved, turn, variance)
-        terms = swing.of_the_array(belief.frames)
+        terms = swing.compute_array_terms(belief.frames)
         if learn and terms is not None and learned.update(pose, terms):
             anew = replace(localizer.device, moment=learned.moment, l0=learned.l0)
             localizer = localizer.with_sensors(learned.sensors).with_device(anew)
@@ -149,9 +149,9 @@ def test_a_sensor_without_a_word_is_not_learned(array, noise, along_device, pose
         recording = heard(true, device, pose, rng, NOISE)
         recording = replace(recording, saturated=np.arange(len(array)) == 3)
         found, swing = localizer.locate_swing(recording, pose)
-        learned.update(found, swing.of_the_array(belief.frames))
+        learned.update(found, swing.compute_array_terms(belief.frames))
         learned.moved(np.zeros(3), np.zeros(3), np.ones(6))
-    left = np.sqrt(np.diag(learned.covariance)[:-OF_DEVICE].reshape(-1, PER_SENSOR))
+    left = np.sqrt(np.diag(learned.covariance)[:-DEVIATIONS_OF_DEVICE].reshape(-1, DEVIATIONS_PER_SENSOR))
     assert left[3] == pytest.approx(DEVIATIONS, rel=1e-6)
     assert (left[[2, 4]] < 0.95 * DEVIATIONS).any()
 
@@ -163,7 +163,7 @@ def test_another_array_takes_over_the_whitener_of_the_last(array, along_device, 
     _, other, _ = drawn(belief, 1)
     first = prepare_whitened(recording, array, along_device, localizer.noise).model
     second = prepare_whitened(recording, other, along_device, localizer.noise).model
-    assert first.of_all_arrays is second.of_all_arrays
+    assert first.array_independent is second.array_independent
     assert not np.allclose(first.positions, second.positions, atol=1e-6)
 
 
@@ -193,11 +193,11 @@ def test_noise_alone_does_not_move_the_sensors_and_real_deviations_do():
     rows = 3.0 * rng.standard_normal((k, n)) / np.where(own > 0.0, own, 1.0)  # what was heard: rows q + unit noise
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.eye(k))
     covariance = prior - gain @ rows @ prior
-    false = [surprising(gain @ rng.standard_normal(k), covariance, prior) for _ in range(400)]
+    false = [is_significant(gain @ rng.standard_normal(k), covariance, prior) for _ in range(400)]
     true = [
-        surprising(gain @ (rows @ (own * rng.standard_normal(n)) + rng.standard_normal(k)), covariance, prior)
+        is_significant(gain @ (rows @ (own * rng.standard_normal(n)) + rng.standard_normal(k)), covariance, prior)
         for _ in range(100)
     ]
     assert sum(false) <= 4  # beyond four sigma of chi-square
     assert all(true)
-    assert not surprising(np.zeros(n), prior, prior)
+    assert not is_significant(np.zeros(n), prior, prior)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.config.plugins import load_world
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Shot
 from smolbot.errors import InputError
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise.actuation_tails import CoilTails, Tail, learn_tail
+from smolbot.localization.noise.actuation_decay import CoilDecay, CoilDecays, identify_decay
 from smolbot.localization.noise.model import NoiseModel
 
 RATE, F = 50_000.0, 103.5
@@ -58,7 +58,7 @@ def flown(currents, pull=0.03):
 
 @pytest.fixture(scope="module")
 def tails():
-    return CoilTails(tuple(learn_tail(faint(c), [heard(faint(c), 4e-10, c)], F) for c in range(2)))
+    return CoilDecays(tuple(identify_decay(faint(c), [heard(faint(c), 4e-10, c)], F) for c in range(2)))
 
 
 def test_time_constants_are_those_of_the_circuits(tails):
@@ -70,38 +70,38 @@ def test_what_full_pulls_leave_is_foretold_from_faint_ones(tails, currents, pull
     shot = flown(currents, pull)
     recording = heard(shot)
     assert np.abs(recording.field).max() > 3e-10
-    assert np.abs(tails.removed(shot, recording).field).max() < 0.02 * np.abs(recording.field).max()
+    assert np.abs(tails.subtract_from(shot, recording).field).max() < 0.02 * np.abs(recording.field).max()
 
 
 def test_nothing_is_taken_off_where_nothing_pulled(tails):
     for shot in (flown((0.0, 0.0)), Shot((Excite((2.0, 1.0), F, 3), RingDown(12e-3), Listen(2, F)))):
         recording = heard(shot, 1e-10)
-        assert tails.removed(shot, recording) is recording
+        assert tails.subtract_from(shot, recording) is recording
     late = Shot((Actuate((8.0, 8.0), 0.03), RingDown(0.1), Listen(2, F)))
-    assert tails.removed(late, recording) is recording
+    assert tails.subtract_from(late, recording) is recording
 
 
 def test_a_coil_that_is_not_heard_has_no_tail():
     silent = Recording(1e-10 * np.random.default_rng(0).normal(size=(10, 1900)), RATE, np.inf)
-    assert learn_tail(faint(0), [silent], F) is None
+    assert identify_decay(faint(0), [silent], F) is None
     loud = heard(faint(0), 1e-10)
     saturated = Recording(loud.field, RATE, np.inf, np.arange(10) == 4)
-    assert learn_tail(faint(0), [saturated], F) is None
+    assert identify_decay(faint(0), [saturated], F) is None
     shot = flown((8.0, 8.0))
     recording = heard(shot)
-    assert CoilTails((None, None)).removed(shot, recording) is recording
+    assert CoilDecays((None, None)).subtract_from(shot, recording) is recording
 
 
 def test_one_coil_at_a_time_is_learned():
     for shot in (flown((1.0, 1.0)), Shot((Excite((2.0, 1.0), F, 3), RingDown(12e-3), Listen(2, F)))):
         with pytest.raises(InputError, match="one coil is driven once"):
-            learn_tail(shot, [heard(shot)], F)
+            identify_decay(shot, [heard(shot)], F)
 
 
 @pytest.fixture(scope="module")
 def pulled():
     """In an ideal tank: tails learned, and recordings right after opposite coils pulled, which hardly moves a robot."""
-    mission = load_mission("r_path", settings={"rig.tank.mismatch.scale": "0"})
+    mission = load_steering_mission("r_path", settings={"rig.tank.mismatch.scale": "0"})
     with load_world("tank", mission.rig.document).open(mission.rig, mission.robot, mission.start, seed=5) as rig:
         quiet = [rig.play(Shot((Listen(200, F),), "quiet")) for _ in range(4)]
         tails = []
@@ -109,7 +109,7 @@ def pulled():
             currents = [0.0] * 4
             currents[coil] = 0.2
             shot = Shot((Actuate(tuple(currents), 15e-3), RingDown(8e-3), Listen(8, F)), "quiet")
-            tails.append(learn_tail(shot, [rig.play(shot)], F))
+            tails.append(identify_decay(shot, [rig.play(shot)], F))
         taken = []
         for i in range(12):
             currents = (8.0, 8.0, 0.0, 0.0) if i % 2 else (0.0, 0.0, 8.0, 8.0)
@@ -117,7 +117,7 @@ def pulled():
             recording = rig.play(shot)
             taken.append((shot, recording, rig.witness.truth(recording.middle)))
         coils = rig._tank.coils  # books only
-    return mission, quiet, CoilTails(tuple(tails)), taken, coils
+    return mission, quiet, CoilDecays(tuple(tails)), taken, coils
 
 
 def test_the_tails_of_the_tank_are_those_of_its_coils(pulled):
@@ -135,7 +135,7 @@ def test_a_robot_that_was_just_pulled_is_not_bent_by_what_the_coil_still_carries
     squares = {"left in": 0.0, "taken off": 0.0}
     for shot, recording, truth in taken:
         prior = Pose(truth.time, truth.position, truth.orientation, np.eye(6))
-        for name, as_heard in (("left in", recording), ("taken off", tails.removed(shot, recording))):
+        for name, as_heard in (("left in", recording), ("taken off", tails.subtract_from(shot, recording))):
             pose, _ = localizer.locate_swing(as_heard, prior)
             off = pose.position - truth.position
             squares[name] += float(off @ np.linalg.solve(pose.covariance[:3, :3], off)) / (3 * len(taken))
@@ -144,6 +144,6 @@ def test_a_robot_that_was_just_pulled_is_not_bent_by_what_the_coil_still_carries
 
 
 def test_a_tail_is_as_long_as_its_time_constant_says():
-    shot, tail = flown((1.0,)), Tail(3e-3, np.ones(10))
-    field = CoilTails((tail,)).heard(shot, 483, RATE)
+    shot, tail = flown((1.0,)), CoilDecay(3e-3, np.ones(10))
+    field = CoilDecays((tail,)).heard(shot, 483, RATE)
     assert field[:, 150] / field[:, 0] == pytest.approx(np.full(10, np.exp(-1.0)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smolbot.core.sensing import Recording
-from smolbot.flight.tracking.noise_monitor import RANGE, NoiseWatch
+from smolbot.flight.tracking.noise_monitor import POWER_RATIO_RANGE, NoiseMonitor
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.noise.model import NoiseModel
 
@@ -39,7 +39,7 @@ def watched(array, device, truth, clean, louder, shots=60, seed=0):
     found, expected = np.zeros(len(array)), np.zeros(len(array))
     for _ in range(shots):
         recording = replace(clean, field=clean.field + noise_of(array, clean.field.shape[1], rng, louder))
-        one, other = localizer.locate_swing(recording, truth)[1].energies(recording, noise)
+        one, other = localizer.locate_swing(recording, truth)[1].compute_energies(recording, noise)
         found, expected = found + one, expected + other
     return found, expected
 
@@ -71,7 +71,7 @@ def test_a_silent_sensor_is_not_judged(array, devices, pose_at, hear):
     recording.field[4] = 2e-8
     noise = room(array)
     found, expected = (
-        Localizer(array, devices["along"], noise).locate_swing(recording, truth)[1].energies(recording, noise)
+        Localizer(array, devices["along"], noise).locate_swing(recording, truth)[1].compute_energies(recording, noise)
     )
     assert found[4] == expected[4] == 0.0
     assert np.all(np.delete(expected, 4) > 0.0)
@@ -88,7 +88,7 @@ def test_the_refreshed_model_has_the_covariance_of_the_new_noise(array):
 
 
 def test_the_watch_waits_until_it_is_sure_and_then_starts_anew():
-    rng, watch = np.random.default_rng(5), NoiseWatch(3)
+    rng, watch = np.random.default_rng(5), NoiseMonitor(3)
     answers = [watch.update(rng.chisquare(20, 3) * [1.0, 4.0, 1.0], np.full(3, 20.0)) for _ in range(40)]
     given = [a for a in answers if a is not None]
     assert [i for i, a in enumerate(answers) if a is not None] == [19, 39]
@@ -97,7 +97,7 @@ def test_the_watch_waits_until_it_is_sure_and_then_starts_anew():
 
 
 def test_the_watch_keeps_quiet_over_noise_as_foretold_and_takes_no_leap():
-    rng, watch = np.random.default_rng(6), NoiseWatch(10)
+    rng, watch = np.random.default_rng(6), NoiseMonitor(10)
     assert all(watch.update(rng.chisquare(20, 10), np.full(10, 20.0)) is None for _ in range(4000))
-    leap = [watch.update(np.array([2e6]), np.array([20.0])) for watch in [NoiseWatch(1)] for _ in range(20)][-1]
-    assert leap == pytest.approx(RANGE[1])
+    leap = [watch.update(np.array([2e6]), np.array([20.0])) for watch in [NoiseMonitor(1)] for _ in range(20)][-1]
+    assert leap == pytest.approx(POWER_RATIO_RANGE[1])

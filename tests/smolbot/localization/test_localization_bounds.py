@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smolbot.core.rotations import quaternion_from_matrix, rotation_error
+from smolbot.core.rotations import compute_rotation_error, quaternion_from_matrix
 from smolbot.core.sensing import Recording
 from smolbot.localization.basis import REFERENCE_ANGLE
-from smolbot.localization.expected import expected_covariance
+from smolbot.localization.expected_covariance import compute_expected_covariance
 from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.problem import prepare_paper
 
@@ -54,7 +54,7 @@ def scatter_of_fits(sensors, device, noise, pose, half_periods, repeats, amplitu
         field = coloured(rng, noise, len(sensors), n) + mains(rng, noise, sensors, time)
         heard = prepare_paper(Recording(field, RATE, 0.02), sensors, device)
         fit = replace(heard, data=heard.data + clean).fit(pose.position, pose.rotation, phase, size)
-        turn = rotation_error(quaternion_from_matrix(fit.rotation), pose.orientation)
+        turn = compute_rotation_error(quaternion_from_matrix(fit.rotation), pose.orientation)
         errors.append([*(fit.position - pose.position), *turn])
     return np.sqrt(np.mean(np.square(errors), axis=0))
 
@@ -65,7 +65,7 @@ def test_expected_covariance_is_the_scatter_under_the_described_noise(
 ):
     noise = replace(NOISE, mains=8e-9 * mains_share, mains_gradient=11.5e-9 * mains_share)
     pose, amplitude = pose_at((4, -6, 60), 35), 0.8 * along_device.theta_max
-    expected = expected_covariance(array, along_device, noise, pose, half_periods, RATE, 0.02, amplitude)
+    expected = compute_expected_covariance(array, along_device, noise, pose, half_periods, RATE, 0.02, amplitude)
     seen = scatter_of_fits(array, along_device, noise, pose, half_periods, 300, amplitude)
     assert seen == pytest.approx(np.sqrt(np.diag(expected)), rel=0.25)
 
@@ -74,7 +74,7 @@ def test_listening_longer_and_swinging_wider_are_expected_to_help(array, along_d
     pose = pose_at((4, -6, 80), 35)
 
     def error(half_periods=2, amplitude=0.2, noise=NOISE):
-        c = expected_covariance(array, along_device, noise, pose, half_periods, RATE, 0.02, amplitude)
+        c = compute_expected_covariance(array, along_device, noise, pose, half_periods, RATE, 0.02, amplitude)
         return float(np.sqrt(np.trace(c[:3, :3])))
 
     assert error(half_periods=6) < error(half_periods=2) < error(half_periods=1)

@@ -10,11 +10,11 @@ from scipy.optimize import least_squares
 
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import (
+    compute_rotation_error,
     matrix_from_quaternion,
+    multiply_quaternions,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,
-    quaternion_product,
-    rotation_error,
 )
 from smolbot.core.sensing import Recording
 from smolbot.errors import InputError
@@ -42,7 +42,7 @@ def at_the_truth(found: Pose, truth: Pose, estimator: str, within: float = 1e-5)
 
 
 def nearby(pose: Pose, away=(1.5e-3, -1e-3, 0.8e-3), turn=(0.1, -0.08, 0.12)) -> Pose:
-    q = quaternion_product(quaternion_from_rotation_vector(np.array(turn)), pose.orientation)
+    q = multiply_quaternions(quaternion_from_rotation_vector(np.array(turn)), pose.orientation)
     return Pose(pose.time, pose.position + np.array(away), q, pose.covariance)
 
 
@@ -55,11 +55,11 @@ def turned_about_moment(pose: Pose, device) -> Pose:
 
 
 def angle(pose: Pose, truth: Pose, *, along=False) -> float:
-    error = np.linalg.norm(rotation_error(pose.orientation, truth.orientation))
+    error = np.linalg.norm(compute_rotation_error(pose.orientation, truth.orientation))
     if not along:
         return error
-    other = quaternion_product(pose.orientation, HALF_TURN_ABOUT_Z)
-    return min(error, np.linalg.norm(rotation_error(other, truth.orientation)))
+    other = multiply_quaternions(pose.orientation, HALF_TURN_ABOUT_Z)
+    return min(error, np.linalg.norm(compute_rotation_error(other, truth.orientation)))
 
 
 @pytest.mark.parametrize("name", ["along", "across"])
@@ -112,8 +112,8 @@ def test_the_fit_ends_where_scipy_ends_on_the_same_noisy_data(array, devices, po
     scipys = least_squares(residual, np.zeros(8), method="lm", xtol=1e-12, ftol=1e-12, gtol=1e-12)
     found = Localizer(array, device, estimator="paper").locate(recording, truth)
     assert found.position == pytest.approx(truth.position + 1e-3 * scipys.x[:3], abs=2e-7)
-    turn = quaternion_product(quaternion_from_rotation_vector(0.1 * scipys.x[3:6]), truth.orientation)
-    assert np.linalg.norm(rotation_error(found.orientation, turn)) < 2e-4
+    turn = multiply_quaternions(quaternion_from_rotation_vector(0.1 * scipys.x[3:6]), truth.orientation)
+    assert np.linalg.norm(compute_rotation_error(found.orientation, turn)) < 2e-4
     assert np.linalg.norm(found.position - truth.position) > 1e-5  # the noise moved it, and both alike
 
 
@@ -166,7 +166,7 @@ def test_with_the_moment_along_the_cantilever_the_twin_nearest_to_the_prior_is_r
     array, along_device, pose_at, hear, estimator
 ):
     truth = pose_at((4, -6, 80), 35)
-    twin = replace(truth, orientation=quaternion_product(truth.orientation, HALF_TURN_ABOUT_Z))
+    twin = replace(truth, orientation=multiply_quaternions(truth.orientation, HALF_TURN_ABOUT_Z))
     recording = hear(array, along_device, truth)
     assert np.allclose(recording.field, hear(array, along_device, twin, phase=0.4 + np.pi).field, rtol=0, atol=1e-18)
     for prior in (truth, twin):
@@ -187,9 +187,9 @@ def test_covariance_of_a_fit_is_the_scatter_that_white_noise_causes(array, along
     for _ in range(300):
         noisy = replace(problem, data=clean + level * rng.normal(size=clean.shape))
         fit = noisy.fit(truth.position, truth.rotation, 0.4, size)
-        turn = rotation_error(quaternion_from_matrix(fit.rotation), truth.orientation)
+        turn = compute_rotation_error(quaternion_from_matrix(fit.rotation), truth.orientation)
         errors.append([*(fit.position - truth.position), *turn])
-        claimed.append(kernels.covariance(fit.normal, fit.sse / (noisy.data.size - 8))[:6, :6])
+        claimed.append(kernels.compute_covariance(fit.normal, fit.sse / (noisy.data.size - 8))[:6, :6])
     scatter = np.std(errors, axis=0)
     expected = np.sqrt(np.diag(np.mean(claimed, axis=0)))
     assert scatter == pytest.approx(expected, rel=0.25)

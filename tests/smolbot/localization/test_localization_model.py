@@ -15,9 +15,16 @@ from smolbot.core.sensing import SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
 from smolbot.localization.basis import REFERENCE_ANGLE
-from smolbot.localization.chain import difference_matrix, filtered, moving_mean, sample_points, taps, whole_half_periods
-from smolbot.localization.forward import deflection, envelope, sensor_field
-from smolbot.localization.problem import paper_model, prepare_paper
+from smolbot.localization.chain import (
+    apply_filters,
+    choose_sample_points,
+    compute_moving_mean,
+    compute_taps,
+    count_half_periods,
+    make_difference_matrix,
+)
+from smolbot.localization.forward import compute_deflection, compute_envelope, compute_sensor_field
+from smolbot.localization.problem import make_paper_model, prepare_paper
 
 RATE = 50_000.0
 MU0 = 4e-7 * np.pi
@@ -34,7 +41,7 @@ def pose(pose_at):
 
 
 def model_of(array, device, n=967, since=0.02):
-    return paper_model(array, device, np.ones(len(array), dtype=bool).tobytes(), n, RATE, since)
+    return make_paper_model(array, device, np.ones(len(array), dtype=bool).tobytes(), n, RATE, since)
 
 
 def turned(rotation, vector):
@@ -52,7 +59,7 @@ def test_a_point_dipole_sounds_like_a_cylinder_magnet_of_1_mm_at_80_mm(array, de
         magnet.position = pose.position + pose.rotation @ (device.l0 * np.array([np.sin(angle), 0, np.cos(angle)]))
         magnet.orientation = swing * upright
         heard[:, i] = np.sum(magnet.getB(array.positions) * array.axes, axis=1)
-    ours = sensor_field(array, device, pose.position, pose.orientation, theta)
+    ours = compute_sensor_field(array, device, pose.position, pose.orientation, theta)
     assert np.abs(ours - heard).max() < 1e-3 * np.ptp(heard, axis=1).max()
 
 
@@ -60,19 +67,19 @@ def test_static_field_on_axis_at_80_mm_is_348_nT(along_device, pose_at):
     pose = pose_at((0.0, 0.0, 80.0 - 1.5))  # the magnet is l0 further up
     upright = replace(pose, orientation=np.array([1.0, 0, 0, 0]))
     sensor = SensorArray(np.zeros((1, 3)), np.array([[0, 0, 1.0]]))
-    field = sensor_field(sensor, along_device, upright.position, upright.orientation, np.zeros(1))
+    field = compute_sensor_field(sensor, along_device, upright.position, upright.orientation, np.zeros(1))
     assert abs(field[0, 0]) == pytest.approx(348e-9, rel=2e-3)
 
 
 def test_linear_damping_ends_and_exponential_damping_does_not(along_device, across_device):
     time = np.array([0.0, 0.02, 0.1, 10.0])
-    assert envelope(across_device, time) == pytest.approx([1, 1 - 0.022, 1 - 0.11, 0.0])
-    assert envelope(along_device, time) == pytest.approx(np.exp(-31.7 * time))
+    assert compute_envelope(across_device, time) == pytest.approx([1, 1 - 0.022, 1 - 0.11, 0.0])
+    assert compute_envelope(along_device, time) == pytest.approx(np.exp(-31.7 * time))
 
 
 def test_swing_crosses_zero_twice_a_period(across_device):
     time = np.arange(50_000) / RATE * 0.5
-    theta = deflection(across_device, time, 0.3, 0.0)
+    theta = compute_deflection(across_device, time, 0.3, 0.0)
     crossings = np.count_nonzero(np.diff(np.sign(theta)))
     assert crossings == 2 * round(across_device.frequency * time[-1])
 
@@ -99,7 +106,7 @@ def test_the_fast_model_equals_the_chain_applied_sample_by_sample(array, device,
     problem = prepare_paper(recording, array, device)
     fast, _ = problem.model.response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
     at = problem.model.chain.points.astype(int)
-    literal = filtered(problem.model.mixing @ recording.field, RATE)[:, at]
+    literal = apply_filters(problem.model.mixing @ recording.field, RATE)[:, at]
     assert literal.shape == (len(problem.model.mixing), 4 * half_periods + 1)
     assert np.abs(fast - literal.ravel()).max() < 1e-5 * np.abs(literal).max()
     assert np.abs(problem.data - literal.ravel()).max() < 1e-9 * np.abs(literal).max()
@@ -109,12 +116,14 @@ def test_sensors_of_1_khz_are_heard_as_a_first_order_low_pass(array, device, pos
     slow = replace(array, bandwidth=1000.0)
     since, n, phase, amplitude, fine = 0.02, 967, 0.3, 0.25, 8
     time = np.arange(round(since * RATE * fine) + n * fine) / (RATE * fine)
-    field = sensor_field(slow, device, pose.position, pose.orientation, deflection(device, time, amplitude, phase))
+    field = compute_sensor_field(
+        slow, device, pose.position, pose.orientation, compute_deflection(device, time, amplitude, phase)
+    )
     w = 2 * np.pi * slow.bandwidth
     heard = np.array([signal.lsim(([w], [1.0, w]), row - row[0], time)[1] for row in field])
     heard = heard[:, round(since * RATE * fine) :: fine]
     model = model_of(slow, device, n, since)
-    expected = filtered(model.mixing @ heard, RATE)[:, model.chain.points.astype(int)].ravel()
+    expected = apply_filters(model.mixing @ heard, RATE)[:, model.chain.points.astype(int)].ravel()
     fast, _ = model.response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
     assert np.abs(fast - expected).max() < 1e-3 * np.abs(expected).max()
     ideal, _ = model_of(array, device, n, since).response(
@@ -126,24 +135,24 @@ def test_sensors_of_1_khz_are_heard_as_a_first_order_low_pass(array, device, pos
 @pytest.mark.parametrize("n", [242, 483, 1450, 4831])
 def test_taps_do_what_the_filters_do(n, device):
     noise = np.random.default_rng(3).normal(size=(4, n))
-    chain = taps(n, RATE, 103.5)
-    out = kernels.tapped(noise, chain.first, chain.weights)
-    assert out == pytest.approx(filtered(noise, RATE)[:, chain.points.astype(int)], rel=1e-6, abs=1e-6)
+    chain = compute_taps(n, RATE, 103.5)
+    out = kernels.apply_taps(noise, chain.first, chain.weights)
+    assert out == pytest.approx(apply_filters(noise, RATE)[:, chain.points.astype(int)], rel=1e-6, abs=1e-6)
 
 
 def test_the_two_moving_means_together_shift_nothing_in_time():
     ramp = np.arange(400.0)
-    smooth = moving_mean(moving_mean(ramp), later=True)
+    smooth = compute_moving_mean(compute_moving_mean(ramp), later=True)
     assert smooth[100:300] == pytest.approx(ramp[100:300])
 
 
 def test_a_constant_of_a_channel_does_not_pass_the_chain():
-    assert np.abs(filtered(np.full((1, 500), 3.0), RATE)).max() < 1e-9
+    assert np.abs(apply_filters(np.full((1, 500), 3.0), RATE)).max() < 1e-9
 
 
 def test_4n_plus_1_samples_are_evenly_spread():
-    points = sample_points(4831, RATE, 103.5)
-    assert whole_half_periods(4831, RATE, 103.5) == 20
+    points = choose_sample_points(4831, RATE, 103.5)
+    assert count_half_periods(4831, RATE, 103.5) == 20
     assert len(points) == 81
     assert np.ptp(np.diff(points)) <= 1.0
     assert points[0] >= 0
@@ -152,7 +161,7 @@ def test_4n_plus_1_samples_are_evenly_spread():
 
 def test_same_axis_differences_are_deaf_to_a_uniform_field(array):
     uniform = array.axes @ np.array([3.0, -2.0, 5.0])
-    mixing = difference_matrix(array.axes, array.positions)
+    mixing = make_difference_matrix(array.axes, array.positions)
     assert len(mixing) == len(array) - 3
     assert mixing @ uniform == pytest.approx(np.zeros(len(mixing)))
 
@@ -160,11 +169,11 @@ def test_same_axis_differences_are_deaf_to_a_uniform_field(array):
 def test_antiparallel_sensors_are_added():
     axes = np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, 1.0]])
     places = np.array([[0, 0, 0], [1, 0, 0], [5.0, 0, 0]])
-    mixing = difference_matrix(axes, places)
+    mixing = make_difference_matrix(axes, places)
     assert mixing @ axes[:, 2] == pytest.approx(np.zeros(2))
     assert np.linalg.matrix_rank(mixing) == 2
 
 
 def test_less_than_half_a_period_holds_no_sample():
     with pytest.raises(InputError, match=r"2\.00 ms.*4\.83 ms"):
-        sample_points(100, RATE, 103.5)
+        choose_sample_points(100, RATE, 103.5)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_axes, rotation_error
+from smolbot.core.rotations import compute_rotation_error, quaternion_from_axes
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.noise.model import NoiseModel, field_covariance
+from smolbot.localization.noise.model import NoiseModel, compute_field_covariance
 
 RATE = 20_000.0
 PLACES = np.array(
@@ -42,8 +42,10 @@ class Room:
 
     def recording(self, half_periods: int, device: Device = ACROSS, since: float = 0.02) -> Recording:
         n = round(half_periods * RATE / (2.0 * device.frequency))
-        theta = deflection(device, since + np.arange(n) / RATE, device.theta_max, self.rng.uniform(0.0, 2.0 * np.pi))
-        field = sensor_field(SENSORS, device, POSITION, ORIENTATION, theta)
+        theta = compute_deflection(
+            device, since + np.arange(n) / RATE, device.theta_max, self.rng.uniform(0.0, 2.0 * np.pi)
+        )
+        field = compute_sensor_field(SENSORS, device, POSITION, ORIENTATION, theta)
         return Recording(field + self.noise(n), RATE, since)
 
     def true_model(self) -> NoiseModel:
@@ -113,7 +115,7 @@ def test_error_is_within_a_tenth_of_the_bound_and_the_covariance_honest(
     for _ in range(250):
         recording = room.recording(half_periods)
         pose = located.locate(recording, prior())
-        error = np.concatenate([pose.position - POSITION, rotation_error(pose.orientation, ORIENTATION)])
+        error = np.concatenate([pose.position - POSITION, compute_rotation_error(pose.orientation, ORIENTATION)])
         errors.append(error[:3])
         squares.append(error @ np.linalg.solve(pose.covariance, error))
         least.append(np.diag(bound.locate(recording, prior()).covariance)[:3])
@@ -167,11 +169,11 @@ def test_cold_starts_find_the_device_or_say_that_they_are_not_sure(room: Room, l
         position = rng.uniform([-0.04, -0.04, 0.05], [0.04, 0.04, 0.11])
         orientation = rng.normal(size=4)
         orientation /= np.linalg.norm(orientation)
-        theta = deflection(ACROSS, 0.02 + np.arange(n) / RATE, ACROSS.theta_max, rng.uniform(0.0, 6.28))
-        field = sensor_field(SENSORS, ACROSS, position, orientation, theta) + room.noise(n)
+        theta = compute_deflection(ACROSS, 0.02 + np.arange(n) / RATE, ACROSS.theta_max, rng.uniform(0.0, 6.28))
+        field = compute_sensor_field(SENSORS, ACROSS, position, orientation, theta) + room.noise(n)
         pose = located.locate(Recording(field, RATE, 0.02))
         far = np.linalg.norm(pose.position - position) > 5e-3
-        turned = np.linalg.norm(rotation_error(pose.orientation, orientation)) > np.radians(20.0)
+        turned = np.linalg.norm(compute_rotation_error(pose.orientation, orientation)) > np.radians(20.0)
         wrong += pose.trusted and (far or turned)
         trusted += pose.trusted
     assert wrong == 0
@@ -190,7 +192,7 @@ def test_each_fit_tells_how_far_the_resonance_is_off(room: Room, learned: NoiseM
     located = Localizer(SENSORS, wrong, learned)
     steps, spread = [], []
     for _ in range(40):
-        step, covariance = located.locate_swing(room.recording(6), prior())[1].resonance()
+        step, covariance = located.locate_swing(room.recording(6), prior())[1].estimate_resonance_error()
         steps.append(step[index])
         spread.append(covariance[index, index])
     error = np.sqrt(np.mean(spread) / len(steps))
@@ -212,7 +214,7 @@ def test_a_random_field_has_the_covariance_that_it_should():
     gradients -= np.trace(gradients, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
     gradients *= np.sqrt(3.0) / np.sqrt(np.mean(np.sum(gradients**2, axis=(1, 2))))
     heard = np.einsum("ja,nab,jb->nj", SENSORS.axes, gradients, SENSORS.positions)
-    assert np.cov(heard.T) == pytest.approx(field_covariance(SENSORS, 0.0, 1.0), rel=0.1, abs=1e-4)
+    assert np.cov(heard.T) == pytest.approx(compute_field_covariance(SENSORS, 0.0, 1.0), rel=0.1, abs=1e-4)
 
 
 def test_bad_quiet_recordings_are_refused(tmp_path):

@@ -129,12 +129,12 @@ def test_the_reduced_plant_refuses_an_estimator_whose_errors_it_does_not_know(pl
 
     plug_in("estimators", "plain", Plain)
     with pytest.raises(InputError, match="whitened and paper"):
-        fly(load_mission("line", settings={"localization.estimator": "plain"}), 1, opener=open_reduced)
+        fly(load_mission("line", settings={"localization.estimator": "plain"}), 1, open_rig=open_reduced)
 
 
 @pytest.mark.parametrize(("made", "name"), [(Localizer, "whitened"), (Paper, "paper")])
 def test_ours_by_their_entry_points_are_the_public_localizer(made, name, array, along_device):
-    assert plugins.load("estimators", name) is made
+    assert plugins.load_plugin("estimators", name) is made
     mine, public = made(array, along_device), Localizer(array, along_device, estimator=name)
     assert mine.learns == public.learns == made.learns
     again = mine.with_device(replace(along_device, damping=30.0)).with_transients((1e-3,))

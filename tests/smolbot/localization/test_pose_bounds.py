@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector, quaternion_product
+from smolbot.core.rotations import matrix_from_quaternion, multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.sensing import Device, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.bounds import Window, pose_bound
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.bounds import ListeningWindow, compute_pose_bound
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.noise.room import NoiseLevels
-from smolbot.localization.noise.whitening import whitened_model
+from smolbot.localization.noise.whitening import make_whitened_model
 
 LEVELS = NoiseLevels(6e-12, 20e-12, 50.0, 9.8e-9, 21e-9, {2: 0.06, 3: 0.3, 5: 0.1})
 DEVICE = Device(0.89e-3, np.array([1.0, 0, 0]), 1.5e-3, np.radians(17.8), 103.5, 1.6)
 POSITION = np.array([3e-3, -4e-3, 0.078])
 ORIENTATION = quaternion_from_rotation_vector(np.array([0.3, -0.5, 0.8]))
-WINDOW = Window(2, 50e3, 0.02)
+WINDOW = ListeningWindow(2, 50e3, 0.02)
 
 
 def array(bandwidth: float = 1000.0) -> SensorArray:
@@ -28,12 +28,12 @@ def array(bandwidth: float = 1000.0) -> SensorArray:
 
 def at(sensors, window=WINDOW, levels=LEVELS, **options):
     rotation = matrix_from_quaternion(ORIENTATION)
-    return pose_bound(sensors, DEVICE, levels.model(sensors, 20e3), [POSITION], [rotation], window, **options)
+    return compute_pose_bound(sensors, DEVICE, levels.model(sensors, 20e3), [POSITION], [rotation], window, **options)
 
 
 @pytest.mark.parametrize("half_periods", [1, 2])
 def test_halving_the_block_changes_the_bound_by_less_than_one_per_cent(half_periods):
-    window = Window(half_periods, 48e3, 0.02)  # whole blocks of either size: none loses samples at the end
+    window = ListeningWindow(half_periods, 48e3, 0.02)  # whole blocks of either size: none loses samples at the end
     coarse, fine = (at(array(), window, block=block).position_rms[0] for block in (1.0e-4, 5e-5))
     assert fine == pytest.approx(coarse, rel=0.01)
 
@@ -41,22 +41,22 @@ def test_halving_the_block_changes_the_bound_by_less_than_one_per_cent(half_peri
 @pytest.mark.slow
 def test_the_estimators_own_blocks_cost_less_than_three_per_cent():
     for half_periods in (1, 2, 6):
-        window = Window(half_periods, 50e3, 0.02)
+        window = ListeningWindow(half_periods, 50e3, 0.02)
         assert at(array(), window).position_rms[0] < 1.03 * at(array(), window, block=1.25e-4).position_rms[0]
 
 
 def test_bound_is_that_of_a_dense_computation_with_every_sample():
     """Derivatives by differences of the plain forward model, the constants as ten more unknowns."""
     sensors, rate = array(np.inf), 10e3
-    window = Window(2, rate, 0.02)
-    n = window.n_samples(DEVICE.frequency)
+    window = ListeningWindow(2, rate, 0.02)
+    n = window.count_samples(DEVICE.frequency)
     time = 0.02 + np.arange(n) / rate
     steps = np.array([1e-5, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
 
     def field(change, phase):
-        turned = quaternion_product(quaternion_from_rotation_vector(change[3:6]), ORIENTATION)
-        theta = deflection(DEVICE, time, DEVICE.theta_max + change[7], phase + change[6])
-        return sensor_field(sensors, DEVICE, POSITION + change[:3], turned, theta).reshape(-1)
+        turned = multiply_quaternions(quaternion_from_rotation_vector(change[3:6]), ORIENTATION)
+        theta = compute_deflection(DEVICE, time, DEVICE.theta_max + change[7], phase + change[6])
+        return compute_sensor_field(sensors, DEVICE, POSITION + change[:3], turned, theta).reshape(-1)
 
     inverse = np.linalg.inv(LEVELS.model(sensors, 20e3).covariance(n, 1.0 / rate))
     constants = np.kron(np.eye(10), np.ones((n, 1))) * 1e-9
@@ -74,8 +74,8 @@ def test_bound_is_that_of_a_dense_computation_with_every_sample():
 def test_whitened_chain_with_the_true_noise_reaches_the_bound():
     sensors = array()
     noise = LEVELS.model(sensors, 20e3)
-    n = WINDOW.n_samples(DEVICE.frequency)
-    model = whitened_model(sensors, DEVICE, noise, np.ones(10, dtype=bool).tobytes(), n, 50e3, 0.02)
+    n = WINDOW.count_samples(DEVICE.frequency)
+    model = make_whitened_model(sensors, DEVICE, noise, np.ones(10, dtype=bool).tobytes(), n, 50e3, 0.02)
     covariances = []
     for phase in np.pi * np.arange(4) / 4:
         _, jacobian = model.response(
@@ -94,7 +94,7 @@ def test_noise_twice_as_large_doubles_the_bound():
 
 def test_more_unknowns_never_help_and_a_slope_costs_little_in_a_long_window():
     for half_periods, most in ((2, 3.0), (6, 1.03)):
-        window = Window(half_periods, 50e3, 0.02)
+        window = ListeningWindow(half_periods, 50e3, 0.02)
         one, two = (at(array(), window, trend=trend).position_rms[0] for trend in (0, 1))
         assert one <= two <= most * one
 
@@ -111,9 +111,9 @@ def test_height_and_amplitude_are_correlated():
 def test_faults_are_named():
     rotation = np.eye(3)
     with pytest.raises(InputError, match="as many positions as rotations"):
-        pose_bound(array(), DEVICE, LEVELS.model(array()), [POSITION, POSITION], [rotation], WINDOW)
+        compute_pose_bound(array(), DEVICE, LEVELS.model(array()), [POSITION, POSITION], [rotation], WINDOW)
     with pytest.raises(InputError, match="longer blocks"):
         narrow = LEVELS.model(array(), 2500.0)
-        pose_bound(array(), DEVICE, narrow, [POSITION], [rotation], WINDOW, block=6e-5)
+        compute_pose_bound(array(), DEVICE, narrow, [POSITION], [rotation], WINDOW, block=6e-5)
     with pytest.raises(InputError, match="longer window"):
-        at(array(), Window(0.1, 50e3, 0.02))
+        at(array(), ListeningWindow(0.1, 50e3, 0.02))

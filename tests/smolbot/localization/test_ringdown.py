@@ -10,8 +10,8 @@ import pytest
 from smolbot.core.sensing import SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.device.fit import fit_device
-from smolbot.localization.device.ringdown import measure
-from smolbot.localization.device.thinning import Hum, thin
+from smolbot.localization.device.ringdown import measure_ring_down
+from smolbot.localization.device.thinning import Hum, thin_recording
 
 RATE = 50_000.0
 
@@ -34,7 +34,7 @@ def test_frequency_and_damping_are_found_under_the_hum(devices, array, pose_at, 
     clean = hear(array, device, pose_at((2, 1, 70), 30.0), half_periods)
     recording = replace(clean, field=clean.field + hum_of(clean.field.shape[1], len(array), 1))
     believed = replace(device, frequency=device.frequency + 1.3, damping=1.2 * damping)
-    found = measure(recording, array, believed)
+    found = measure_ring_down(recording, array, believed)
     assert found.frequency == pytest.approx(device.frequency, abs=5e-3)
     assert found.damping == pytest.approx(damping, rel=0.01)
     assert found.signal_to_noise > 100.0
@@ -74,11 +74,11 @@ def test_the_likelier_damping_fits_better(across_device, array, pose_at, hear, t
 
 def test_constants_and_slow_drifts_change_nothing(along_device, array, pose_at, hear):
     recording = hear(array, along_device, pose_at((0, 0, 60)), 100)
-    plain = measure(recording, array, along_device)
+    plain = measure_ring_down(recording, array, along_device)
     time = np.arange(recording.field.shape[1]) / RATE
     rng = np.random.default_rng(1)
     added = 1e-6 * rng.standard_normal((len(array), 1)) + 1e-8 * rng.standard_normal((len(array), 1)) * time
-    moved = measure(replace(recording, field=recording.field + added), array, along_device)
+    moved = measure_ring_down(replace(recording, field=recording.field + added), array, along_device)
     assert moved.frequency == pytest.approx(plain.frequency, abs=1e-4)
     assert moved.damping == pytest.approx(plain.damping, rel=1e-4)
 
@@ -86,7 +86,7 @@ def test_constants_and_slow_drifts_change_nothing(along_device, array, pose_at, 
 def test_lines_of_the_mains_are_taken_out_of_a_long_window(array, along_device, hear, pose_at):
     recording = hear(array, along_device, pose_at((0, 0, 60)), 207)
     only_hum = replace(recording, field=hum_of(recording.field.shape[1], len(array), 4))
-    thinned = thin(only_hum, array, along_device.frequency, Hum())
+    thinned = thin_recording(only_hum, array, along_device.frequency, Hum())
     block_noise = 1e-10 / np.sqrt(thinned.block)
     assert np.std(thinned.data) < 1.5 * block_noise
 
@@ -94,11 +94,13 @@ def test_lines_of_the_mains_are_taken_out_of_a_long_window(array, along_device, 
 def test_recordings_that_tell_nothing_are_refused(along_device, array, pose_at, hear):
     recording = hear(array, along_device, pose_at((0, 0, 60)), 10)
     with pytest.raises(InputError, match="at least one period"):
-        measure(replace(recording, field=recording.field[:, :200]), array, along_device)
+        measure_ring_down(replace(recording, field=recording.field[:, :200]), array, along_device)
     with pytest.raises(InputError, match="9 channels"):
-        measure(replace(recording, field=recording.field[:9], saturated=np.zeros(9, bool)), array, along_device)
+        measure_ring_down(
+            replace(recording, field=recording.field[:9], saturated=np.zeros(9, bool)), array, along_device
+        )
     with pytest.raises(InputError, match="after a drive"):
-        measure(replace(recording, time_since_drive=np.inf), array, along_device)
+        measure_ring_down(replace(recording, time_since_drive=np.inf), array, along_device)
     deaf = replace(recording, saturated=np.arange(10) < 7)
     with pytest.raises(InputError, match="0, 1, 2, 3, 4, 5, 6"):
-        measure(deaf, array, along_device)
+        measure_ring_down(deaf, array, along_device)

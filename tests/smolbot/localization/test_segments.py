@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from smolbot.core.pose import Pose
-from smolbot.core.rotations import quaternion_from_axes, rotation_error
+from smolbot.core.rotations import compute_rotation_error, quaternion_from_axes
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.forward import deflection, envelope, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_envelope, compute_sensor_field
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.noise.room import NoiseLevels
-from smolbot.localization.segments import GATE, SharedAmplitude, anchor, cut
+from smolbot.localization.segments import MAX_SIGMAS, SharedAmplitude, cut_segments, find_anchor
 
 RATE = 20_000.0
 LEVELS = NoiseLevels(6e-12, 20e-12, 50.0, 9.8e-9, 21e-9, {2: 0.06, 3: 0.3, 5: 0.1})
@@ -31,7 +31,9 @@ NOISE = LEVELS.model(SENSORS)
 
 def heard(device, seconds=0.4, since=0.02, noise=0.0, seed=1) -> Recording:
     time = since + np.arange(round(seconds * RATE)) / RATE
-    field = sensor_field(SENSORS, device, POSITION, ORIENTATION, deflection(device, time, 0.9 * device.theta_max, 0.7))
+    field = compute_sensor_field(
+        SENSORS, device, POSITION, ORIENTATION, compute_deflection(device, time, 0.9 * device.theta_max, 0.7)
+    )
     field += noise * np.random.default_rng(seed).standard_normal(field.shape)
     return Recording(field + 3e-8, RATE, since)
 
@@ -40,29 +42,29 @@ def heard(device, seconds=0.4, since=0.02, noise=0.0, seed=1) -> Recording:
 @pytest.mark.parametrize("time", [0.02, 0.3, 0.7])
 @pytest.mark.parametrize("earliest", [0.0, 0.05])
 def test_one_model_serves_a_later_segment(device, time, earliest):
-    anchored, share = anchor(device, time, earliest)
+    anchored, share = find_anchor(device, time, earliest)
     after = np.linspace(0.0, 0.02, 5)
     assert anchored >= min(time, earliest)
-    there = share * envelope(device, anchored + after)
-    np.testing.assert_allclose(there, envelope(device, time + after), rtol=3e-3)
+    there = share * compute_envelope(device, anchored + after)
+    np.testing.assert_allclose(there, compute_envelope(device, time + after), rtol=3e-3)
 
 
 def test_models_are_few():
     for device, most in ((EXPONENTIAL, 1), (LINEAR, 80)):
-        assert len({anchor(device, t)[0] for t in np.linspace(0.02, 0.89, 2000)}) <= most
+        assert len({find_anchor(device, t)[0] for t in np.linspace(0.02, 0.89, 2000)}) <= most
 
 
 def test_segments_are_of_one_length_and_cover_the_recording():
     recording = heard(EXPONENTIAL)
     for half_periods in (1, 3, 4):
-        segments = list(cut(recording, EXPONENTIAL, half_periods))
+        segments = list(cut_segments(recording, EXPONENTIAL, half_periods))
         assert len(segments) == int(0.4 * 207) // half_periods
         assert len({s.field.shape for s in segments}) == 1
         gaps = np.diff([s.time_since_drive for s in segments]) - half_periods / 207.0
         assert np.abs(gaps).max() <= 1.0 / RATE
     for wrong in (0, 1000):
         with pytest.raises(InputError, match="half_periods"):
-            list(cut(recording, EXPONENTIAL, wrong))
+            list(cut_segments(recording, EXPONENTIAL, wrong))
 
 
 @pytest.mark.parametrize("device", [EXPONENTIAL, LINEAR])
@@ -74,7 +76,7 @@ def test_every_segment_of_clean_data_finds_the_truth(device, estimator):
     for pose in poses:
         off = np.abs(pose.position - POSITION)
         assert off.max() < 6e-5
-        assert np.linalg.norm(rotation_error(pose.orientation, ORIENTATION)) < 0.05
+        assert np.linalg.norm(compute_rotation_error(pose.orientation, ORIENTATION)) < 0.05
         assert pose.trusted
     np.testing.assert_allclose(np.diff([p.time for p in poses]), 4 / 207.0, atol=2.0 / RATE)
 
@@ -118,7 +120,7 @@ def test_amplitude_is_learned_along_the_way():
     recording = heard(EXPONENTIAL, noise=2e-10)
     localizer = Localizer(SENSORS, EXPONENTIAL, NOISE)
     last = localizer.locate_segments(recording, 4)[-1]
-    alone = localizer.locate(list(cut(recording, EXPONENTIAL, 4))[-1], last)
+    alone = localizer.locate(list(cut_segments(recording, EXPONENTIAL, 4))[-1], last)
     assert last.covariance[2, 2] < 0.8 * alone.covariance[2, 2]
 
 
@@ -133,10 +135,10 @@ def test_a_slope_in_every_channel_does_not_move_a_pose():
 
 def test_amplitude_belief_narrows_grows_and_gates():
     start = SharedAmplitude.of(EXPONENTIAL)
-    known = start.narrowed(0.3, 0.001)
+    known = start.update(0.3, 0.001)
     assert (known.mean, known.std) == (0.3, 0.001)
     later = known.at(EXPONENTIAL, 1.0)
     assert 0.3 * 0.05 * 1.6 <= later.std < 0.3 * 0.05 * 1.6 * 1.01  # five per cent of the damping, over a second
-    doubted = known.narrowed(0.3 + 1.01 * GATE * 0.001, 0.001)
+    doubted = known.update(0.3 + 1.01 * MAX_SIGMAS * 0.001, 0.001)
     assert (doubted.mean, doubted.std) == (0.3, 0.002)
-    assert known.narrowed(0.3, np.inf) == known
+    assert known.update(0.3, np.inf) == known

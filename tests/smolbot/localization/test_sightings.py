@@ -10,20 +10,23 @@ import pytest
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.localizer import Localizer
-from smolbot.localization.synthetic import Fitted, Sighting, Sightings
+from smolbot.localization.synthetic import SyntheticFit, SyntheticLocalizer, SyntheticRecording
 
 ROOM = SearchVolume((-0.02, -0.02, 0.045), (0.02, 0.02, 0.07), spacing=5e-3)
 NOTHING = np.zeros((10, 0))
 
 
 def sighting(fitted):
-    return Sighting(NOTHING, 50e3, 0.02, time=1.0, fitted=fitted)
+    return SyntheticRecording(NOTHING, 50e3, 0.02, time=1.0, fit=fitted)
 
 
 @pytest.fixture
 def seen(array, along_device, pose_at, hear):
     """``seen(share)``: what a localizer makes of a swing of this share of the stops, without and with signals."""
-    localizer, rests = Localizer(array, along_device, None, "paper", ROOM), Sightings(array, along_device, ROOM)
+    localizer, rests = (
+        Localizer(array, along_device, None, "paper", ROOM),
+        SyntheticLocalizer(array, along_device, ROOM),
+    )
     truth = pose_at((3.0, -2.0, 60.0), 30.0)
     loud, swing = localizer.locate_swing(hear(array, along_device, truth), truth)
 
@@ -31,7 +34,7 @@ def seen(array, along_device, pose_at, hear):
         heard = hear(array, along_device, truth, amplitude=share * along_device.theta_max)
         pose, _ = localizer.locate_swing(heard, truth)
         amplitude = share * along_device.theta_max
-        fitted = Fitted(loud.position, loud.orientation, amplitude, swing.covariance, loud.r_squared)
+        fitted = SyntheticFit(loud.position, loud.orientation, amplitude, swing.covariance, loud.r_squared)
         return pose, rests.locate_swing(sighting(replace(fitted, **other)), truth)[0]
 
     return judge
@@ -60,7 +63,7 @@ def test_a_sighting_that_explains_little_or_lies_outside_is_not_trusted(seen, wo
 
 
 def test_where_nothing_swung_there_is_no_sighting(array, along_device):
-    nobody = Sightings(array, along_device, ROOM)
-    for fitted in (None, Fitted(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, np.full((7, 7), np.inf), 0.0)):
+    nobody = SyntheticLocalizer(array, along_device, ROOM)
+    for fitted in (None, SyntheticFit(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, np.full((7, 7), np.inf), 0.0)):
         with pytest.raises(InputError, match="holds no pose"):
             nobody.locate_swing(sighting(fitted))

@@ -7,7 +7,7 @@ from smolbot.core.pose import Pose
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
-from smolbot.localization.forward import deflection, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_sensor_field
 from smolbot.localization.localizer import Localizer
 from smolbot.localization.noise.excitation_transients import learn_time_constant
 from smolbot.localization.noise.model import NoiseModel
@@ -26,8 +26,8 @@ COUPLING = RNG.normal(size=(10, 1)) * 1e-3  # T, at the end of the drive
 def recording(since: float, half_periods: int, tau: float, swing: float = 1.0) -> Recording:
     n = round(half_periods * RATE / (2.0 * DEVICE.frequency))
     time = since + np.arange(n) / RATE
-    theta = deflection(DEVICE, time, swing * DEVICE.theta_max, 0.8)
-    field = sensor_field(SENSORS, DEVICE, POSITION, ORIENTATION, theta) + COUPLING * np.exp(-time / tau)
+    theta = compute_deflection(DEVICE, time, swing * DEVICE.theta_max, 0.8)
+    field = compute_sensor_field(SENSORS, DEVICE, POSITION, ORIENTATION, theta) + COUPLING * np.exp(-time / tau)
     return Recording(field + 1e-10 * RNG.normal(size=field.shape), RATE, since)
 
 

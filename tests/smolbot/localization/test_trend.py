@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smolbot.core.sensing import Recording
-from smolbot.localization.forward import deflection, dipole_field, sensor_field
+from smolbot.localization.forward import compute_deflection, compute_dipole_field, compute_sensor_field
 from smolbot.localization.localizer import Localizer
 
 RATE = 50_000.0
@@ -17,12 +17,12 @@ RATE = 50_000.0
 def heard(array, device, pose, half_periods, scalpel, seed=0) -> Recording:
     n = round(half_periods * RATE / (2 * device.frequency))
     time = 0.02 + np.arange(n) / RATE
-    theta = deflection(device, time, 0.9 * device.theta_max, 0.4)
-    field = sensor_field(array, device, pose.position, pose.orientation, theta)
+    theta = compute_deflection(device, time, 0.9 * device.theta_max, 0.4)
+    field = compute_sensor_field(array, device, pose.position, pose.orientation, theta)
     field += 4e-10 * np.random.default_rng(seed).standard_normal(field.shape)
     if scalpel:
         track = np.stack([np.full(n, 0.04), 0.02 - 0.03 * time, np.full(n, 0.08)], axis=-1)
-        blade = dipole_field(array.positions[:, None] - track[None], np.array([0.0, 0.0, 15.97e-3]))
+        blade = compute_dipole_field(array.positions[:, None] - track[None], np.array([0.0, 0.0, 15.97e-3]))
         field += np.einsum("ijk,ik->ij", blade, array.axes)
     return Recording(field, RATE, 0.02)
 
@@ -41,7 +41,7 @@ def test_a_short_quiet_window_pays_nothing_for_it(array, across_device, pose_at)
     truth = pose_at((0, 0, 80))
     recording = heard(array, across_device, truth, 2, False)
     localizer = Localizer(array, across_device)
-    alone = localizer._locate_with(recording, truth, 0)[0]
+    alone = localizer._locate_with_trend(recording, truth, 0)[0]
     np.testing.assert_array_equal(localizer.locate(recording, truth).position, alone.position)
 
 

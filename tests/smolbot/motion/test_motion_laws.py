@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.motion import kernels
-from smolbot.motion.gradient import advance, body_of
+from smolbot.motion.gradient import advance, pack_robot
 from smolbot.motion.kernels import CENTER, DRAG, MAGNET, MOMENT, ROTATIONAL_DRAG, STIFFNESS, STOP
 from tests.conftest import setup_of
 
@@ -23,7 +23,7 @@ NONE = np.zeros((2, 2))
 
 @cache
 def body():
-    return body_of(known().robot)
+    return pack_robot(known().robot)
 
 
 def changed(**values):
@@ -42,7 +42,7 @@ def rigid():
 def test_a_rigid_robot_turns_into_a_uniform_field_as_the_closed_form_says(off, size, duration):
     """tan(angle / 2) falls as exp(-m B t / drag)."""
     field = size * np.array([np.cos(0.3), np.sin(0.3)])
-    x, y, heading, _, _, tail = kernels.roll(rigid(), field, NONE, 0.0, 0.0, 0.3 - off, duration, 20)
+    x, y, heading, _, _, tail = kernels.simulate_window(rigid(), field, NONE, 0.0, 0.0, 0.3 - off, duration, 20)
     left = 2 * np.arctan(np.tan(off / 2) * np.exp(-rigid()[MOMENT] * size / rigid()[ROTATIONAL_DRAG] * duration))
     assert 0.3 - heading == pytest.approx(left, abs=1e-6)
     assert (x, y, tail) == pytest.approx((0, 0, 0), abs=1e-15)
@@ -50,7 +50,9 @@ def test_a_rigid_robot_turns_into_a_uniform_field_as_the_closed_form_says(off, s
 
 def test_an_aligned_robot_is_pulled_at_the_speed_of_force_over_drag():
     gradient = np.array([[0.1, 0.0], [0.0, -0.1]])
-    x, y, heading, middle, _, _ = kernels.roll(rigid(), np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25)
+    x, y, heading, middle, _, _ = kernels.simulate_window(
+        rigid(), np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25
+    )
     assert x == pytest.approx(rigid()[MOMENT] * 0.1 * 0.05 / rigid()[DRAG], rel=1e-9)
     assert middle == pytest.approx(0.5 * x, rel=0.05)
     assert (y, heading) == pytest.approx((0, 0), abs=1e-12)
@@ -58,7 +60,7 @@ def test_an_aligned_robot_is_pulled_at_the_speed_of_force_over_drag():
 
 def test_the_housing_turns_about_its_centre_of_drag():
     body = changed(MAGNET=0.0, STIFFNESS=np.inf)
-    x, y, heading, _, _, _ = kernels.roll(body, np.array([0.0, 5e-3]), NONE, 0.0, 0.0, 0.0, 0.1, 50)
+    x, y, heading, _, _, _ = kernels.simulate_window(body, np.array([0.0, 5e-3]), NONE, 0.0, 0.0, 0.0, 0.1, 50)
     center = np.array([x + body[CENTER] * np.cos(heading), y + body[CENTER] * np.sin(heading)])
     assert heading > 1.0
     assert center == pytest.approx([body[CENTER], 0.0], abs=1e-12)
@@ -66,14 +68,14 @@ def test_the_housing_turns_about_its_centre_of_drag():
 
 def test_pull_at_the_tail_is_counted():
     gradient = np.array([[-0.1, 0.0], [0.0, 0.1]])
-    x, _, _, _, _, tail = kernels.roll(rigid(), np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25)
+    x, _, _, _, _, tail = kernels.simulate_window(rigid(), np.array([5e-3, 0.0]), gradient, 0.0, 0.0, 0.0, 0.05, 25)
     assert x < 0.0
     assert tail == pytest.approx(-x, rel=1e-6)
 
 
 @given(st.floats(-1.5, 1.5), st.floats(1e-7, 1e-5))
 def test_the_cantilever_bends_until_its_torque_balances_the_field_s_or_it_stops(off, torque):
-    bent = kernels.deflection(off, torque, body()[STIFFNESS], body()[STOP])
+    bent = kernels.compute_deflection(off, torque, body()[STIFFNESS], body()[STOP])
     if abs(bent) < body()[STOP]:
         assert body()[STIFFNESS] * bent == pytest.approx(torque * np.sin(off - bent), abs=1e-3 * torque)
     else:
@@ -122,14 +124,14 @@ def test_a_window_is_what_an_independent_integration_says(currents, heading, x_m
 
 
 def test_the_nearest_place_on_a_leg_is_the_curve_s():
-    path = load_mission("r_small").path
+    path = load_steering_mission("r_small").path
     first, last = 1, len(path.points) - 2  # the bowl, from the stem's top back to the stem
     bowl = type(path)(path.points[first : last + 1])
     points, arc = np.ascontiguousarray(path.points[:, :2]), path.arc
     rng = np.random.default_rng(0)
     for s in rng.uniform(0.5e-3, bowl.length - 0.5e-3, 50):
         place = bowl.at(s) + 2e-4 * rng.normal(size=3)
-        found, along, across = kernels.nearest(points, arc, first, last, arc[first] + s, place[0], place[1])
+        found, along, across = kernels.find_nearest(points, arc, first, last, arc[first] + s, place[0], place[1])
         wanted, away = bowl.project(place[None])
         assert found - arc[first] == pytest.approx(wanted[0], abs=1e-12)
         assert np.hypot(along, across) == pytest.approx(away[0], abs=1e-12)
@@ -149,7 +151,7 @@ def problem(heading):
 
 
 def room(total, size):
-    """What `_residuals` works in, with a Jacobian of `total` rows."""
+    """What `_compute_residuals` works in, with a Jacobian of `total` rows."""
     jacobian = np.empty((total, size if total else 0))
     return jacobian, np.empty((6, size)), np.empty((7, size)), np.empty(2), np.empty((2, 2))
 
@@ -161,13 +163,13 @@ def test_jacobian_of_a_plan_matches_finite_differences(heading, windows):
     currents = np.random.default_rng(3).uniform(0.5, 7.5, (windows, 4))
     size, total = currents.size, 8 * windows + currents.size
     out, ends, full, rough = np.empty(total), np.empty((windows, 3)), room(total, size), room(0, size)
-    kernels._residuals(currents, b, g, *rest_of, out, ends, full)
+    kernels._compute_residuals(currents, b, g, *rest_of, out, ends, full)
     for i in range(size):
         sides = []
         for nudge in (1e-5, -1e-5):
             other = currents.copy()
             other.flat[i] += nudge
-            kernels._residuals(other, b, g, *rest_of, out, ends, rough)
+            kernels._compute_residuals(other, b, g, *rest_of, out, ends, rough)
             sides.append(out.copy())
         assert full[0][:, i] == pytest.approx((sides[0] - sides[1]) / 2e-5, abs=1e-4)
 
@@ -185,16 +187,16 @@ def test_the_cost_of_a_plan_is_the_formula_of_the_law(heading, scale):
     for i in currents:
         field, gradient = i @ b, np.einsum("k,kij->ij", i, g)
         at_magnet = field + gradient @ [x + body[MAGNET] * np.cos(psi), y + body[MAGNET] * np.sin(psi)]
-        x, y, psi, _, half_way, tail = kernels.roll(body, field, gradient, x, y, psi, duration, steps)
+        x, y, psi, _, half_way, tail = kernels.simulate_window(body, field, gradient, x, y, psi, duration, steps)
         s += stride
-        off = abs(kernels.wrapped(psi))
+        off = abs(kernels.wrap_angle(psi))
         wanted += n**2 * ((1e3 * half_way) ** 2 / 4 + (1e3 * y) ** 2)
         wanted += f**2 * (1e3 * (s - (x + 5e-3))) ** 2
         wanted += h**2 * (off**2 if off < knee else knee * (2 * off - knee))
         wanted += p**2 * (1e3 * tail) ** 2
         wanted += c**2 * max(0.0, 1.0 - np.linalg.norm(at_magnet) / b_least) ** 2
         wanted += q**2 * np.sum((i / i_max) ** 2)
-    found = kernels._residuals(currents, b, g, *rest_of, np.empty(24), np.empty((2, 3)), room(0, 8))
+    found = kernels._compute_residuals(currents, b, g, *rest_of, np.empty(24), np.empty((2, 3)), room(0, 8))
     assert found == pytest.approx(wanted, rel=1e-12)
 
 
@@ -202,14 +204,14 @@ def test_the_cost_of_a_plan_is_the_formula_of_the_law(heading, scale):
 def test_a_plan_is_nearly_as_good_as_any_that_scipy_finds(heading):
     b, g, _, high, body, state, drift, rest, duration, steps, route, leg, weights = given = problem(heading)
     corners = np.array(np.meshgrid(*[[0.0, 8.0]] * 4)).reshape(4, -1).T
-    found, currents, _ = kernels.plan(*given, np.ascontiguousarray(corners[:, None, :]), 2, 6)
+    found, currents, _ = kernels.plan_currents(*given, np.ascontiguousarray(corners[:, None, :]), 2, 6)
     assert np.all((currents >= 0.0) & (currents <= 8.0))
     out, ends, full = np.empty(12), np.empty((1, 3)), room(12, 4)
     rest_of = (high, body, state, drift, rest, duration, steps, route, leg, weights, out, ends, full)
 
     def cost(i):
         """And its slope, by the Jacobian that matches finite differences."""
-        value = kernels._residuals(np.clip(i, 0, 8)[None, :], b, g, *rest_of)
+        value = kernels._compute_residuals(np.clip(i, 0, 8)[None, :], b, g, *rest_of)
         return value, 2.0 * full[0].T @ out
 
     rng = np.random.default_rng(0)

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from smolbot.errors import InputError
-from smolbot.paths.corners import corner_indices, curvature, turns
-from smolbot.paths.drawing.font import FIRST, LAST, strokes
-from smolbot.paths.drawing.joining import joined
-from smolbot.paths.glyphs import GLYPHS, drawn_glyph, glyph
-from smolbot.paths.polylines import arc_of, place_at
+from smolbot.paths.corners import compute_curvature, compute_turns, find_corners
+from smolbot.paths.drawing.font import FIRST_CHARACTER, LAST_CHARACTER, read_strokes
+from smolbot.paths.drawing.joining import join_strokes
+from smolbot.paths.glyphs import GLYPHS, make_glyph, make_glyph_outline
+from smolbot.paths.polylines import compute_arc_lengths, interpolate_polyline
 
-CHARACTERS = [chr(i) for i in range(ord(FIRST), ord(LAST) + 1)]
+CHARACTERS = [chr(i) for i in range(ord(FIRST_CHARACTER), ord(LAST_CHARACTER) + 1)]
 
 
 def length(points):
-    return float(arc_of(points)[-1])
+    return float(compute_arc_lengths(points)[-1])
 
 
 def dense(points, step):
-    return place_at(points, np.linspace(0.0, length(points), max(int(length(points) / step), 2)))
+    return interpolate_polyline(points, np.linspace(0.0, length(points), max(int(length(points) / step), 2)))
 
 
 def farthest(points, lines):
@@ -31,8 +31,8 @@ def farthest(points, lines):
 
 @pytest.mark.parametrize("name", CHARACTERS)
 def test_a_route_covers_every_stroke_of_its_character_and_nothing_else_but_bridges(name):
-    drawn = strokes(name)
-    route = joined(drawn)
+    drawn = read_strokes(name)
+    route = join_strokes(drawn)
     for before, after in zip(route.pieces[:-1], route.pieces[1:]):
         assert np.allclose(before[-1], after[0], atol=1e-9)  # one route, without a jump
     ink = [dense(stroke, 0.3) for stroke in drawn]
@@ -44,7 +44,7 @@ def test_a_route_covers_every_stroke_of_its_character_and_nothing_else_but_bridg
 def test_retracing_stays_small():
     shares = {}
     for name in CHARACTERS:
-        route = joined(strokes(name))
+        route = join_strokes(read_strokes(name))
         shares[name] = sum(map(length, route.retraced)) / sum(map(length, route.pieces))
     assert max(shares.values()) < 0.41, shares
     assert np.mean(list(shares.values())) < 0.08
@@ -62,7 +62,7 @@ def test_retracing_stays_small():
     ],
 )
 def test_no_route_is_shorter(name, once, twice):
-    outline = drawn_glyph(name, 20.0, 30.0)
+    outline = make_glyph_outline(name, 20.0, 30.0)
     if once is None:  # its middle bar, there and back
         xs = outline.points[:, 0]
         bar = float(np.max(xs[np.abs(outline.points[:, 1]) < 10.0]) - xs.min())
@@ -73,20 +73,20 @@ def test_no_route_is_shorter(name, once, twice):
 
 @pytest.mark.parametrize("name", ["i", "j", "!", "?", ":", ";", "=", '"', "%"])
 def test_a_gap_that_no_robot_can_leap_is_bridged_and_told(name):
-    remarks = drawn_glyph(name, 10.0, 30.0).remarks
+    remarks = make_glyph_outline(name, 10.0, 30.0).remarks
     assert any("parts that do not touch" in remark and "bridges the gap" in remark for remark in remarks)
 
 
 def test_the_bridge_of_an_equals_sign_is_as_long_as_its_gap():
-    (bridge,) = joined(strokes("=")).bridges
-    lines = strokes("=")
+    (bridge,) = join_strokes(read_strokes("=")).bridges
+    lines = read_strokes("=")
     assert length(bridge) == pytest.approx(abs(lines[0][0, 1] - lines[1][0, 1]))
 
 
 @pytest.mark.parametrize("name", CHARACTERS)
 @pytest.mark.parametrize("size", [(20.0, 30.0), (6.0, 12.0)])
 def test_a_character_fills_its_box_around_the_origin(name, size):
-    points = glyph(name, *size)
+    points = make_glyph(name, *size)
     spread = np.ptp(points, axis=0)
     for have, want in zip(spread, size):
         assert have == pytest.approx(want) or have == pytest.approx(0.0, abs=1e-9)
@@ -96,14 +96,14 @@ def test_a_character_fills_its_box_around_the_origin(name, size):
 
 
 def test_an_s_of_the_font_is_smooth_evenly_sampled_and_bends_over_once():
-    points = glyph("s", 20.0, 30.0)
+    points = make_glyph("s", 20.0, 30.0)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert steps == pytest.approx(steps.mean(), rel=0.01)
-    assert np.degrees(turns(points).max()) < 4.5
+    assert np.degrees(compute_turns(points).max()) < 4.5
     way = np.diff(points, axis=0)
     side = np.sign(way[:-1, 0] * way[1:, 1] - way[:-1, 1] * way[1:, 0])
     assert np.sum(side[1:] != side[:-1]) == 1  # left, then right: no waves from the coarse grid
-    bend = curvature(points)[1:-1]
+    bend = compute_curvature(points)[1:-1]
     assert np.abs(np.diff(bend)).max() < 0.1 * bend.max()  # curvature goes over gently
     assert 1.0 / bend.max() > 4.0  # mm
     assert points[0, 0] > 0.0 > points[-1, 0]
@@ -112,30 +112,30 @@ def test_an_s_of_the_font_is_smooth_evenly_sampled_and_bends_over_once():
 
 @pytest.mark.parametrize("name", ["O", "0", "o", "8"])
 def test_a_closed_letter_has_no_corner_where_it_closes(name):
-    points = glyph(name, 20.0, 30.0)
+    points = make_glyph(name, 20.0, 30.0)
     assert np.array_equal(points[0], points[-1]) or np.allclose(points[0], points[-1], atol=1e-9)
     around = np.vstack([points[-2], points[0], points[1]])
-    assert np.degrees(turns(around)[0]) < 6.0
-    assert corner_indices(points) == []
+    assert np.degrees(compute_turns(around)[0]) < 6.0
+    assert find_corners(points) == []
 
 
 def test_straight_legs_stay_straight_and_corners_exact():
-    u = glyph("U", 20.0, 30.0)
+    u = make_glyph("U", 20.0, 30.0)
     legs = u[(u[:, 1] > -5.0)]
     assert np.abs(np.abs(legs[:, 0]) - 10.0).max() < 0.01
-    m = glyph("M", 20.0, 30.0)
+    m = make_glyph("M", 20.0, 30.0)
     assert m == pytest.approx(np.array([[-10, -15], [-10, 15], [0, -15], [10, 15], [10, -15.0]]))
-    z = glyph("Z", 20.0, 30.0)
+    z = make_glyph("Z", 20.0, 30.0)
     assert z == pytest.approx(np.array([[-10, 15], [10, 15], [-10, -15], [10, -15.0]]))
 
 
 def test_own_letters_come_before_the_font():
     assert set(GLYPHS) == {"I", "L", "R", "S"}
-    assert glyph("L", 4.0, 6.0) == pytest.approx(np.array([[-2, 3], [-2, -3], [2, -3.0]]))
-    assert glyph("I", 4.0, 6.0) == pytest.approx(np.array([[0, -3], [0, 3.0]]))
+    assert make_glyph("L", 4.0, 6.0) == pytest.approx(np.array([[-2, 3], [-2, -3], [2, -3.0]]))
+    assert make_glyph("I", 4.0, 6.0) == pytest.approx(np.array([[0, -3], [0, 3.0]]))
     angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, 49)
     bowl = np.column_stack([2.0 + 6.0 * np.cos(angle), 6.0 + 6.0 * np.sin(angle)])
-    assert glyph("R", 16.0, 24.0) == pytest.approx(np.vstack([[-8, -12], [-8, 12], bowl, [-8, 0], [8, -12.0]]))
+    assert make_glyph("R", 16.0, 24.0) == pytest.approx(np.vstack([[-8, -12], [-8, 12], bowl, [-8, 0], [8, -12.0]]))
 
 
 @pytest.mark.parametrize(
@@ -144,6 +144,6 @@ def test_own_letters_come_before_the_font():
 )
 def test_what_is_not_one_printable_character_is_told_so(name, words):
     with pytest.raises(InputError) as error:
-        glyph(name, 1.0, 1.0)
+        make_glyph(name, 1.0, 1.0)
     for word in words:
         assert word in str(error.value)

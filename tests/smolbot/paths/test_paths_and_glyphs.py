@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.batch.intervals import wilson_interval
+from sim.batch.intervals import compute_wilson_interval
 from smolbot.errors import InputError
 from smolbot.paths.curve import Curve, read_csv
-from smolbot.paths.glyphs import BOWL, GLYPHS, glyph
+from smolbot.paths.glyphs import BOWL_RADIUS_SHARE, GLYPHS, make_glyph
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_a_path_has_two_points_that_differ():
 @pytest.mark.parametrize("name", sorted(GLYPHS))
 @pytest.mark.parametrize("size", [(8.0, 12.0), (20.0, 28.0), (3.0, 12.0)])
 def test_a_letter_fills_its_box_around_the_origin(name, size):
-    points = glyph(name, *size)
+    points = make_glyph(name, *size)
     low, high = points.min(axis=0), points.max(axis=0)
     assert np.all(low >= -np.array(size) / 2 - 1e-9)
     assert np.all(high <= np.array(size) / 2 + 1e-9)
@@ -97,10 +97,10 @@ def test_a_letter_fills_its_box_around_the_origin(name, size):
 
 def test_the_length_of_an_R_is_stem_bowl_and_leg():
     width, height = 8.0, 12.0
-    radius = BOWL * height
+    radius = BOWL_RADIUS_SHARE * height
     bowl = np.pi * radius + 2 * (width - radius)
     leg = np.hypot(width, height / 2)
-    points = glyph("R", width, height)
+    points = make_glyph("R", width, height)
     length = Curve(np.column_stack([points, np.zeros(len(points))])).length
     assert length == pytest.approx(height + bowl + leg, rel=1e-3)
 
@@ -145,7 +145,7 @@ def test_an_interval_of_a_rate_holds_the_rate_and_agrees_with_scipy(total, share
     from scipy.stats import binomtest
 
     passed = round(share * total)
-    low, high = wilson_interval(passed, total)
+    low, high = compute_wilson_interval(passed, total)
     reference = binomtest(passed, total).proportion_ci(0.95, method="wilson")
     assert (low, high) == pytest.approx((reference.low, reference.high), abs=1e-6)
     assert low <= passed / total + 1e-12
@@ -153,4 +153,4 @@ def test_an_interval_of_a_rate_holds_the_rate_and_agrees_with_scipy(total, share
 
 
 def test_without_a_trial_nothing_is_known():
-    assert wilson_interval(0, 0) == (0.0, 1.0)
+    assert compute_wilson_interval(0, 0) == (0.0, 1.0)

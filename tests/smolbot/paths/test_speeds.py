@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from smolbot.errors import InputError
 from smolbot.paths.curve import Curve
-from smolbot.paths.speed_profile import CORNER_RADIUS, SpeedProfile, speed_profile
+from smolbot.paths.speed_profile import CORNER_RADIUS, SpeedProfile, compute_speed_profile
 
 SPEED, LATERAL = 2e-3, 0.2e-3
 
@@ -28,7 +28,7 @@ def circle(radius, n=200):
 
 @pytest.mark.parametrize("radius", [1.0, 5.0, 15.0])
 def test_a_circle_is_taken_at_the_speed_that_its_radius_allows(radius):
-    profile = speed_profile(circle(radius), SPEED, LATERAL)
+    profile = compute_speed_profile(circle(radius), SPEED, LATERAL)
     expected = min(SPEED, np.sqrt(LATERAL * radius * 1e-3))
     middle = profile.speed[len(profile.speed) // 4 : -len(profile.speed) // 4]
     assert middle == pytest.approx(expected, rel=1e-3)
@@ -36,13 +36,13 @@ def test_a_circle_is_taken_at_the_speed_that_its_radius_allows(radius):
 
 def test_without_a_limit_the_speed_is_the_same_everywhere():
     curve = Curve(circle(3.0))
-    profile = speed_profile(curve.points, SPEED)
+    profile = compute_speed_profile(curve.points, SPEED)
     assert profile.duration == pytest.approx(curve.length / SPEED)
     assert profile.at(0.5 * curve.length) == pytest.approx(SPEED)
 
 
 def test_a_corner_is_braked_for_and_left_at_the_same_acceleration():
-    profile = speed_profile(in_space([[0, 0], [30, 0], [30, 30]]), SPEED, LATERAL, 0.1e-3)
+    profile = compute_speed_profile(in_space([[0, 0], [30, 0], [30, 30]]), SPEED, LATERAL, 0.1e-3)
     slow = np.sqrt(LATERAL * CORNER_RADIUS)
     away = np.abs(profile.arc - 30e-3)
     expected = np.minimum(np.sqrt(slow**2 + 2.0 * 0.1e-3 * away), SPEED)
@@ -57,15 +57,15 @@ def test_no_limit_is_broken_on_any_path(points, lateral):
     kept = [p for k, p in enumerate(points) if k == 0 or p != points[k - 1]]
     if len(kept) < 2:
         return
-    profile = speed_profile(in_space(kept), SPEED, lateral, 0.1e-3)
+    profile = compute_speed_profile(in_space(kept), SPEED, lateral, 0.1e-3)
     assert np.all(profile.speed <= SPEED * (1 + 1e-12))
     assert np.all(np.abs(np.diff(profile.speed**2)) <= 2.0 * 0.1e-3 * np.diff(profile.arc) * (1 + 1e-9) + 1e-18)
 
 
 def test_no_profile_within_the_limits_is_quicker():
     points = np.vstack([in_space([[-12, 0], [-2, 0], [-2, 5]]), circle(2.0, 40)[5:30] + [0, 8e-3, 0]])
-    profile = speed_profile(points, SPEED, LATERAL, 0.05e-3)
-    free = speed_profile(points, SPEED, LATERAL, 1e9)  # limits of bends alone
+    profile = compute_speed_profile(points, SPEED, LATERAL, 0.05e-3)
+    free = compute_speed_profile(points, SPEED, LATERAL, 1e9)  # limits of bends alone
     n, step = len(profile.arc), np.diff(profile.arc)
     rise = np.zeros((2 * (n - 1), n))
     for i in range(n - 1):
@@ -79,7 +79,7 @@ def test_no_profile_within_the_limits_is_quicker():
 
 
 def test_time_and_place_are_each_others_inverse():
-    profile = speed_profile(in_space([[0, 0], [10, 0], [10, 10]]), SPEED, LATERAL)
+    profile = compute_speed_profile(in_space([[0, 0], [10, 0], [10, 10]]), SPEED, LATERAL)
     for s in (0.0, 3e-3, 10e-3, 17e-3):
         time = float(np.interp(s, profile.arc, profile.times))
         assert profile.after(0.0, time) == pytest.approx(s, abs=1e-9)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from smolbot.errors import InputError
-from smolbot.paths.corners import corner_indices, turns
+from smolbot.paths.corners import compute_turns, find_corners
 from smolbot.paths.drawing.svg import read_svg
-from smolbot.paths.polylines import arc_of, nearest_place
+from smolbot.paths.polylines import compute_arc_lengths, find_nearest_place
 
 IN_MM = 'width="100mm" height="80mm" viewBox="0 0 100 80"'
 
@@ -92,9 +92,9 @@ def test_curves_keep_within_5_um_of_their_equations(drawn, data, parts):
     t = np.linspace(0.0, 1.0, 4001)[:, None]
     true = np.vstack([bezier(part, t)[k > 0 :] for k, part in enumerate(parts)]) * np.array([1.0, -1.0])
     shift = points[0] - true[0]
-    away = [nearest_place(points, p + shift)[1] for p in true[::13]]
+    away = [find_nearest_place(points, p + shift)[1] for p in true[::13]]
     assert max(away) < 6e-3  # mm
-    spread = [nearest_place(true + shift, p)[1] for p in points]
+    spread = [find_nearest_place(true + shift, p)[1] for p in points]
     assert max(spread) < 1e-3
 
 
@@ -109,7 +109,7 @@ def test_curves_keep_within_5_um_of_their_equations(drawn, data, parts):
 )
 def test_arcs_lie_on_their_circle_or_ellipse(drawn, body, radii, share):
     points = drawn(body)
-    assert corner_indices(points) == []
+    assert find_corners(points) == []
     if radii is None:  # an arc of a radius that is too small for its ends grows to a half circle, as SVG has it
         away = np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)
         assert away == pytest.approx(9.0, abs=1e-5)
@@ -117,7 +117,7 @@ def test_arcs_lie_on_their_circle_or_ellipse(drawn, body, radii, share):
     assert np.hypot(points[:, 0] / radii[0], points[:, 1] / radii[1]) == pytest.approx(1.0, abs=1e-5)
     a, b = radii
     ramanujan = np.pi * (3 * (a + b) - np.sqrt((3 * a + b) * (a + 3 * b)))
-    assert arc_of(points)[-1] == pytest.approx(share * ramanujan, rel=1e-3)
+    assert compute_arc_lengths(points)[-1] == pytest.approx(share * ramanujan, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -146,8 +146,8 @@ def test_an_element_or_a_group_with_one_is_chosen_by_its_id(drawn):
 
 def test_a_tight_bend_is_no_corner_and_a_corner_no_bend(drawn):
     points = drawn('<path d="M 0 0 L 10 0 A 0.05 0.05 0 0 1 10.05 0.05 L 10.05 8 L 20 8"/>')
-    assert len(corner_indices(points)) == 1
-    assert np.sum(turns(points) > np.radians(3.0)) > 10
+    assert len(find_corners(points)) == 1
+    assert np.sum(compute_turns(points) > np.radians(3.0)) > 10
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sim.tank.positioning_stage import TankStage
-from smolbot.config.known_track import planned_track, read_track, write_track
-from smolbot.config.mission import load_mission
+from smolbot.config.known_track import plan_track, read_known_track, write_known_track
+from smolbot.config.mission import load_steering_mission
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
 from smolbot.core.pose import Pose
@@ -19,7 +19,7 @@ from smolbot.core.rotations import quaternion_from_axes
 from smolbot.errors import ConfigError, InputError, MissingFileError
 from smolbot.localization.localizer import Localizer
 from smolbot.runs.folder import RunFolder
-from smolbot.runs.recording.files import RunFiles
+from smolbot.runs.recording.run_files import RunFiles
 from smolbot.ui.cli.app import main
 
 SEED, POSES = 3, 48
@@ -138,7 +138,7 @@ def test_the_section_can_be_pasted_into_a_rig_file(stage, calibrated, tmp_path):
 
 
 def test_a_run_keeps_the_sensors_file_that_it_believed(stage, tmp_path):
-    mission = load_mission("line", None, {"rig.sensors.calibrated": str(stage[0] / "sensors.toml")})
+    mission = load_steering_mission("line", None, {"rig.sensors.calibrated": str(stage[0] / "sensors.toml")})
     RunFolder(tmp_path / "run").begin(RunFiles.of(mission).contents, {})
     assert (tmp_path / "run" / "sensors.toml").read_text() == (stage[0] / "sensors.toml").read_text()
 
@@ -146,9 +146,9 @@ def test_a_run_keeps_the_sensors_file_that_it_believed(stage, tmp_path):
 def test_rows_that_do_not_belong_to_their_recordings_fail_the_check_and_nothing_is_written(
     stage, tmp_path, monkeypatch, capsys
 ):
-    track = read_track(stage[0] / "kept" / "track.csv")
+    track = read_known_track(stage[0] / "kept" / "track.csv")
     few(stage, tmp_path)
-    write_track(tmp_path / "wrong.csv", track.poses[:SOME][::-1], ["samples.npz"] * SOME)
+    write_known_track(tmp_path / "wrong.csv", track.poses[:SOME][::-1], ["samples.npz"] * SOME)
     out = tmp_path / "s.toml"
     code, printed, error = run(monkeypatch, capsys, tmp_path / "wrong.csv", "--out", out, "--json")
     assert code == 1
@@ -158,13 +158,13 @@ def test_rows_that_do_not_belong_to_their_recordings_fail_the_check_and_nothing_
 
 
 def test_recordings_of_no_use_are_named_and_left_out(stage, tmp_path, monkeypatch, capsys):
-    track = read_track(stage[0] / "kept" / "track.csv")
+    track = read_known_track(stage[0] / "kept" / "track.csv")
     values = few(stage, tmp_path)
     values["volts"][5] = 1e-4 * np.random.default_rng(0).standard_normal(values["volts"][5].shape)
     values["volts"][9, :8, 100] = 10.0
     values["volts"][12, 4] = 0.5
     np.savez(tmp_path / "spoilt.npz", **values)
-    write_track(tmp_path / "t.csv", track.poses[:SOME], [""] * SOME)
+    write_known_track(tmp_path / "t.csv", track.poses[:SOME], [""] * SOME)
     code, printed, _ = run(
         monkeypatch, capsys, tmp_path / "t.csv", "--samples", tmp_path / "spoilt.npz", "--json", "--out",
         tmp_path / "s.toml",
@@ -238,8 +238,8 @@ def test_an_array_that_stands_where_it_is_believed_to_is_left_alone(tmp_path, mo
 
 
 def test_a_track_that_is_longer_than_its_recordings_is_refused(stage, tmp_path, monkeypatch, capsys):
-    track = read_track(stage[0] / "kept" / "track.csv")
-    write_track(tmp_path / "t.csv", [*track.poses, track.poses[0]], [str(track.files[0].resolve())] * (POSES + 1))
+    track = read_known_track(stage[0] / "kept" / "track.csv")
+    write_known_track(tmp_path / "t.csv", [*track.poses, track.poses[0]], [str(track.files[0].resolve())] * (POSES + 1))
     code, _, error = run(monkeypatch, capsys, tmp_path / "t.csv")
     assert code == 2
     assert f"{POSES + 1} rows, but" in error
@@ -268,10 +268,10 @@ def test_a_world_without_a_stage_asks_for_recordings(monkeypatch, capsys):
 
 
 def test_directions_and_quaternions_say_the_same(tmp_path):
-    track = planned_track(np.array([-0.02, -0.02, 0.05]), np.array([0.02, 0.02, 0.08]), 5)
-    write_track(tmp_path / "a.csv", track, ["a.npz"] * 5)
+    track = plan_track(np.array([-0.02, -0.02, 0.05]), np.array([0.02, 0.02, 0.08]), 5)
+    write_known_track(tmp_path / "a.csv", track, ["a.npz"] * 5)
     rows = [",".join(map(repr, [*(1e3 * p.position).tolist(), *p.orientation.tolist()])) for p in track]
     (tmp_path / "b.csv").write_text("\n".join(["x_mm,y_mm,z_mm,qw,qx,qy,qz", *rows]))
-    for a, b in zip(read_track(tmp_path / "a.csv").poses, read_track(tmp_path / "b.csv").poses):
+    for a, b in zip(read_known_track(tmp_path / "a.csv").poses, read_known_track(tmp_path / "b.csv").poses):
         assert a.position == pytest.approx(b.position)
         assert abs(a.orientation @ b.orientation) == pytest.approx(1.0)

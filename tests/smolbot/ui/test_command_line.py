@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from smolbot.config.library import shipped
+from smolbot.config.library import list_shipped
 from smolbot.errors import RigError
 from smolbot.flight import session as flying
 from smolbot.ui.cli import app as command_line
@@ -75,7 +75,7 @@ def test_ctrl_c_ends_with_3_and_leaves_the_folder(smolbot, monkeypatch, tmp_path
         if len(calls) == 4:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(progress.Progress, "__call__", interrupt)
+    monkeypatch.setattr(progress.PathProgress, "__call__", interrupt)
     code, out, _ = smolbot("run", "line", "--out", "stopped", *PLAIN)
     assert code == 3
     assert "stopped by the operator" in out
@@ -141,7 +141,7 @@ def test_a_run_folder_in_use_ends_with_2(smolbot, tmp_path):
 
 
 def test_a_spoiled_table_ends_with_2_and_its_place(smolbot, tmp_path):
-    rig = shipped("rigs")["tank"].read_text()
+    rig = list_shipped("rigs")["tank"].read_text()
     start, end = rig.index("[table]"), rig.index("[container]")
     (tmp_path / "rig.toml").write_text(f'{rig[:start]}[table]\nfile = "coils.txt"\n\n{rig[end:]}')
     (tmp_path / "coils.txt").write_text("% x y z\n1 2 NaN\n")
@@ -154,7 +154,7 @@ def test_a_spoiled_table_ends_with_2_and_its_place(smolbot, tmp_path):
 
 
 def test_all_faults_of_the_files_are_told_at_once(smolbot, tmp_path):
-    text = shipped("missions")["line"].read_text()
+    text = list_shipped("missions")["line"].read_text()
     for old, new in (
         ("tolerance_mm", "tolerence_mm"),
         ("excite_cycles = 5", "excite_cycles = 0"),
@@ -240,7 +240,7 @@ def test_the_installed_command_ends_with_its_code(tmp_path):
 
 
 def test_new_run_folders_never_share_a_name(line, tmp_path):
-    first = flying.new_folder(line, 1, tmp_path)
+    first = flying.make_run_folder(line, 1, tmp_path)
     first.path.mkdir(exist_ok=True, parents=True)
-    assert flying.new_folder(line, 1, tmp_path).path != first.path
+    assert flying.make_run_folder(line, 1, tmp_path).path != first.path
     assert Path(first.path).parent == tmp_path

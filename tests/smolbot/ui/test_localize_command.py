@@ -15,7 +15,7 @@ from scipy.io import savemat
 from smolbot.config.device import DeviceConfig, write_device
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
-from smolbot.config.samples import read_samples, recordings_from
+from smolbot.config.samples import make_recordings, read_samples
 from smolbot.errors import InputError, MissingFileError
 from smolbot.ui.cli.app import main
 
@@ -74,7 +74,7 @@ def test_every_format_holds_the_same_samples(tmp_path, samples, rig, suffix):
     assert found.time_since_drive == pytest.approx(np.full(shots, 0.02))
     if suffix != ".csv":
         assert found.clock == pytest.approx(samples["clock_s"])
-    recordings = recordings_from(found, rig).recordings
+    recordings = make_recordings(found, rig).recordings
     assert recordings[0].field == pytest.approx(1e-6 * samples["volts"][0])
 
 
@@ -112,7 +112,7 @@ def test_superfast_gives_a_pose_from_every_segment(tmp_path, samples, monkeypatc
 def test_channels_that_saturate_or_go_silent_are_named_and_left_out(tmp_path, samples, rig, monkeypatch, capsys):
     samples["volts"][1, 3] = 10.0
     samples["volts"][1, 0] = 0.25
-    shots = recordings_from(read_samples(write(tmp_path / "shots.npz", samples)), rig)
+    shots = make_recordings(read_samples(write(tmp_path / "shots.npz", samples)), rig)
     assert np.flatnonzero(shots.recordings[1].saturated).tolist() == [0, 3]
     code, printed, _ = run(monkeypatch, capsys, tmp_path / "shots.npz", "--rig", "tank", "--json")
     rows = json.loads(printed)["poses"]

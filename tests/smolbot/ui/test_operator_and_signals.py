@@ -94,17 +94,17 @@ def test_handlers_are_as_before_once_a_run_is_over():
     import threading
 
     from smolbot.flight.safety.stop_latch import Latch
-    from smolbot.flight.safety.stop_signals import stop_signals
+    from smolbot.flight.safety.stop_signals import catch_stop_signals
 
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
-    with stop_signals(Latch()):
+    with catch_stop_signals(Latch()):
         assert signal.getsignal(signal.SIGTERM) != before[0]
     assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
     failures = []
 
     def elsewhere():
         try:
-            with stop_signals(Latch()):
+            with catch_stop_signals(Latch()):
                 pass
         except ValueError as error:
             failures.append(error)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.errors import ConfigError
 from smolbot.ui.cli import app as command_line
 
@@ -92,7 +92,7 @@ def test_init_copies_a_missions_drawing_with_it(smolbot, lay, tmp_path, spelling
         "tank.toml",
     ]
     (tmp_path / "drawings/hook.svg").unlink()
-    ours, theirs = load_mission(str(tmp_path / "copy/mine.toml")), BOX
+    ours, theirs = load_steering_mission(str(tmp_path / "copy/mine.toml")), BOX
     assert ours.path.length * 1e3 == pytest.approx(18.0, rel=1e-4), theirs
     assert smolbot("init", "again", "--mission", "copy/mine.toml")[0] == 0  # a copy can be copied
     code, _, err = smolbot("init", "third", "--mission", "mine.toml")
@@ -125,7 +125,7 @@ def test_init_copies_a_missions_drawing_with_it(smolbot, lay, tmp_path, spelling
 )
 def test_a_path_that_cannot_be_flown_is_told_with_its_key(lay, section, key, words):
     with pytest.raises(ConfigError) as error:
-        load_mission(lay(section))
+        load_steering_mission(lay(section))
     lines = [line for line in str(error.value).splitlines() if ": start: " not in line]
     fitting = [line for line in lines if re.search(rf"mine\.toml:\d+: {re.escape(key)}: ", line)]
     assert fitting, lines
@@ -135,13 +135,13 @@ def test_a_path_that_cannot_be_flown_is_told_with_its_key(lay, section, key, wor
 
 def test_broken_drawings_name_mission_drawing_and_element(lay):
     with pytest.raises(ConfigError, match=r"mine\.toml:\d+: path\.file: .*hook\.svg: element 'a': the line ends at"):
-        load_mission(lay('file = "hook.svg"', '<path id="a" d="M 0 0 h 3 m 1 0 h 3"/>'))
+        load_steering_mission(lay('file = "hook.svg"', '<path id="a" d="M 0 0 h 3 m 1 0 h 3"/>'))
     with pytest.raises(ConfigError, match=r"mine\.toml:\d+: path\.file: .*hook\.svg:1: not valid XML"):
-        load_mission(lay('file = "hook.svg"', "<path"))
+        load_steering_mission(lay('file = "hook.svg"', "<path"))
 
 
 def test_paths_stay_in_space_at_the_liquids_surface(lay):
-    mission = load_mission(lay('file = "hook.svg"\ncenter_mm = [1.0, -2.0]'))
+    mission = load_steering_mission(lay('file = "hook.svg"\ncenter_mm = [1.0, -2.0]'))
     assert mission.path.points.shape[1] == 3
     assert mission.path.points[:, 2] == pytest.approx(mission.rig.surface_z)
     assert mission.path.points[:, :2] * 1e3 == pytest.approx(np.array([[-4, 2], [6, 2], [6, -6.0]]), abs=1e-4)

@@ -7,28 +7,28 @@ from typing import Any
 
 import numpy as np
 
-from sim.tank.carriers.carrier import Magnetic, State
-from sim.tank.carriers.gel import kernels
-from sim.tank.carriers.gel.truth import draw_gel, gel_generators, pack_cube, pack_gel, pack_inclusions
+from sim.tank.carriers.carrier import Load, State
+from sim.tank.carriers.gel import gel_kernels
+from sim.tank.carriers.gel.mismatch import make_gel_generators, pack_cube, pack_gel, pack_inclusions, sample_gel
 from sim.tank.magnetics.cantilever import MIDDLE
-from sim.tank.magnetics.magnet import true_device
-from sim.tank.mismatch import CLIP, Truth
+from sim.tank.magnetics.device_packing import pack_true_device
+from sim.tank.mismatch import MAX_SIGMAS, TankTruth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.rotations import (
     matrix_from_quaternion,
+    multiply_quaternions,
     quaternion_from_axes,
     quaternion_from_rotation_vector,
-    quaternion_product,
 )
 from smolbot.core.shots import MoveMagnet, Rotate, Window
 from smolbot.errors import InputError
 
 
 class Embedded:
-    """The carrier of a helical robot; implements `sim.tank.carriers.carrier.Turned`.
+    """The carrier of a helical robot; implements `sim.tank.carriers.carrier.MagnetDriven`.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ class Embedded:
     """
 
     def __init__(
-        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: Truth, start: FloatArray, seed: int,
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: TankTruth, start: FloatArray, seed: int,
         *, ideal: bool = False,
     ) -> None:  # fmt: skip
-        draws, self._hand = gel_generators(seed)
-        own = draw_gel(settings, draws, ideal=ideal)
+        draws, self._operator_rng = make_gel_generators(seed)
+        own = sample_gel(settings, draws, ideal=ideal)
         self._truth = own
-        self._device = true_device(robot, settings, truth)
+        self._device = pack_true_device(robot, settings, truth)
         self._gel = pack_gel(rig, robot, settings, own)
         self._cube = pack_cube(rig, own)
         self._inclusions = pack_inclusions(settings)
@@ -64,13 +64,13 @@ class Embedded:
         self._steering_rate = rig.limits.max_steering_rate
         self._near, self._steered = False, False
         self._turn_rate, self._steer_to = 0.0, 0.0
-        self._state = np.zeros(kernels.GEL_STATE_LENGTH)
+        self._state = np.zeros(gel_kernels.GEL_STATE_LENGTH)
         self._load, self._moved = np.zeros(6), np.zeros(6)
-        self._put_down(rig, robot, truth, np.asarray(start, dtype=np.float64), own.start_heading, own.start_roll)
-        middle = 0.5 * (self._gel[kernels.LOW] + self._gel[kernels.HIGH])
-        self._state[2] = middle + own.start_height * (self._gel[kernels.HIGH] - self._gel[kernels.LOW])
+        self._set_start_pose(rig, robot, truth, np.asarray(start, dtype=np.float64), own.start_heading, own.start_roll)
+        middle = 0.5 * (self._gel[gel_kernels.LOW] + self._gel[gel_kernels.HIGH])
+        self._state[2] = middle + own.start_height * (self._gel[gel_kernels.HIGH] - self._gel[gel_kernels.LOW])
 
-    def state(self) -> State:
+    def read_state(self) -> State:
         """Return the present pose of the housing; in a gel the velocities are zero between steps.
 
         Returns
@@ -95,7 +95,7 @@ class Embedded:
         """
         return self._truth.as_dict()
 
-    def lasting(self, window: Window) -> float:
+    def sample_duration(self, window: Window) -> float:
         """Return the true duration of a window: an operator who moves the magnet may be late, never early.
 
         Parameters
@@ -107,11 +107,11 @@ class Embedded:
         float, in s
         """
         if isinstance(window, MoveMagnet):
-            late = abs(float(np.clip(self._hand.standard_normal(), -CLIP, CLIP)))
+            late = abs(float(np.clip(self._operator_rng.standard_normal(), -MAX_SIGMAS, MAX_SIGMAS)))
             return window.duration * (1.0 + self._lateness * late)
         return window.duration
 
-    def begin(self, window: Window, time: float) -> None:
+    def begin_window(self, window: Window, time: float) -> None:
         """Prepare a window. While the magnet is away its axis may take any heading at once.
 
         Parameters
@@ -124,9 +124,9 @@ class Embedded:
         if isinstance(window, MoveMagnet):
             self._near, self._steered = window.to == "near" and self._near, False
         elif isinstance(window, Rotate):
-            self._aim(math.atan2(window.axis[1], window.axis[0]), window.frequency)
+            self._set_heading(math.atan2(window.axis[1], window.axis[0]), window.frequency)
 
-    def end(self, window: Window) -> None:
+    def end_window(self, window: Window) -> None:
         """End a window: a magnet that was being moved has arrived.
 
         Parameters
@@ -137,17 +137,17 @@ class Embedded:
             self._near = window.to == "near"
         self._turn_rate = 0.0
 
-    def _aim(self, heading: float, frequency: float) -> None:
+    def _set_heading(self, heading: float, frequency: float) -> None:
         """Steer to `heading` (rad) and turn; if the opposite heading is nearer, steer there and turn the other way."""
-        off = _wrapped(heading - float(self._state[kernels.STEER]))
+        off = _wrap_angle(heading - float(self._state[gel_kernels.STEER]))
         backward = abs(off) > 0.5 * math.pi
         self._turn_rate = (-1.0 if backward else 1.0) * 2.0 * math.pi * frequency
         self._steer_to = heading + (math.pi if backward else 0.0)
         if not self._steered:
-            self._state[kernels.STEER] = self._steer_to
+            self._state[gel_kernels.STEER] = self._steer_to
             self._steered = True
 
-    def follow(self, turn: float, steering: float, near: bool, span: float) -> None:
+    def set_measured_magnet(self, turn: float, steering: float, near: bool, span: float) -> None:
         """Set the magnet's measured angles, which it reaches at the end of the next `span` s.
 
         Used where the magnet is measured instead of commanded.
@@ -163,13 +163,13 @@ class Embedded:
         span : float, in s
         """
         if near and not self._near:
-            self._state[kernels.STEER], self._state[kernels.TURN] = steering, turn
+            self._state[gel_kernels.STEER], self._state[gel_kernels.TURN] = steering, turn
         self._near, self._steered = near, True
-        off = _wrapped(steering - float(self._state[kernels.STEER]))
+        off = _wrap_angle(steering - float(self._state[gel_kernels.STEER]))
         self._steer_to, self._steering_rate = steering, abs(off) / span
-        self._turn_rate = (turn - float(self._state[kernels.TURN])) / span
+        self._turn_rate = (turn - float(self._state[gel_kernels.TURN])) / span
 
-    def magnet_at(self, points: FloatArray) -> FloatArray:
+    def compute_magnet_field(self, points: FloatArray) -> FloatArray:
         """Compute the magnet's present field; zero while it is away.
 
         Parameters
@@ -185,12 +185,12 @@ class Embedded:
         field = np.zeros((len(points), 3))
         if self._near:
             gradient, work = np.empty((3, 3)), np.empty((4, 3, 3))
-            steer, turn = float(self._state[kernels.STEER]), float(self._state[kernels.TURN])
+            steer, turn = float(self._state[gel_kernels.STEER]), float(self._state[gel_kernels.TURN])
             for point, b in zip(points, field, strict=True):
-                kernels.magnet_field(point, self._cube, steer, turn, b, gradient, work)
+                gel_kernels.compute_magnet_field(point, self._cube, steer, turn, b, gradient, work)
         return field
 
-    def turn(self, step: float, poses: FloatArray) -> None:
+    def advance_mechanical(self, step: float, poses: FloatArray) -> None:
         """Advance by as many steps as `poses` has rows.
 
         Parameters
@@ -200,7 +200,7 @@ class Embedded:
             Receives rotation centre (m) and orientation (scalar first), world frame.
         """
         if self._near:
-            kernels.screw(
+            gel_kernels.advance_screw(
                 self._state, self._device, self._gel, self._inclusions, self._cube,
                 self._steer_to, self._steering_rate, self._turn_rate, step, poses,
             )  # fmt: skip
@@ -209,7 +209,7 @@ class Embedded:
             poses[:, :3] = self._state[:3] - turn @ self._device[MIDDLE : MIDDLE + 3]
             poses[:, 3:] = self._state[3:7]
 
-    def advance(self, state: State, magnetic: Magnetic, time: float, step: float) -> None:
+    def advance(self, state: State, magnetic: Load, time: float, step: float) -> None:
         """Advance by one step: pulled by a near magnet at rest, else by the coils if they exceed the yield stress.
 
         Parameters
@@ -223,20 +223,20 @@ class Embedded:
         step : float, in s
         """
         if self._near:
-            self.turn(step, np.empty((1, 7)))
+            self.advance_mechanical(step, np.empty((1, 7)))
             return
         rotation = matrix_from_quaternion(self._state[3:7].copy())
         self._load[:3] = rotation @ magnetic[:3]
         self._load[3:] = rotation @ magnetic[3:]
-        kernels.flow(np.ascontiguousarray(rotation[:, 2]), self._load, self._gel, 1.0, 1.0, self._moved)
+        gel_kernels.compute_gel_flow(np.ascontiguousarray(rotation[:, 2]), self._load, self._gel, 1.0, 1.0, self._moved)
         if self._moved.any():
-            kernels.move(self._state, self._moved, step)
+            gel_kernels.advance_pose(self._state, self._moved, step)
 
     def close(self) -> None:
         """Do nothing: there is no resource to release."""
 
-    def _put_down(
-        self, rig: RigConfig, robot: RobotConfig, truth: Truth, start: FloatArray, off: float, roll: float
+    def _set_start_pose(
+        self, rig: RigConfig, robot: RobotConfig, truth: TankTruth, start: FloatArray, off: float, roll: float
     ) -> None:
         away = np.abs(start[:2] - rig.container.center)
         room = 0.5 * rig.container.size - 0.5 * robot.size[2]
@@ -248,11 +248,11 @@ class Embedded:
         heading = (float(start[2]) if len(start) > 2 else 0.0) + off
         ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
         level = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zx")
-        orientation = quaternion_product(level, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))
+        orientation = multiply_quaternions(level, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))
         center = np.array([*(start[:2] + truth.start_offset), 0.0])
         self._state[:3] = center + matrix_from_quaternion(orientation) @ robot.center
         self._state[3:7] = orientation
 
 
-def _wrapped(angle: float) -> float:
+def _wrap_angle(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)

@@ -8,28 +8,35 @@ import time
 from collections import Counter
 from typing import Any
 
-from smolbot.bench.hardware.stage.protocol import VERSION, GarbledError, Reply, line, parse, version_fault
+from smolbot.bench.hardware.stage.protocol import (
+    PROTOCOL_VERSION,
+    GarbledError,
+    Reply,
+    find_version_fault,
+    format_line,
+    parse_reply,
+)
 from smolbot.errors import RigError
 
-ANSWER = 0.2
+ANSWER_TIMEOUT = 0.2
 """Seconds to wait for an answer. Two of them and a pause still fit into the firmware's heartbeat of 0.5 s."""
 
-WRITE = 0.2
+WRITE_TIMEOUT = 0.2
 """Seconds that a write may take."""
 
-POLL = 0.02
+READ_TIMEOUT = 0.02
 """Seconds that one read of the port may wait."""
 
-BOOT = 4.0
+BOOT_TIMEOUT = 4.0
 """Seconds that a board may take to boot if opening the port resets it: bootloader, then banner."""
 
-ASK = 0.5
+QUERY_INTERVAL = 0.5
 """Seconds between two queries of the identity, while a board may boot."""
 
-LONGEST = 256
+MAX_LINE_LENGTH = 256
 """Number of bytes without an end of line after which they are discarded."""
 
-_WHY = {
+_PORT_ERRORS = {
     errno.ENOENT: "there is no such port",
     errno.ENXIO: "there is no such port",
     errno.EACCES: "permission denied; your user must be in the group that owns it",
@@ -60,7 +67,7 @@ class Link:
         answer is garbled twice, the firmware refuses, or it has restarted.
     """
 
-    def __init__(self, port: str, baud: int, boot: float = BOOT) -> None:
+    def __init__(self, port: str, baud: int, boot: float = BOOT_TIMEOUT) -> None:
         self.port = port
         self._recovered: Counter[str] = Counter()
         self._lock = threading.Lock()
@@ -89,17 +96,19 @@ class Link:
         """
         with self._lock:
             self._sequence = self._sequence % 255 + 1
-            sent = line(self._sequence, command)
+            sent = format_line(self._sequence, command)
             try:
-                reply = self._ask(sent, action)
+                reply = self._send(sent, action)
             except (GarbledError, TimeoutError) as first:
                 self._recovered["garbled line" if isinstance(first, GarbledError) else "lost line"] += 1
                 try:
-                    reply = self._ask_again(sent, action)
+                    reply = self._send_again(sent, action)
                 except TimeoutError:
-                    raise self.error(action, f"twice no answer in {ANSWER:g} s that can be read ({first})") from first
+                    raise self.make_error(
+                        action, f"twice no answer in {ANSWER_TIMEOUT:g} s that can be read ({first})"
+                    ) from first
         if reply.word == "ERR":
-            raise self.error(action, f"the firmware refuses: {' '.join(reply.rest) or 'no reason given'}")
+            raise self.make_error(action, f"the firmware refuses: {' '.join(reply.rest) or 'no reason given'}")
         return reply.rest
 
     def take_recovered(self) -> Counter[str]:
@@ -114,7 +123,7 @@ class Link:
             taken, self._recovered = self._recovered, Counter()
         return taken
 
-    def error(self, action: str, why: str) -> RigError:
+    def make_error(self, action: str, why: str) -> RigError:
         """Build the error of a failed action.
 
         Parameters
@@ -132,30 +141,32 @@ class Link:
         """Close the port."""
         self._serial.close()
 
-    def _ask(self, sent: bytes, action: str) -> Reply:
+    def _send(self, sent: bytes, action: str) -> Reply:
         self._write(sent, action)
-        return self._answer(action, again=False)
+        return self._wait_for_answer(action, again=False)
 
-    def _ask_again(self, sent: bytes, action: str) -> Reply:
+    def _send_again(self, sent: bytes, action: str) -> Reply:
         """Send the same line once more: the firmware repeats its answer and executes nothing twice.
 
         An end of line is sent first, since the board may hold half of the first line; the answer to it is ignored.
         """
         self._received.clear()
         self._write(b"\n" + sent, action)
-        return self._answer(action, again=True)
+        return self._wait_for_answer(action, again=True)
 
-    def _answer(self, action: str, again: bool) -> Reply:
-        end = time.monotonic() + ANSWER
+    def _wait_for_answer(self, action: str, again: bool) -> Reply:
+        end = time.monotonic() + ANSWER_TIMEOUT
         while True:
             try:
-                reply = parse(self._read_line(end, action))
+                reply = parse_reply(self._read_line(end, action))
             except GarbledError:
                 if again:
                     continue
                 raise
             if reply.sequence is None and reply.word == "HELLO":
-                raise self.error(action, f"the firmware has started anew ({' '.join(reply.rest)}); its motors are off")
+                raise self.make_error(
+                    action, f"the firmware has started anew ({' '.join(reply.rest)}); its motors are off"
+                )
             if reply.sequence is None and not again:
                 raise GarbledError(f"the board could not read the line: {' '.join((reply.word, *reply.rest))}")
             if reply.sequence == self._sequence:
@@ -165,11 +176,11 @@ class Link:
         import serial
 
         try:
-            opened = serial.Serial(self.port, baud, timeout=POLL, write_timeout=WRITE, exclusive=True)
+            opened = serial.Serial(self.port, baud, timeout=READ_TIMEOUT, write_timeout=WRITE_TIMEOUT, exclusive=True)
             opened.reset_input_buffer()
         except (OSError, ValueError) as error:
-            why = _WHY.get(getattr(error, "errno", None) or 0, str(error))
-            raise self.error("opening the port", why) from error
+            why = _PORT_ERRORS.get(getattr(error, "errno", None) or 0, str(error))
+            raise self.make_error("opening the port", why) from error
         return opened
 
     def _await_firmware(self, boot: float) -> tuple[str, ...]:
@@ -182,27 +193,28 @@ class Link:
         end = time.monotonic() + boot
         heard = b""
         while time.monotonic() < end:
-            self._write(b"\n" + line(0, "ID"), action)
-            look = min(end, time.monotonic() + ASK)
+            self._write(b"\n" + format_line(0, "ID"), action)
+            look = min(end, time.monotonic() + QUERY_INTERVAL)
             while (text := self._read_or_none(look, action)) is not None:
                 heard = text or heard
                 try:
-                    reply = parse(text)
+                    reply = parse_reply(text)
                 except GarbledError:
                     continue
                 if reply.word == "HELLO" or (reply.sequence == 0 and reply.word == "OK"):
                     identity = reply.rest[:2]
-                    if (fault := version_fault(identity)) is not None:
-                        raise self.error("checking the firmware's version", fault)
-                    return self._settled(identity, action)
+                    if (fault := find_version_fault(identity)) is not None:
+                        raise self.make_error("checking the firmware's version", fault)
+                    return self._discard_rest(identity, action)
         said = f"heard only {heard[:60]!r}" if heard else "heard nothing"
-        raise self.error(
-            action, f"{said} within {boot:g} s; is the firmware (version {VERSION[0]}.{VERSION[1]} is needed) on it?"
+        raise self.make_error(
+            action,
+            f"{said} within {boot:g} s; is the firmware (version {PROTOCOL_VERSION[0]}.{PROTOCOL_VERSION[1]} is needed) on it?",
         )
 
-    def _settled(self, identity: tuple[str, ...], action: str) -> tuple[str, ...]:
+    def _discard_rest(self, identity: tuple[str, ...], action: str) -> tuple[str, ...]:
         """Discard the second of banner and answer, since both may come."""
-        end = time.monotonic() + 2.0 * POLL
+        end = time.monotonic() + 2.0 * READ_TIMEOUT
         while self._read_or_none(end, action) is not None:
             pass
         return identity
@@ -214,7 +226,7 @@ class Link:
             self._serial.write(text)
         except (OSError, TypeError) as error:  # pyserial meets its own closed port with a TypeError
             why = "it takes no bytes" if isinstance(error, serial.SerialTimeoutException) else f"port lost ({error})"
-            raise self.error(action, why) from error
+            raise self.make_error(action, why) from error
 
     def _read_or_none(self, end: float, action: str) -> bytes | None:
         try:
@@ -236,8 +248,8 @@ class Link:
             try:
                 self._received += self._serial.read(max(1, self._serial.in_waiting))
             except (OSError, TypeError) as error:
-                raise self.error(action, f"port lost ({error})") from error
-            if len(self._received) > LONGEST and b"\n" not in self._received:
+                raise self.make_error(action, f"port lost ({error})") from error
+            if len(self._received) > MAX_LINE_LENGTH and b"\n" not in self._received:
                 self._received.clear()
         text = bytes(self._received[:at])
         del self._received[: at + 1]

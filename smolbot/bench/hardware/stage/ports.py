@@ -30,10 +30,10 @@ def open_link(port: str, baud: int) -> Link:
     RigError
         If the given port cannot be used, or not exactly one port answers; the message has every port's answer.
     """
-    return Link(port, baud) if port else _find(baud)
+    return Link(port, baud) if port else _search_ports(baud)
 
 
-def _find(baud: int) -> Link:
+def _search_ports(baud: int) -> Link:
     from serial.tools import list_ports
 
     candidates = [p.device for p in list_ports.comports() if (p.vid, p.pid) in BOARDS]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-NAME = "smolbot-magnet-stage"
-VERSION = (1, 0)
+FIRMWARE_NAME = "smolbot-magnet-stage"
+PROTOCOL_VERSION = (1, 0)
 """Version of the protocol that this driver speaks; the firmware needs the same major and at least this minor number."""
 
 RATE_MIN, RATE_MAX = 40, 4000
@@ -45,7 +45,7 @@ class Reply:
 
 
 @dataclass(frozen=True)
-class State:
+class StageState:
     """State of the stage, from the answer to a heartbeat.
 
     Attributes
@@ -56,7 +56,7 @@ class State:
     at : {"near", "away"} or None
         Which end switch is closed; None if neither or both are.
     fault : str
-        ``NONE`` if there is none.
+        ``NO_RUN`` if there is none.
     turn : int
         Position of the turning motor, in steps since the board booted.
     steering : int
@@ -71,7 +71,7 @@ class State:
     steering: int
 
 
-def checksum(text: bytes) -> int:
+def compute_checksum(text: bytes) -> int:
     """Compute CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF, no reflection.
 
     Parameters
@@ -84,7 +84,7 @@ def checksum(text: bytes) -> int:
 
     Examples
     --------
-    >>> f"{checksum(b'123456789'):04X}"
+    >>> f"{compute_checksum(b'123456789'):04X}"
     '29B1'
     """
     crc = 0xFFFF
@@ -95,7 +95,7 @@ def checksum(text: bytes) -> int:
     return crc
 
 
-def line(sequence: int, command: str) -> bytes:
+def format_line(sequence: int, command: str) -> bytes:
     r"""Build a command as it is sent.
 
     Parameters
@@ -110,14 +110,14 @@ def line(sequence: int, command: str) -> bytes:
 
     Examples
     --------
-    >>> line(7, "BEAT")
+    >>> format_line(7, "BEAT")
     b'7 BEAT*B04C\n'
     """
     body = f"{sequence} {command}".encode("ascii")
-    return b"%s*%04X\n" % (body, checksum(body))
+    return b"%s*%04X\n" % (body, compute_checksum(body))
 
 
-def parse(received: bytes) -> Reply:
+def parse_reply(received: bytes) -> Reply:
     """Parse a line from the board.
 
     Parameters
@@ -135,11 +135,11 @@ def parse(received: bytes) -> Reply:
 
     Examples
     --------
-    >>> parse(line(7, "OK ARMED"))
+    >>> parse_reply(format_line(7, "OK ARMED"))
     Reply(sequence=7, word='OK', rest=('ARMED',))
     """
     body, star, crc = received.strip(b"\r\n").rpartition(b"*")
-    if not star or crc != b"%04X" % checksum(body):
+    if not star or crc != b"%04X" % compute_checksum(body):
         raise GarbledError(f"garbled line {received[:80]!r}")
     try:
         head, word, *rest = body.decode("ascii").split(" ")
@@ -152,7 +152,7 @@ def parse(received: bytes) -> Reply:
     return Reply(int(head), word, tuple(rest))
 
 
-def parse_state(rest: tuple[str, ...]) -> State:
+def parse_state(rest: tuple[str, ...]) -> StageState:
     """Parse the answer to a heartbeat.
 
     Parameters
@@ -172,12 +172,12 @@ def parse_state(rest: tuple[str, ...]) -> State:
     try:
         armed, moving, switches, fault, turn, steering = rest
         at: dict[str, Place | None] = {"NEAR": "near", "AWAY": "away", "NONE": None, "BOTH": None}
-        return State(armed == "ARMED", moving == "MOVING", at[switches], fault, int(turn), int(steering))
+        return StageState(armed == "ARMED", moving == "MOVING", at[switches], fault, int(turn), int(steering))
     except (ValueError, KeyError):
         raise GarbledError(f"state of no known form '{' '.join(rest)}'") from None
 
 
-def version_fault(identity: tuple[str, ...]) -> str | None:
+def find_version_fault(identity: tuple[str, ...]) -> str | None:
     """Check whether the driver supports a firmware.
 
     Parameters
@@ -190,13 +190,13 @@ def version_fault(identity: tuple[str, ...]) -> str | None:
     str or None
         Why it cannot be used; None if it can.
     """
-    needed = f"'{NAME} {VERSION[0]}.{VERSION[1]}'"
+    needed = f"'{FIRMWARE_NAME} {PROTOCOL_VERSION[0]}.{PROTOCOL_VERSION[1]}'"
     got = " ".join(identity) or "nothing"
     try:
         name, version = identity
         major, minor = (int(part) for part in version.split("."))
     except ValueError:
         return f"got '{got}', needs {needed}"
-    if name != NAME or major != VERSION[0] or minor < VERSION[1]:
-        return f"got '{got}', needs {needed} or a later {VERSION[0]}.x; upload the firmware that came with smolbot"
+    if name != FIRMWARE_NAME or major != PROTOCOL_VERSION[0] or minor < PROTOCOL_VERSION[1]:
+        return f"got '{got}', needs {needed} or a later {PROTOCOL_VERSION[0]}.x; upload the firmware that came with smolbot"
     return None

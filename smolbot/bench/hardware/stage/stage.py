@@ -10,14 +10,22 @@ from dataclasses import replace
 
 from smolbot.bench.hardware.stage.link import Link
 from smolbot.bench.hardware.stage.ports import open_link
-from smolbot.bench.hardware.stage.protocol import RATE_MAX, RATE_MIN, STEPS_MAX, GarbledError, Place, State, parse_state
+from smolbot.bench.hardware.stage.protocol import (
+    RATE_MAX,
+    RATE_MIN,
+    STEPS_MAX,
+    GarbledError,
+    Place,
+    StageState,
+    parse_state,
+)
 from smolbot.bench.hardware.wiring import StageSection
 from smolbot.errors import RigError
 
-BEAT = 0.1
+HEARTBEAT_INTERVAL = 0.1
 """Seconds between two heartbeats. The firmware switches the motors off after 0.5 s without one."""
 
-STEERING_RATE = math.radians(10.0)
+DEFAULT_STEERING_RATE = math.radians(10.0)
 """Default steering rate, in rad/s."""
 
 
@@ -40,14 +48,14 @@ class MagnetStage:
         within a second.
     """
 
-    def __init__(self, section: StageSection, steering_rate: float = STEERING_RATE) -> None:
+    def __init__(self, section: StageSection, steering_rate: float = DEFAULT_STEERING_RATE) -> None:
         self._section, self._steering_rate = section, steering_rate
         self._link: Link | None = None
-        self._state: State | None = None
+        self._state: StageState | None = None
         self._failure: RigError | None = None
         self._armed = False
         self._news = threading.Condition()
-        self._telling = threading.Lock()  # held until an answer is known: an older one never overwrites a newer
+        self._sending = threading.Lock()  # held until an answer is known: an older one never overwrites a newer
         self._ending = threading.Event()
         self._heart: threading.Thread | None = None
 
@@ -57,9 +65,9 @@ class MagnetStage:
         return self._open_link().identity
 
     @property
-    def at(self) -> Place | None:
+    def place(self) -> Place | None:
         """Which end switch the magnet closes; None if neither or both are closed."""
-        return self._known().at
+        return self._get_state().at
 
     def open(self) -> None:
         """Find and open the port, wait for the firmware, start the heartbeat. The motors stay off.
@@ -70,21 +78,21 @@ class MagnetStage:
         try:
             self._link.exchange("OFF", "switching the motors off")
             self._link.exchange("CLEAR", "clearing what an earlier run left")
-            self._beat()
+            self._send_heartbeat()
         except BaseException:
             self._link.close()
             self._link = None
             raise
-        self._heart = threading.Thread(target=self._keep_beating, name="magnet stage heartbeat", daemon=True)
+        self._heart = threading.Thread(target=self._keep_heartbeat, name="magnet stage heartbeat", daemon=True)
         self._heart.start()
 
     def arm(self) -> None:
         """Power the motors; they hold their position."""
-        self._known()
+        self._get_state()
         self._command("ARM", "arming the motors")
         with self._news:
             self._armed = True
-        self._beat_or_fail()  # where the axis stands now
+        self._send_heartbeat_or_fail()  # where the axis stands now
 
     def turn(self, heading: float, turns: float, frequency: float) -> None:
         """Steer the axis and turn the magnet about it. Return at once.
@@ -100,7 +108,7 @@ class MagnetStage:
         frequency : float, in Hz
             Turns per second.
         """
-        steering, backward = self._nearer(heading)
+        steering, backward = self._choose_nearer_axis(heading)
         count = (-1 if backward else 1) * round(turns * self._section.steps_per_turn)
         self._move(count, abs(frequency) * self._section.steps_per_turn, steering, "turning the magnet")
 
@@ -112,7 +120,7 @@ class MagnetStage:
         heading : float, in rad
             From where the axis was at power-up.
         """
-        self._move(0, 0.0, self._nearer(heading)[0], "steering the axis")
+        self._move(0, 0.0, self._choose_nearer_axis(heading)[0], "steering the axis")
 
     def wait(self, seconds: float) -> bool:
         """Wait until both motors stand still.
@@ -129,14 +137,14 @@ class MagnetStage:
         """
         end = time.monotonic() + seconds
         with self._news:
-            while self._known_locked().moving:
+            while self._get_state_locked().moving:
                 left = end - time.monotonic()
                 if left <= 0.0:
                     return False
                 self._news.wait(left)
         return True
 
-    def ask_for(self, place: Place | None) -> None:
+    def set_lamp(self, place: Place | None) -> None:
         """Light the lamp that asks the operator to bring the magnet near or away.
 
         Parameters
@@ -146,7 +154,7 @@ class MagnetStage:
         """
         self._command(f"LAMP {(place or 'none').upper()}", "setting the operator's lamp")
 
-    def must_rest(self) -> None:
+    def check_at_rest(self) -> None:
         """Check that the motors stand still and nothing has failed.
 
         Raises
@@ -154,8 +162,8 @@ class MagnetStage:
         RigError
             Otherwise.
         """
-        if self._known().moving:
-            raise self._open_link().error("checking that the magnet rests", "its motors turn")
+        if self._get_state().moving:
+            raise self._open_link().make_error("checking that the magnet rests", "its motors turn")
 
     def take_recovered(self) -> Counter[str]:
         """Return, and reset, the count of errors of the serial line that were recovered from.
@@ -177,7 +185,7 @@ class MagnetStage:
         if self._link is None or self._ending.is_set():
             return
         try:
-            with self._telling:
+            with self._sending:
                 self._link.exchange("OFF", "switching the motors off")
                 with self._news:
                     if self._state is not None:
@@ -208,11 +216,11 @@ class MagnetStage:
             raise RigError("magnet stage: not open.", device="magnet stage")
         return self._link
 
-    def _known(self) -> State:
+    def _get_state(self) -> StageState:
         with self._news:
-            return self._known_locked()
+            return self._get_state_locked()
 
-    def _known_locked(self) -> State:
+    def _get_state_locked(self) -> StageState:
         self._open_link()
         if self._failure is not None:
             raise RigError(str(self._failure), device="magnet stage") from self._failure
@@ -220,67 +228,69 @@ class MagnetStage:
         return self._state
 
     def _command(self, command: str, action: str) -> None:
-        self._known()
+        self._get_state()
         try:
             self._open_link().exchange(command, action)
         except RigError as error:
             self._fail(error)
             raise
 
-    def _nearer(self, heading: float) -> tuple[int, bool]:
+    def _choose_nearer_axis(self, heading: float) -> tuple[int, bool]:
         """Compute the steps to a heading or its opposite, whichever is nearer, and whether it is the opposite."""
         per_turn = self._section.steering_steps_per_turn
-        now = self._known().steering
-        off = _wrapped(heading - 2.0 * math.pi * now / per_turn)
+        now = self._get_state().steering
+        off = _wrap_angle(heading - 2.0 * math.pi * now / per_turn)
         backward = abs(off) > 0.5 * math.pi
-        off = _wrapped(off + math.pi) if backward else off
+        off = _wrap_angle(off + math.pi) if backward else off
         return round(off * per_turn / (2.0 * math.pi)), backward
 
     def _move(self, turn: int, turn_rate: float, steering: int, action: str) -> None:
         if turn and not RATE_MIN <= round(turn_rate) <= RATE_MAX:
-            raise self._open_link().error(
+            raise self._open_link().make_error(
                 action, f"needs {turn_rate:.0f} steps a second; the firmware steps {RATE_MIN} to {RATE_MAX}"
             )
         if max(abs(turn), abs(steering)) > STEPS_MAX:
-            raise self._open_link().error(action, f"needs more than the {STEPS_MAX} steps the firmware makes at once")
+            raise self._open_link().make_error(
+                action, f"needs more than the {STEPS_MAX} steps the firmware makes at once"
+            )
         steering_rate = self._steering_rate * self._section.steering_steps_per_turn / (2.0 * math.pi)
         rates = round(turn_rate) if turn else 0, round(min(max(steering_rate, RATE_MIN), RATE_MAX)) if steering else 0
         with self._news:
             armed = self._armed
         if not armed:
-            raise self._open_link().error(action, "the motors are off")
+            raise self._open_link().make_error(action, "the motors are off")
         if turn or steering:
             self._command(f"MOVE {turn} {rates[0]} {steering} {rates[1]}", action)
-            self._beat_or_fail()
+            self._send_heartbeat_or_fail()
 
-    def _beat(self) -> None:
+    def _send_heartbeat(self) -> None:
         """Send one heartbeat, and store the state that it returns."""
         link = self._open_link()
-        with self._telling:
+        with self._sending:
             with self._news:
                 armed = self._armed
             try:
                 state = parse_state(link.exchange("BEAT", "heartbeat"))
             except GarbledError as error:
-                raise link.error("heartbeat", str(error)) from error
+                raise link.make_error("heartbeat", str(error)) from error
             with self._news:
                 self._state = state
                 still_armed = armed and self._armed
                 self._news.notify_all()
         if state.fault != "NONE" or (still_armed and not state.armed):
-            raise link.error("heartbeat", f"the firmware has switched its motors off (fault: {state.fault})")
+            raise link.make_error("heartbeat", f"the firmware has switched its motors off (fault: {state.fault})")
 
-    def _beat_or_fail(self) -> None:
+    def _send_heartbeat_or_fail(self) -> None:
         try:
-            self._beat()
+            self._send_heartbeat()
         except RigError as error:
             self._fail(error)
             raise
 
-    def _keep_beating(self) -> None:
-        while not self._ending.wait(BEAT):
+    def _keep_heartbeat(self) -> None:
+        while not self._ending.wait(HEARTBEAT_INTERVAL):
             try:
-                self._beat()
+                self._send_heartbeat()
             except RigError as error:
                 self._fail(error)
                 return
@@ -296,6 +306,6 @@ class MagnetStage:
         self._ending.set()
 
 
-def _wrapped(angle: float) -> float:
+def _wrap_angle(angle: float) -> float:
     """Wrap an angle to within half a turn of zero."""
     return math.remainder(angle, 2.0 * math.pi)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.studies import Chunk, Columns, Options, Outcome, Study, cut, rng_of
+from sim.studies import Chunk, Columns, Options, Outcome, Study, cut_chunks, make_rng
 from smolbot import load_rig
 
 PIECES, PLACES = 4, 50
@@ -14,13 +14,13 @@ PIECES, PLACES = 4, 50
 
 def chunks(options: Options) -> list[Chunk]:
     """Pieces of equal size."""
-    return cut(options, measure, [(f"piece-{i}", {"places": options.poses or PLACES}) for i in range(PIECES)])
+    return cut_chunks(options, measure, [(f"piece-{i}", {"places": options.poses or PLACES}) for i in range(PIECES)])
 
 
 def measure(chunk: Chunk) -> Columns:
     """Distance of each drawn place to the nearest sensor, in mm."""
     rig = load_rig(chunk["rig"])
-    places = rng_of(chunk).uniform(rig.container.low, rig.container.high, (chunk["places"], 3))
+    places = make_rng(chunk).uniform(rig.container.low, rig.container.high, (chunk["places"], 3))
     apart = np.linalg.norm(places[:, None, :] - rig.sensors.positions, axis=2)
     return {"nearest_mm": 1e3 * apart.min(axis=1)}
 

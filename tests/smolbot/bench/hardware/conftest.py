@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from sim.measure.firmware_figures import Wire
-from sim.twin.firmware import missing_tools
-from sim.twin.uno import SimulatedUno
+from sim.twin.firmware import find_missing_tools
+from sim.twin.simulated_uno import SimulatedUno
 from smolbot.bench.hardware.stage import MagnetStage
 from smolbot.bench.hardware.wiring import StageSection
 
@@ -18,7 +18,7 @@ from smolbot.bench.hardware.wiring import StageSection
 @pytest.fixture(scope="session")
 def tools() -> None:
     """Skip, or fail where nothing may be skipped, without compiler and simulator."""
-    lack = missing_tools()
+    lack = find_missing_tools()
     if lack is not None and os.environ.get("SMOLBOT_NO_SKIPS") == "1":
         pytest.fail(f"nothing may be skipped, but {lack}")
     if lack is not None:

@@ -95,7 +95,7 @@ class Desk:
             close=lambda: self.say("inputs close"),
         )
 
-    def watchdog(self, name: str, timeout: float) -> Any:
+    def make_watchdog(self, name: str, timeout: float) -> Any:
         self.say("watchdog made")
         self.device, self.timeout = name, timeout
         return SimpleNamespace(
@@ -160,7 +160,7 @@ def desk(section: BenchSection, monkeypatch: pytest.MonkeyPatch) -> Iterator[Des
             self.alive = False
             made.say("joined")
 
-    threads = SimpleNamespace(Event=Bell, Thread=Thread, Lock=threading.Lock, current_thread=lambda: made.inside)
+    threads = SimpleNamespace(Event=Bell, Thread=Thread, Lock=threading.Lock, current_thread=lambda: made.is_inside)
     monkeypatch.setattr("smolbot.bench.hardware.guard.threading", threads)
     monkeypatch.setattr("smolbot.bench.hardware.guard.time", SimpleNamespace(monotonic=lambda: made.now))
     monkeypatch.setattr("nidaqmx.stream_readers.DigitalMultiChannelReader", Reader)
@@ -316,7 +316,7 @@ def test_a_card_that_fails_its_guard_is_told_of_once_with_a_remedy_and_fed_no_mo
         f"{section.device} did not answer to its watchdog's feeding: {str(error).split('.')[0]}"
     )
     assert f"({error.error_code})." in str(told)
-    assert str(told).endswith(desk.driver.remedy(error))
+    assert str(told).endswith(desk.driver.suggest_remedy(error))
     assert desk.driver.answers == answers
     assert not desk.threads[0].alive
     desk.broken.clear()
@@ -333,7 +333,7 @@ def test_a_card_that_fails_while_the_guard_is_closed_is_nobodys_fault(desk):
         guard.close()
         raise GONE
 
-    desk.inside = desk.threads[0]
+    desk.is_inside = desk.threads[0]
     desk.at(0.107, leave)  # while it reads
     desk.reading = 0.004
     desk.live(1.0)
@@ -382,13 +382,13 @@ def test_a_watchdog_that_cannot_be_set_up_is_one_stated_error(desk, section, cal
 
 def test_relays_that_stay_closed_are_told_of_and_contacts_that_are_not_wired_are_not_asked(desk, section):
     guard = opened(desk)
-    guard.must_be_open()
+    guard.check_relays_open()
     release(desk, section.relays.all_open)
     with pytest.raises(RigError, match=rf"a relay did not open after a shot \({section.relays.all_open} is low\)"):
-        guard.must_be_open()
+        guard.check_relays_open()
     blind = opened(desk, **unwired(section, button=True))
     reads = len(desk.times("read"))
-    blind.must_be_open()
+    blind.check_relays_open()
     assert len(desk.times("read")) == reads
 
 

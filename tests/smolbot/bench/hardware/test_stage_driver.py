@@ -52,7 +52,7 @@ def test_it_opens_with_the_motors_off_and_knows_where_the_magnet_is(uno, stage):
 
 def test_the_lamp_asks_and_goes_out_when_the_port_is_closed(uno, stage):
     for place in ("near", "away", None, "near"):
-        stage.ask_for(place)
+        stage.set_lamp(place)
         assert uno.lamp == place
     stage.close()
     assert uno.lamp is None
@@ -66,7 +66,7 @@ def test_it_steers_to_the_nearer_end_of_the_axis_and_turns_to_suit(uno, section,
     with_fast_axis.turn(math.radians(heading_deg), 0.25, 1.0)
     assert not with_fast_axis.wait(0.0)
     finish(with_fast_axis)
-    with_fast_axis.must_rest()
+    with_fast_axis.check_at_rest()
     with_fast_axis.close()
     assert uno.steps == (sign * 800, steering)
 
@@ -85,11 +85,11 @@ def test_steering_does_not_gather_rounding(uno, section):
 def test_one_spoiled_line_each_way_is_made_good_and_counted(uno, stage):
     stage.arm()
     for spoil in (uno.garble, uno.garble, uno.truncate, uno.truncate):
-        before = uno.spoiled
+        before = uno.corrupted_lines
         spoil(1)
-        assert settle(lambda before=before: uno.spoiled > before)
+        assert settle(lambda before=before: uno.corrupted_lines > before)
         time.sleep(0.25)
-    stage.must_rest()
+    stage.check_at_rest()
     assert stage.take_recovered() == {"magnet stage: garbled line": 2, "magnet stage: lost line": 2}
     assert not stage.take_recovered()
     assert uno.enabled
@@ -120,14 +120,14 @@ def test_a_reset_of_the_board_is_noticed(uno, stage):
     stage.arm()
     uno.reset()
     assert not uno.enabled
-    assert "started anew" in fails(stage.must_rest)
+    assert "started anew" in fails(stage.check_at_rest)
     assert not uno.enabled
 
 
 def test_a_hung_main_loop_is_noticed(uno, stage):
     stage.arm()
     uno.hang()
-    assert "magnet stage on" in fails(stage.must_rest)
+    assert "magnet stage on" in fails(stage.check_at_rest)
     assert not uno.enabled
 
 
@@ -149,7 +149,7 @@ def test_stop_switches_off_and_nothing_moves_afterwards(uno, stage):
     stage.turn(0.0, 2.0, 0.25)
     stage.stop()
     assert not uno.enabled
-    stage.must_rest()
+    stage.check_at_rest()
     with pytest.raises(RigError, match="turning the magnet: the motors are off"):
         stage.turn(0.0, 1.0, 0.25)
 
@@ -168,14 +168,14 @@ def test_a_busy_port_is_said_to_be_busy(uno, stage, section):
 
 
 def test_another_firmware_is_named_with_what_is_needed(tools, tmp_path):
-    from sim.twin.firmware import build, sketch
-    from sim.twin.uno import SimulatedUno
+    from sim.twin.firmware import build_firmware, find_sketch
+    from sim.twin.simulated_uno import SimulatedUno
 
     source = tmp_path / "other.ino"
-    source.write_text(sketch().read_text().replace("smolbot-magnet-stage 1.0", "smolbot-magnet-stage 2.3"))
+    source.write_text(find_sketch().read_text().replace("smolbot-magnet-stage 1.0", "smolbot-magnet-stage 2.3"))
     board = SimulatedUno()
     try:
-        board.start(tmp_path / "stage", build(source).firmware)
+        board.start(tmp_path / "stage", build_firmware(source).firmware)
         with pytest.raises(
             RigError, match=r"version: got 'smolbot-magnet-stage 2\.3', needs 'smolbot-magnet-stage 1\.0'"
         ):
@@ -207,7 +207,7 @@ def test_after_a_reset_the_axis_can_be_put_on_its_mark(uno, section):
     uno.reset()
     with_fast_axis.close()
     assert uno.steps == (0, 444)
-    uno.set_to_mark()
+    uno.turn_to_marks()
     again = MagnetStage(section, steering_rate=math.radians(80.0))
     again.open()
     again.arm()

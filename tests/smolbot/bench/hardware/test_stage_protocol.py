@@ -11,28 +11,35 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smolbot.bench.hardware.stage import MagnetStage, ports
-from smolbot.bench.hardware.stage.protocol import GarbledError, checksum, line, parse, parse_state, version_fault
+from smolbot.bench.hardware.stage.protocol import (
+    GarbledError,
+    compute_checksum,
+    find_version_fault,
+    format_line,
+    parse_reply,
+    parse_state,
+)
 from smolbot.bench.hardware.wiring import StageSection
 from smolbot.errors import RigError
 
 
 @given(st.binary(max_size=80))
 def test_the_checksum_is_the_one_of_the_standard_library(text):
-    assert checksum(text) == binascii.crc_hqx(text, 0xFFFF)
+    assert compute_checksum(text) == binascii.crc_hqx(text, 0xFFFF)
 
 
 @given(st.integers(0, 255), st.integers(0, 200), st.integers(0, 6))
 def test_a_reply_with_one_bit_changed_is_not_taken(sequence, place, bit):
-    good = bytearray(line(sequence, "OK ARMED MOVING AWAY NONE 1600 -200")[:-1])
+    good = bytearray(format_line(sequence, "OK ARMED MOVING AWAY NONE 1600 -200")[:-1])
     good[place % len(good)] ^= 1 << bit
     with pytest.raises(GarbledError):
-        parse(bytes(good))
+        parse_reply(bytes(good))
 
 
 @given(st.binary(max_size=80))
 def test_noise_is_no_reply(text):
     with pytest.raises(GarbledError):
-        parse(text)
+        parse_reply(text)
 
 
 def test_states_are_read_and_others_are_not():
@@ -54,7 +61,7 @@ def test_states_are_read_and_others_are_not():
     ],
 )  # fmt: skip
 def test_only_firmware_of_the_same_major_version_is_taken(identity, good):
-    fault = version_fault(identity)
+    fault = find_version_fault(identity)
     assert (fault is None) == good
     if fault is not None:
         assert "smolbot-magnet-stage 1.0" in fault

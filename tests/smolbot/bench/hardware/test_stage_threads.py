@@ -46,7 +46,7 @@ class Board:
             self.let_go.wait(0.3)
         return answer
 
-    def error(self, action: str, why: str) -> RigError:
+    def make_error(self, action: str, why: str) -> RigError:
         return RigError(f"{action}: {why}")
 
     def close(self) -> None:
@@ -86,7 +86,7 @@ def test_an_old_heartbeat_does_not_undo_a_stop(board, stage):
     board.let_go.set()
     end = time.monotonic() + 0.05  # until the next heartbeat the old one would stand
     while time.monotonic() < end:
-        stage.must_rest()
+        stage.check_at_rest()
         time.sleep(0.002)
 
 

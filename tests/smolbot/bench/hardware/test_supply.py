@@ -7,9 +7,9 @@ import threading
 
 import pytest
 
-from sim.twin.supply import SupplyModel, SupplyServer
+from sim.twin.supply_model import SupplyModel, SupplyServer
 from smolbot.bench.hardware.supply import Supply
-from smolbot.bench.hardware.supplysection import SupplySection
+from smolbot.bench.hardware.supply_section import SupplySection
 from smolbot.config.document import Document, validate
 from smolbot.errors import RigError
 
@@ -47,7 +47,7 @@ def test_what_is_set_is_what_the_supply_holds_and_reads_back(server, supply):
     assert (third.voltage, third.current, third.ovp) == (12.5, 2.125, 13.0)
     assert not second.selected
     assert not fourth.selected
-    assert supply.differences() == []
+    assert supply.find_differences() == []
     assert not supply.is_on, "setting switches nothing on"
 
 
@@ -97,7 +97,7 @@ def test_a_setting_that_did_not_stick_is_told(server, supply):
     supply.configure()
     server.model.outputs[2].current = 20.0  # a hand at the front panel
     server.model.outputs[0].ovp_on = False
-    told = " ".join(supply.differences())
+    told = " ".join(supply.find_differences())
     assert "channel 3: current is 20 A, not 2.125 A" in told
     assert "channel 1 (amplifiers +x, -x): its over-voltage protection is off" in told
 
@@ -242,4 +242,4 @@ def test_a_faulty_section_is_one_clear_error(tmp_path, changes, message):
     data = {"address": "TCPIP::127.0.0.1::5025::SOCKET", "channels": CHANNELS} | changes
     found, faults = validate(SupplySection, data, ("bench", "supply"))
     assert found is None
-    assert message in Document(tmp_path / "rig.toml", "[bench.supply]\n").spell(faults[0])
+    assert message in Document(tmp_path / "rig.toml", "[bench.supply]\n").format_fault(faults[0])

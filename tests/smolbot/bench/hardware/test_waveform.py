@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smolbot.bench.hardware.waveform import WaveformCompiler, line_bit
+from smolbot.bench.hardware.waveform import WaveformCompiler, get_line_bit
 from smolbot.bench.hardware.wiring import BenchSection
 from smolbot.config.document import validate
 from smolbot.config.rig import load_rig
@@ -30,8 +30,8 @@ def bench() -> tuple[BenchSection, tuple[str, ...]]:
 SECTION, COILS = bench()
 GAIN = SECTION.loads[0].gain_a_per_v
 NAMES = [load.name for load in SECTION.loads]
-BITS = [line_bit(load.relay) for load in SECTION.loads]
-ENABLE = line_bit(SECTION.outputs.enable)
+BITS = [get_line_bit(load.relay) for load in SECTION.loads]
+ENABLE = get_line_bit(SECTION.outputs.enable)
 OUTPUT = [SECTION.used_outputs.index(load.output) for load in SECTION.loads]
 
 

@@ -13,15 +13,15 @@ pytest.importorskip("cv2", reason="needs the extra track")
 
 from sim.film.command import film
 from sim.film.swing import film_swing
-from sim.measure.video_accuracy import accuracy, held_against, rms
+from sim.measure.video_accuracy import compare_track, compute_rms, measure_accuracy
 from smolbot.config.load import load_mission
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
 from smolbot.errors import InputError, SmolbotError
 from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
-from smolbot.runs.optics.opticaltrack import OpticalTrack, read_optical_track, write_optical_track
-from smolbot.runs.optics.outline import telling, unlike
+from smolbot.runs.optics.body_fit import compute_color_distance, compute_color_weights
+from smolbot.runs.optics.optical_track import OpticalTrack, read_optical_track, write_optical_track
 from smolbot.ui.cli.track import track
 
 SHORT = {"path.points_mm": "[[-6.0, 0.0], [6.0, 2.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "1.0"}
@@ -52,31 +52,31 @@ def tracked(flown, filmed, tmp_path_factory):
 
 
 def test_centre_and_heading_are_found_to_a_tenth_of_a_millimetre_and_two_degrees(filmed, tracked):
-    found = held_against(filmed[0].with_name("truth.csv"), tracked[0] / "track.csv", "run", 2)
+    found = compare_track(filmed[0].with_name("truth.csv"), tracked[0] / "track.csv", "run", 2)
     assert found.frames > 20
     assert len(found.center) >= 0.9 * found.frames
-    assert rms(found.center) < 0.1
-    assert rms(found.heading) < 2.0
+    assert compute_rms(found.center) < 0.1
+    assert compute_rms(found.heading) < 2.0
 
 
 def test_a_robot_as_bright_as_the_floor_is_not_taken_for_its_shadow(flown, tmp_path):
-    found = accuracy(flown[1], 21, tmp_path, fps=0.75)  # a camera to which the housing differs in blue alone
+    found = measure_accuracy(flown[1], 21, tmp_path, fps=0.75)  # a camera to which the housing differs in blue alone
     assert len(found.center) >= 0.9 * found.frames
     assert found.center.max() < 0.5  # the shadow lies 6 mm away
-    assert rms(found.center) < 0.1
-    assert rms(found.heading) < 2.0
+    assert compute_rms(found.center) < 0.1
+    assert compute_rms(found.heading) < 2.0
 
 
 def test_weaker_light_counts_little_where_a_body_has_a_colour_and_fully_where_it_has_none():
     light = np.array([160.0, 165.0, 175.0])
     yellow, dark = np.array([-30.0, -4.0, 2.0]), -0.6 * light
     for tone in (yellow, dark):
-        assert telling(tone, light) @ tone == pytest.approx(1.0)
+        assert compute_color_weights(tone, light) @ tone == pytest.approx(1.0)
     shadow = -0.15 * light
-    assert abs(telling(yellow, light) @ shadow) < 0.1  # by brightness alone it would be 0.8
-    assert telling(dark, light) @ shadow == pytest.approx(0.25, rel=1e-6)
-    assert unlike(yellow, light) > 3.0 > unlike(shadow, light)
-    assert unlike(dark, light) > 3.0
+    assert abs(compute_color_weights(yellow, light) @ shadow) < 0.1  # by brightness alone it would be 0.8
+    assert compute_color_weights(dark, light) @ shadow == pytest.approx(0.25, rel=1e-6)
+    assert compute_color_distance(yellow, light) > 3.0 > compute_color_distance(shadow, light)
+    assert compute_color_distance(dark, light) > 3.0
 
 
 def test_frames_in_which_the_robot_is_hidden_are_counted_and_left_out(tracked):
@@ -100,12 +100,12 @@ def test_a_runs_errors_against_the_camera_are_those_against_the_truth(flown, tra
 
 
 def test_four_points_in_place_of_markers_do_too(flown, filmed, tracked, tmp_path):
-    from smolbot.runs.optics.fiducials import read_fiducials, view_by_markers
+    from smolbot.runs.optics.fiducials import find_view_by_markers, read_fiducials
     from smolbot.runs.optics.video import Video
 
-    view = view_by_markers(Video(filmed[0]).background, read_fiducials(filmed[1])).view
+    view = find_view_by_markers(Video(filmed[0]).background, read_fiducials(filmed[1])).view
     points = np.array([[-18.0, -18.0, 60.0], [18.0, -18.0, 60.0], [18.0, 18.0, 60.0], [-18.0, 18.0, 60.0]])
-    pixels = view.pixels(1e-3 * points)
+    pixels = view.project(1e-3 * points)
     spelled = " ".join(f"{u:.2f},{v:.2f}" for u, v in pixels)
     track(
         filmed[0], corners=spelled, corners_mm="-18,-18 18,-18 18,18 -18,18", corners_z_mm=60.0, run=flown[1],
@@ -162,9 +162,9 @@ def test_a_robot_that_rests_for_too_long_is_told_of():
     resting = OpticalTrack(
         np.arange(100), 0.04 * np.arange(100), np.zeros((100, 3)), np.zeros(100), np.zeros(100), np.ones(100), 200
     )
-    assert resting.stay(1e-3) == 0.5
+    assert resting.compute_max_still_share(1e-3) == 0.5
     going = replace(resting, positions=1e-3 * np.outer(np.arange(100), [1.0, 0.0, 0.0]))
-    assert going.stay(1.5e-3) < 0.02
+    assert going.compute_max_still_share(1.5e-3) < 0.02
 
 
 def test_a_video_without_markers_says_how_many_were_found(filmed, tmp_path):

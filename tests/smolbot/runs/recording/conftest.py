@@ -9,7 +9,7 @@ from pathlib import Path
 import mcap.writer
 import pytest
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
 from smolbot.runs.recording.recorder import McapFile
@@ -68,8 +68,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
     """A flight as it was flown, and its folder."""
     folder = tmp_path_factory.mktemp("recorded") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smolbot.flight.safety.heat_store.kept_at", lambda rig: folder.parent / f"{rig}.json")
-        return fly(load_mission("line", settings=SHORT), 3, folder=RunFolder(folder), settings=SHORT), folder
+        patch.setattr("smolbot.flight.safety.heat_store.find_heat_file", lambda rig: folder.parent / f"{rig}.json")
+        return fly(load_steering_mission("line", settings=SHORT), 3, folder=RunFolder(folder), settings=SHORT), folder
 
 
 @pytest.fixture(scope="session")

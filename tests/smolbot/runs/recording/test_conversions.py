@@ -47,7 +47,7 @@ def bits(value):
 
 @given(windows)
 def test_windows(window):
-    again = messages.window_of(through(messages.window_message(window)))
+    again = messages.decode_window(through(messages.encode_window(window)))
     assert again == window
     assert repr(again) == repr(window)
 
@@ -55,7 +55,7 @@ def test_windows(window):
 def test_every_kind_of_window_has_a_message_and_none_is_left_over():
     kinds = {field.name for field in pb.Window.DESCRIPTOR.oneofs_by_name["kind"].fields}
     made = {
-        messages.window_message(w).WhichOneof("kind")
+        messages.encode_window(w).WhichOneof("kind")
         for w in (
             *(Actuate((1.0,), 1.0), Excite((1.0, 0.0), 1.0, 1), RingDown(1.0), Listen(1, 1.0), Rest(1.0)),
             *(Rotate((1.0, 0.0, 0.0), 1.0, 1.0), MoveMagnet("near", 1.0)),
@@ -64,7 +64,7 @@ def test_every_kind_of_window_has_a_message_and_none_is_left_over():
     assert made == kinds
     assert len(get_args(Window)) == len(kinds)
     with pytest.raises(ValueError, match="unknown kind"):
-        messages.window_of(pb.Window())
+        messages.decode_window(pb.Window())
 
 
 @given(
@@ -78,7 +78,7 @@ def test_poses_with_any_covariance(covariance, position, seed, time, r_squared):
     orientation = np.random.default_rng(seed).normal(size=4)
     orientation /= np.linalg.norm(orientation)
     pose = Pose(time, np.array(position), orientation, np.tile(covariance, (6, 1)), r_squared, 1.5, False)
-    again = messages.pose_of(through(messages.pose_message(7, pose)))
+    again = messages.decode_pose(through(messages.encode_pose(7, pose)))
     for name in ("position", "orientation", "covariance", "rotation"):
         assert bits(getattr(again, name)) == bits(getattr(pose, name)), name
     assert (again.time, again.flip_margin, again.trusted) == (pose.time, pose.flip_margin, pose.trusted)
@@ -92,7 +92,7 @@ def test_poses_with_any_covariance(covariance, position, seed, time, r_squared):
 )  # fmt: skip
 def test_commands(window, saturated, note, progress, phase, done, stuck, event):
     command = Command(window, saturated, note, progress, phase, done, stuck, event)
-    assert messages.command_of(through(messages.command_message(3, command))) == command
+    assert messages.decode_command(through(messages.encode_command(3, command))) == command
 
 
 json_like = st.recursive(
@@ -104,23 +104,23 @@ json_like = st.recursive(
 
 @given(time_, st.text(), st.dictionaries(st.text(), json_like, max_size=4))
 def test_events(time, what, detail):
-    assert messages.event_of(through(messages.event_message(Event(time, what, detail)))) == Event(time, what, detail)
+    assert messages.decode_event(through(messages.encode_event(Event(time, what, detail)))) == Event(time, what, detail)
 
 
 def test_numbers_of_numpy_in_an_event_stay_numbers():
     event = Event(1.0, "x", {"count": np.int64(3), "value": np.float64(0.1), "list": np.array([1.5, 2.5])})
-    assert messages.event_of(messages.event_message(event)).detail == {"count": 3, "value": 0.1, "list": [1.5, 2.5]}
+    assert messages.decode_event(messages.encode_event(event)).detail == {"count": 3, "value": 0.1, "list": [1.5, 2.5]}
 
 
 @given(st.lists(windows, min_size=1, max_size=4), time_, time_, st.booleans())
 def test_shots(parts, start, ended, heard):
     message = pb.Shot(number=2, mode="track", start=start, ended=ended, heard=heard)
-    message.windows.extend(messages.window_message(w) for w in parts)
+    message.windows.extend(messages.encode_window(w) for w in parts)
     again = through(message)
-    assert tuple(messages.window_of(w) for w in again.windows) == tuple(parts)
+    assert tuple(messages.decode_window(w) for w in again.windows) == tuple(parts)
     shot = Shot((Listen(2, 100.0),), "hold", start)
-    told = through(messages.shot_message(5, shot, ended, heard=heard))
-    assert messages.shot_of(told) == shot
+    told = through(messages.encode_shot(5, shot, ended, has_samples=heard))
+    assert messages.decode_shot(told) == shot
     assert (told.number, told.ended, told.heard) == (5, ended, heard)
 
 
@@ -153,7 +153,7 @@ def test_what_16_bits_cannot_hold_is_kept_as_it_is(converter, seed, odd):
     assert converter.counts(field)[0] == FIELD
     shot = Shot((Listen(2, 100.0),), "track", 1.0)
     recording = Recording(field, 5e4, math.inf, np.array([True, False, False, True]), None, 1.5)
-    again = messages.recording_of(through(messages.samples_message(4, recording, converter)), converter, shot)
+    again = messages.decode_recording(through(messages.encode_samples(4, recording, converter)), converter, shot)
     assert again.field.tobytes() == field.tobytes()
     assert (again.sample_rate, again.time_since_drive, again.clock, again.drive) == (5e4, math.inf, 1.5, None)
     assert list(again.saturated) == [True, False, False, True]
@@ -164,10 +164,10 @@ def test_a_recording_in_counts_is_a_quarter_of_its_size_and_the_same(converter):
     counts = np.arange(4 * 30).reshape(4, 30).astype(np.int16)
     shot = Shot((Excite((1.0, 0.0), 100.0, 3), RingDown(0.01), Listen(2, 100.0)), "track", 1.0)
     recording = Recording(converter.field(VOLTS, counts), 5e4, 0.01, drive=shot.excite, clock=1.5)
-    message = messages.samples_message(4, recording, converter)
+    message = messages.encode_samples(4, recording, converter)
     assert len(message.counts) == recording.field.nbytes // 4
-    told = messages.converter_of(through(messages.converter_message(converter)))
-    again = messages.recording_of(through(message), told, shot)
+    told = messages.decode_converter(through(messages.encode_converter(converter)))
+    again = messages.decode_recording(through(message), told, shot)
     assert again.field.tobytes() == recording.field.tobytes()
     assert again.drive == shot.excite
 
@@ -176,15 +176,15 @@ def test_a_recording_in_counts_is_a_quarter_of_its_size_and_the_same(converter):
 def test_recordings_without_samples_or_of_another_array_are_kept_as_they_are(shape):
     converter = Converter(16, 10.0, 5e4, GAINS)
     recording = Recording(np.ones(shape), 5e4, 0.01)
-    message = messages.samples_message(0, recording, converter)
-    again = messages.recording_of(message, converter, Shot((Listen(2, 100.0),), "track", 1.0))
+    message = messages.encode_samples(0, recording, converter)
+    again = messages.decode_recording(message, converter, Shot((Listen(2, 100.0),), "track", 1.0))
     assert again.field.shape == shape
     assert again.field.tobytes() == recording.field.tobytes()
 
 
 @given(st.lists(st.tuples(finite, finite, finite), max_size=4))
 def test_ways_of_a_truth(way):
-    told = through(messages.truth_message(1, None, None, np.array(way, float).reshape(-1, 3)))
+    told = through(messages.encode_truth(1, None, None, np.array(way, float).reshape(-1, 3)))
     assert bits(np.array(told.way).reshape(-1, 3)) == bits(np.array(way, float).reshape(-1, 3))
     assert not told.HasField("pose")
 

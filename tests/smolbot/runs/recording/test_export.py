@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from smolbot.config.samples import read_samples, recordings_from
+from smolbot.config.samples import make_recordings, read_samples
 from smolbot.errors import InputError
 from smolbot.localization.localizer import Localizer
 from smolbot.runs.recording import exporting
-from smolbot.runs.recording.exporting import export
+from smolbot.runs.recording.exporting import export_run
 from smolbot.runs.recording.reader import read_run
-from smolbot.runs.recording.sampleexport import export_samples
-from smolbot.runs.recording.tables import samples, tables
+from smolbot.runs.recording.sample_export import export_samples
+from smolbot.runs.recording.tables import make_samples_table, make_tables
 
 POSES = {
     "poses_raw": lambda m: m.cycle.pose,
@@ -36,7 +36,7 @@ def bits(array):
 
 
 def test_hdf5_holds_poses_currents_and_samples_bit_for_bit(run, recorded, tmp_path):
-    export(run, "h5", tmp_path / "run.h5")
+    export_run(run, "h5", tmp_path / "run.h5")
     flown = recorded[0]
     with h5py.File(tmp_path / "run.h5") as file:
         for name, get in POSES.items():
@@ -67,25 +67,25 @@ def test_hdf5_holds_poses_currents_and_samples_bit_for_bit(run, recorded, tmp_pa
 
 
 def test_matlab_holds_the_same_tables(run, tmp_path):
-    export(run, "mat", tmp_path / "run.mat")
+    export_run(run, "mat", tmp_path / "run.mat")
     held = loadmat(tmp_path / "run.mat", simplify_cells=True)
-    for name, table in tables(run).items():
+    for name, table in make_tables(run).items():
         for column, values in table.columns.items():
             read = held[name][column]
             if isinstance(values, list):
                 assert [str(v) if np.size(v) else "" for v in np.atleast_1d(read)] == values, (name, column)
             else:
                 assert np.asarray(read, values.dtype).tobytes() == values.tobytes(), (name, column)
-    assert bits(held["field_t"]) == bits(samples(run)[1])
+    assert bits(held["field_t"]) == bits(make_samples_table(run)[1])
     assert held["facts"]["status"] == "completed"
 
 
 def test_a_run_too_large_for_older_matlab_files_is_written_as_hdf5_that_matlab_reads(run, tmp_path, monkeypatch):
     monkeypatch.setattr(exporting, "LARGEST_MAT", 1000)
-    export(run, "mat", tmp_path / "run.mat")
+    export_run(run, "mat", tmp_path / "run.mat")
     assert (tmp_path / "run.mat").read_bytes().startswith(b"MATLAB 7.3 MAT-file")
     with h5py.File(tmp_path / "run.mat") as file:
-        assert bits(file["field_t"][()].T) == bits(samples(run)[1])
+        assert bits(file["field_t"][()].T) == bits(make_samples_table(run)[1])
         assert file["field_t"].attrs["MATLAB_class"] == b"double"
         modes = [file[ref][()].tobytes().decode("utf-16-le") for ref in file["cycles/mode"][0]]
         assert modes == [m.cycle.shot.mode for m in run.moments]
@@ -95,7 +95,7 @@ def test_a_run_too_large_for_older_matlab_files_is_written_as_hdf5_that_matlab_r
 
 
 def test_csv_tables_read_back_to_the_same_numbers(run, tmp_path):
-    export(run, "csv", tmp_path / "run")
+    export_run(run, "csv", tmp_path / "run")
     for name, get in POSES.items():
         with (tmp_path / "run" / f"{name}.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
@@ -117,7 +117,7 @@ def test_an_exported_window_is_located_where_the_recording_is(run, tmp_path, kin
     played, recording = next((p, r) for p, r in run.recordings() if p.number == run.shot_of_cycle[-1])
     path = tmp_path / f"window.{kind}"
     export_samples(run, kind, path, [played.number])
-    (again,) = recordings_from(read_samples(path), mission.rig).recordings
+    (again,) = make_recordings(read_samples(path), mission.rig).recordings
     assert np.allclose(again.field, recording.field, rtol=4e-16, atol=0.0)
     assert (again.sample_rate, again.clock) == (recording.sample_rate, recording.clock)
     assert again.time_since_drive == pytest.approx(recording.time_since_drive, rel=1e-15)
@@ -141,7 +141,7 @@ def test_the_commands_lead_from_a_run_to_a_pose(run, recorded, tmp_path, smolbot
 def test_quiet_shots_are_exported_as_quiet_samples(run, tmp_path):
     quiet = [p.number for p in run.played if p.shot.mode == "quiet" and p.shot.excite is None][:1]
     export_samples(run, "h5", tmp_path / "quiet.h5", quiet)
-    assert np.isinf(read_samples(tmp_path / "quiet.h5", quiet=True).time_since_drive).all()
+    assert np.isinf(read_samples(tmp_path / "quiet.h5", background_noise=True).time_since_drive).all()
 
 
 def test_nothing_is_written_over_unless_told_to(run, tmp_path, smolbot):
@@ -158,7 +158,7 @@ def test_nothing_is_written_over_unless_told_to(run, tmp_path, smolbot):
     own.mkdir()
     (own / "thesis.tex").write_text("mine")
     with pytest.raises(InputError, match="no export made"):
-        export(run, "csv", own, force=True)
+        export_run(run, "csv", own, force=True)
     assert (own / "thesis.tex").read_text() == "mine"
 
 

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Listen, Shot
 from smolbot.errors import InputError
@@ -21,7 +21,7 @@ from smolbot.motion.controller import Command
 from smolbot.runs.folder import RunFolder
 from smolbot.runs.recording import run_pb2 as pb
 from smolbot.runs.recording.converter import Converter
-from smolbot.runs.recording.pump import Pump
+from smolbot.runs.recording.message_queue import MessageQueue
 from smolbot.runs.recording.reader import read_run
 from smolbot.runs.recording.recorder import McapFile, Recorder
 from smolbot.runs.run import CycleRecord, Event
@@ -90,7 +90,7 @@ def blocked(pump, gate):
 
 def test_a_sink_that_blocks_stops_no_one_and_what_does_not_fit_is_counted(converter):
     gate = Gate()
-    pump = Pump(gate, converter, capacity=3)
+    pump = MessageQueue(gate, converter, capacity=3)
     blocked(pump, gate)
     for _ in range(3):
         pump.played(SHOT, recording(), 1.2)
@@ -110,7 +110,7 @@ def test_a_sink_that_blocks_stops_no_one_and_what_does_not_fit_is_counted(conver
 
 def test_samples_that_wait_are_bounded_in_bytes(converter):
     gate = Gate()
-    pump = Pump(gate, converter, memory=3 * recording().field.nbytes)
+    pump = MessageQueue(gate, converter, memory=3 * recording().field.nbytes)
     blocked(pump, gate)
     for _ in range(5):
         pump.played(SHOT, recording(), 1.2)
@@ -119,7 +119,7 @@ def test_samples_that_wait_are_bounded_in_bytes(converter):
     assert pump.dropped == 4
     gate.open.set()
     pump.close()
-    pump = Pump(Broken("never"), converter, memory=1)
+    pump = MessageQueue(Broken("never"), converter, memory=1)
     pump.played(SHOT, recording(), 1.2)  # one that is larger than the bound goes through where none waits
     pump.close()
     assert pump.dropped == 0
@@ -127,7 +127,7 @@ def test_samples_that_wait_are_bounded_in_bytes(converter):
 
 def test_shots_keep_their_numbers_where_some_are_dropped(converter):
     gate = Gate()
-    pump = Pump(gate, converter, capacity=1)
+    pump = MessageQueue(gate, converter, capacity=1)
     blocked(pump, gate)
     for _ in range(3):
         pump.played(SHOT, None, 1.2)
@@ -140,7 +140,7 @@ def test_shots_keep_their_numbers_where_some_are_dropped(converter):
 @pytest.mark.parametrize("at", ["write", "flush", "close"])
 def test_a_sink_that_fails_is_told_of_and_given_no_more(converter, at):
     sink = Broken(at)
-    pump = Pump(sink, converter)
+    pump = MessageQueue(sink, converter)
     for _ in range(20):
         pump.happened(Event(1.0, "x"))
     pump.close()
@@ -153,7 +153,7 @@ def test_a_sink_that_fails_is_told_of_and_given_no_more(converter, at):
 
 def test_what_comes_after_the_end_is_counted_as_dropped(converter):
     sink = Broken("never")
-    pump = Pump(sink, converter)
+    pump = MessageQueue(sink, converter)
     pump.happened(Event(1.0, "x"))
     pump.close()
     pump.played(SHOT, recording(), 1.2)
@@ -164,7 +164,7 @@ def test_what_comes_after_the_end_is_counted_as_dropped(converter):
 
 def test_a_message_that_cannot_be_made_costs_only_itself(converter):
     sink = Broken("never")
-    pump = Pump(sink, converter)
+    pump = MessageQueue(sink, converter)
     pump.played(SHOT, SimpleNamespace(field=np.zeros((2, 3))), 1.2)
     pump.happened(Event(1.0, "fine"))
     pump.close()
@@ -175,7 +175,7 @@ def test_a_message_that_cannot_be_made_costs_only_itself(converter):
 
 def test_a_sink_that_blocks_at_the_end_is_left_to_itself_and_told_of(converter):
     gate = Gate()
-    pump = Pump(gate, converter, patience=0.01)
+    pump = MessageQueue(gate, converter, patience=0.01)
     blocked(pump, gate)
     pump.close()
     assert "left to itself" in pump.error
@@ -185,7 +185,7 @@ def test_a_sink_that_blocks_at_the_end_is_left_to_itself_and_told_of(converter):
 
 def test_the_end_of_a_run_waits_for_its_place_in_a_full_queue(converter):
     gate = Gate()
-    pump = Pump(gate, converter, capacity=1)
+    pump = MessageQueue(gate, converter, capacity=1)
     blocked(pump, gate)
     pump.happened(Event(1.0, "x"))
     threading.Timer(0.05, gate.open.set).start()
@@ -213,7 +213,7 @@ def test_a_flight_whose_recorder_fails_goes_on_and_says_so(tmp_path, monkeypatch
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(McapFile, "flush", refuse)
-    run = fly(load_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
+    run = fly(load_steering_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
     assert run.status == "completed"
     assert run.summary["recording"]["error"] == "OSError: [Errno 28] No space left on device"
     assert run.summary["recording"]["dropped"] > 0
@@ -223,7 +223,7 @@ def test_a_flight_whose_recorder_fails_goes_on_and_says_so(tmp_path, monkeypatch
 def test_a_flight_goes_on_while_its_sink_blocks_and_the_summary_and_the_record_tell_what_is_missing(
     tmp_path, monkeypatch, same_cycle
 ):
-    mission, opened, played = load_mission("line", settings=SHORT), threading.Event(), []
+    mission, opened, played = load_steering_mission("line", settings=SHORT), threading.Event(), []
     append = McapFile.append
 
     def blocks(self, topic, nanoseconds, data):
@@ -236,9 +236,9 @@ def test_a_flight_goes_on_while_its_sink_blocks_and_the_summary_and_the_record_t
             opened.set()
 
     monkeypatch.setattr(McapFile, "append", blocks)
-    monkeypatch.setitem(Pump.__init__.__kwdefaults__, "capacity", 10)
+    monkeypatch.setitem(MessageQueue.__init__.__kwdefaults__, "capacity", 10)
     folder = tmp_path / "run"
-    run = fly(mission, 3, folder=RunFolder(folder), listeners=lambda _: (listener,))
+    run = fly(mission, 3, folder=RunFolder(folder), make_listeners=lambda _: (listener,))
     free = fly(mission, 3)
     assert run.status == "completed"
     assert len(run.cycles) == len(free.cycles)
@@ -257,7 +257,7 @@ import threading
 import numpy as np
 from smolbot.runs.run import Event
 from smolbot.runs.recording.converter import Converter
-from smolbot.runs.recording.pump import Pump
+from smolbot.runs.recording.message_queue import Pump
 
 class Blocked:
     def write(self, message): threading.Event().wait()
@@ -279,7 +279,7 @@ def test_a_full_disk_ends_the_table_of_cycles_and_not_the_run(tmp_path, monkeypa
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(RunFolder, "_append", refuse)
-    run = fly(load_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
+    run = fly(load_steering_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
     assert run.status == "completed"
     assert run.summary["recording"]["error"] == "cycles.csv: No space left on device"
     assert read_run(tmp_path / "run").whole
@@ -291,7 +291,7 @@ def test_a_folder_that_cannot_be_written_into_is_an_input_error_before_anything_
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
     with pytest.raises(InputError, match="the run folder cannot be made"):
-        fly(load_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
+        fly(load_steering_mission("line", settings=SHORT), 3, folder=RunFolder(tmp_path / "run"))
 
 
 def test_a_full_disk_tears_the_record_and_what_was_flushed_before_can_be_read(recorded, tmp_path):
@@ -319,7 +319,7 @@ file.close()
     assert path.stat().st_size == 150000
     assert not read.whole
     assert read.messages == flushed[-1] > 0
-    assert read.lost > 0
+    assert read.lost_bytes > 0
 
 
 def test_two_runs_in_one_process_do_not_mix(converter, tmp_path, recorded):

@@ -51,8 +51,8 @@ def test_a_torn_record_becomes_a_whole_one_that_says_the_same(copied, share, sam
     assert all(same_cycle(x, y) for x, y in zip(a.cycles, b.cycles, strict=True))
     assert (a.status, a.stop_reason, a.duration, a.begun) == (b.status, b.stop_reason, b.duration, b.begun)
     assert [p.samples for p in after.played] == [p.samples for p in before.played]
-    assert after.lost == 0
-    assert after.recovered.lost_bytes == before.lost > 0
+    assert after.lost_bytes == 0
+    assert after.recovered.lost_bytes == before.lost_bytes > 0
     with (copied / "run.mcap").open("rb") as file:
         assert mcap.reader.make_reader(file, validate_crcs=True).get_summary().chunk_indexes
     summary = json.loads((copied / "summary.json").read_text())
@@ -102,7 +102,7 @@ def test_cycles_that_the_record_lacks_are_kept_and_told(recorded, copied):
     before = (copied / "cycles.csv").read_bytes()
     done = recover(copied)
     assert (copied / "cycles.csv").read_bytes() == before
-    assert done.unread == len(recorded[0].cycles) - len(done.found.moments)
+    assert done.cycles_not_recorded == len(recorded[0].cycles) - len(done.found.moments)
 
 
 @pytest.mark.parametrize("where", [b"zstd", b"/timing"], ids=["in a chunk", "in the index"])
@@ -200,7 +200,7 @@ def test_a_mission_that_cannot_be_loaded_here_still_gets_its_record(copied, monk
 
     monkeypatch.setattr("smolbot.runs.recording.reader.RecordedRun.mission", refuse)
     done = recover(copied)
-    assert "own" in done.unwritten
+    assert "own" in done.reason_not_written
     assert read_run(copied).whole
 
 

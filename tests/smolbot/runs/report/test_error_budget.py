@@ -9,13 +9,13 @@ import pytest
 
 from smolbot.core.shots import Actuate
 from smolbot.motion.gradient import advance
-from smolbot.runs.report.error_budget import PARTS, Step, split, steps_of
-from smolbot.runs.report.error_budget_section import pose_budget
+from smolbot.runs.report.error_budget import PARTS, BudgetStep, compute_budget, find_steps
+from smolbot.runs.report.error_budget_section import compute_pose_budget
 
 
 @pytest.fixture(scope="module")
 def budget(flight):
-    return split(flight.steered, steps_of(flight))
+    return compute_budget(flight.steered, find_steps(flight))
 
 
 def test_the_parts_of_every_step_add_up_to_its_error(budget):
@@ -81,26 +81,28 @@ def test_one_cause_alone_is_found_as_that_cause(flight, part):
     if part == "localization":  # the law sends the robot on as if it were where it is thought to be
         expected = tracked + on + off
         reached = acting + on + off
-    found = split(flight.steered, [Step(tracked, true, acting, expected, reached, part == "saturation", 1.0)])
+    found = compute_budget(
+        flight.steered, [BudgetStep(tracked, true, acting, expected, reached, part == "saturation", 1.0)]
+    )
     assert found.error[0] == pytest.approx(2e-4)
     assert found.shares[part] == pytest.approx(1.0)
 
 
 def test_a_missing_cycle_is_no_step(flight):
     """Where the recorder dropped a cycle, nobody knows what was commanded in between."""
-    whole = steps_of(flight)
+    whole = find_steps(flight)
     record = flight.record
     moments, numbers = list(record.moments), list(record.number_of_cycle)
     gone = len(moments) // 2
     del moments[gone], numbers[gone]
     broken = replace(record, moments=moments, number_of_cycle=numbers)
-    left = steps_of(replace(flight, record=broken, trace=broken.trace()))
+    left = find_steps(replace(flight, record=broken, trace=broken.trace()))
     assert len(left) == len(whole) - 2
     assert {step.time for step in left} < {step.time for step in whole}
 
 
 def test_no_step_no_budget(flight):
-    assert split(flight.steered, []) is None
+    assert compute_budget(flight.steered, []) is None
 
 
 def test_errors_of_poses_split_into_bias_noise_and_rest():
@@ -115,7 +117,7 @@ def test_errors_of_poses_split_into_bias_noise_and_rest():
     pairs = [
         (Pose(bias + noise * rng.standard_normal(3), noise**2 * np.eye(6)), Pose(np.zeros(3))) for _ in range(20_000)
     ]
-    found = pose_budget(pairs)
+    found = compute_pose_budget(pairs)
     assert found["bias"] == pytest.approx(25e-8, rel=0.02)
     assert found["predicted"] == pytest.approx(3e-8)
     assert abs(found["rest"]) < 0.05 * found["predicted"]

@@ -7,9 +7,15 @@ import shutil
 import numpy as np
 import pytest
 
-from smolbot.runs.optics.opticaltrack import OpticalTrack, write_optical_track
-from smolbot.runs.report.flight import Flight
-from smolbot.runs.report.optical_section import FOLDER, TRACK, optical_rows, optical_sections, seen_of
+from smolbot.runs.optics.optical_track import OpticalTrack, write_optical_track
+from smolbot.runs.report.optical_section import (
+    FOLDER,
+    TRACK,
+    build_optical_sections,
+    compare_with_track,
+    format_optical_rows,
+)
+from smolbot.runs.report.recorded_flight import RecordedFlight
 
 OFF = np.array([1e-4, 0.0, 0.0])
 
@@ -28,11 +34,11 @@ def filmed(folder, flight, mission, tmp_path_factory):
     )  # fmt: skip
     (place / FOLDER).mkdir()
     write_optical_track(place / FOLDER / TRACK, track)
-    return Flight.read(place, mission)
+    return RecordedFlight.read(place, mission)
 
 
 def test_poses_are_compared_with_what_the_camera_saw_at_their_times(filmed):
-    seen = seen_of(filmed)
+    seen = compare_with_track(filmed)
     known = [
         (m.cycle.pose, m.truth)
         for m in filmed.trace.moments
@@ -40,18 +46,18 @@ def test_poses_are_compared_with_what_the_camera_saw_at_their_times(filmed):
     ]
     inside = [np.linalg.norm((p.position - t.position - OFF)[:2]) for p, t in known if p.time in seen.times]
     assert len(seen.times) >= 0.8 * len(known)
-    np.testing.assert_allclose(seen.apart, inside, atol=1e-9)
+    np.testing.assert_allclose(seen.distances, inside, atol=1e-9)
     assert np.degrees(np.median(seen.turned)) == pytest.approx(-2.0, abs=1.5)
-    names = [row[0] for row in optical_rows(filmed, seen)]
+    names = [row[0] for row in format_optical_rows(filmed, seen)]
     assert "robot as seen to the path, mm" in names
 
 
 def test_a_run_without_a_track_has_no_such_section_and_a_broken_one_is_told(flight, filmed, tmp_path, mission):
-    assert optical_sections(flight) == []
-    assert len(optical_sections(filmed)) == 1
+    assert build_optical_sections(flight) == []
+    assert len(build_optical_sections(filmed)) == 1
     place = tmp_path / "run"
     shutil.copytree(filmed.record.folder, place)
     (place / FOLDER / TRACK).write_text("frame,time_s\n1,2\n")
-    (section,) = optical_sections(Flight.read(place, mission))
+    (section,) = build_optical_sections(RecordedFlight.read(place, mission))
     assert "cannot be used" in section.body[0]
     assert "x_m" in section.body[0]

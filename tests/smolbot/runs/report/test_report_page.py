@@ -13,18 +13,18 @@ from html.parser import HTMLParser
 
 import pytest
 
-from smolbot.config.mission import load_mission
+from smolbot.config.mission import load_steering_mission
 from smolbot.errors import InputError
 from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
 from smolbot.runs.report import comparison_page as comparisonpage
 from smolbot.runs.report import page as report
 from smolbot.runs.report.animation import make_animation
-from smolbot.runs.report.comparison import _same_kind, compare
-from smolbot.runs.report.comparison_page import comparison_page
-from smolbot.runs.report.flight import NO_TRUTH, Flight
-from smolbot.runs.report.page import REPORT, report_of, save_report
-from smolbot.runs.report.setting_differences import changed, flattened
+from smolbot.runs.report.comparison import _check_same_kind, compare
+from smolbot.runs.report.comparison_page import build_comparison_page
+from smolbot.runs.report.page import REPORT, build_report, save_report
+from smolbot.runs.report.recorded_flight import NO_TRUTH, RecordedFlight
+from smolbot.runs.report.setting_differences import find_changes, flatten
 from smolbot.ui.cli.app import main
 
 ANCHORS = {"verdict", "path", "errors", "budget", "coils", "cycle", "fit", "noise", "events", "provenance"}
@@ -77,7 +77,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def text(flight):
-    return report_of(flight)
+    return build_report(flight)
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +134,8 @@ def test_provenance_holds_files_seed_and_packages(text, flight):
 def test_a_record_that_was_cut_short_is_reported_and_headed_so(folder, tmp_path, mission, share):
     whole = (folder / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(whole[: int(share * len(whole))])
-    cut = Flight.read(tmp_path, mission)
-    text = report_of(cut)
+    cut = RecordedFlight.read(tmp_path, mission)
+    text = build_report(cut)
     Page(text)
     assert "This record is cut short" in text
     assert len(cut.run.cycles) < 200
@@ -148,11 +148,11 @@ def test_without_a_witness_the_page_says_what_it_cannot_say(mission, tmp_path):
         "start.offset_mm": "[-0.2, 0.1]",
         "localization.quiet_s": "1.0",
     }
-    blind = load_mission("line", settings=settings)
+    blind = load_steering_mission("line", settings=settings)
     fly(blind, 3, folder=RunFolder(tmp_path / "run"), witness=False)
-    flight = Flight.read(tmp_path / "run", blind)
+    flight = RecordedFlight.read(tmp_path / "run", blind)
     assert not flight.knows_truth
-    text = report_of(flight)
+    text = build_report(flight)
     page = Page(text)
     assert page.sections >= ANCHORS
     assert NO_TRUTH in text
@@ -161,7 +161,7 @@ def test_without_a_witness_the_page_says_what_it_cannot_say(mission, tmp_path):
 
 
 def test_a_report_that_fails_costs_the_report_alone(tmp_path, monkeypatch):
-    brief = load_mission("line", settings={"stop.max_duration_s": "0.5", "localization.estimator": "paper"})
+    brief = load_steering_mission("line", settings={"stop.max_duration_s": "0.5", "localization.estimator": "paper"})
 
     def broken(*_):
         raise RuntimeError("no ink")
@@ -190,10 +190,10 @@ def test_the_page_goes_where_it_is_asked_to(flight, tmp_path, monkeypatch):
 def test_foreign_files_give_one_clear_error(tmp_path, folder):
     (tmp_path / "picture.mcap").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     with pytest.raises(InputError, match="is no MCAP file"):
-        Flight.read(tmp_path / "picture.mcap")
+        RecordedFlight.read(tmp_path / "picture.mcap")
     (tmp_path / "short.mcap").write_bytes((folder / "run.mcap").read_bytes()[:40])
     with pytest.raises(InputError, match="cut short"):
-        Flight.read(tmp_path / "short.mcap")
+        RecordedFlight.read(tmp_path / "short.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +202,7 @@ def other(tmp_path_factory):
     settings = {"path.points_mm": "[[-1.0, 0.0], [1.0, 0.5]]", "start.offset_mm": "[-0.2, 0.1]",
                 "localization.quiet_s": "2.0", "controller.gains.spacing_mm": "1.0"}  # fmt: skip
     path = tmp_path_factory.mktemp("compared") / "other"
-    fly(load_mission("line", settings=settings), 4, folder=RunFolder(path), settings=settings)
+    fly(load_steering_mission("line", settings=settings), 4, folder=RunFolder(path), settings=settings)
     return path
 
 
@@ -215,9 +215,9 @@ def test_compared_runs_say_what_was_changed_and_by_how_much_they_differ(folder, 
     assert any("different paths" in note for note in found.notes)
     figure = next(f for f in found.figures if f.key == "tracking_error_mm.mean")
     means = [json.loads((run / "summary.json").read_text())["tracking_error_mm"]["mean"] for run in (folder, other)]
-    assert [e.value for e in figure.of_run] == pytest.approx(means)
-    assert figure.over_first[1].value == pytest.approx(means[1] - means[0])
-    page = Page(comparison_page(found))
+    assert [e.value for e in figure.values] == pytest.approx(means)
+    assert figure.differences_to_first[1].value == pytest.approx(means[1] - means[0])
+    page = Page(build_comparison_page(found))
     assert page.outside == []
     assert page.dangling() == []
     json.dumps(found.as_dict())
@@ -227,7 +227,7 @@ def test_a_run_compared_with_itself_differs_in_nothing(folder, tmp_path):
     shutil.copytree(folder, tmp_path / "again")
     found = compare([folder, tmp_path / "again"])
     assert found.settings == []
-    assert all(f.over_first[1].value == 0.0 for f in found.figures)
+    assert all(f.differences_to_first[1].value == 0.0 for f in found.figures)
 
 
 def test_an_untouched_copy_of_a_file_is_no_change_and_another_content_is(flight):
@@ -239,7 +239,7 @@ def test_an_untouched_copy_of_a_file_is_no_change_and_another_content_is(flight)
     copied.names["path.file"], copied.files["path.svg"] = "path.svg", b"<svg/>"
     drawn.names["path.file"], drawn.files["path.svg"] = "path.svg", b"<svg />"
     same, other = (replace(flight, record=replace(flight.record, begin=begin)) for begin in (copied, drawn))
-    assert [name for name, _ in changed([same, other])] == ["mission.path.file"]
+    assert [name for name, _ in find_changes([same, other])] == ["mission.path.file"]
 
 
 def test_runs_of_different_robots_are_not_compared(folder, tmp_path):
@@ -249,7 +249,7 @@ def test_runs_of_different_robots_are_not_compared(folder, tmp_path):
     fly(seen, 1, folder=RunFolder(tmp_path / "marker"))
     with pytest.raises(InputError, match=r"run steered \('line'\).*marker only looked \('brain_marker'\)"):
         compare([folder, tmp_path / "marker"])
-    text = report_of(Flight.read(tmp_path / "marker", seen))
+    text = build_report(RecordedFlight.read(tmp_path / "marker", seen))
     assert Page(text).sections >= ANCHORS - {"errors"}
 
 
@@ -258,7 +258,7 @@ def test_another_robot_of_the_same_kind_is_another_robot(flight):
     foreign.robot = copy(foreign.robot)
     foreign.robot.name = "another"
     with pytest.raises(InputError, match=r"'gradient' \(gradient\).*'another' \(gradient\)"):
-        _same_kind([flight, replace(flight, mission=foreign)])
+        _check_same_kind([flight, replace(flight, mission=foreign)])
 
 
 def test_an_animation_has_its_length_and_says_its_speed(folder, tmp_path):
@@ -282,7 +282,7 @@ def test_an_mp4_without_ffmpeg_is_one_clear_error(folder, tmp_path, monkeypatch)
 
 
 def test_settings_are_flattened_with_their_places():
-    assert flattened({"coils": [{"name": "a"}, {"name": "b"}], "x": [1, 2]}, "rig") == {
+    assert flatten({"coils": [{"name": "a"}, {"name": "b"}], "x": [1, 2]}, "rig") == {
         "rig.coils.0.name": '"a"',
         "rig.coils.1.name": '"b"',
         "rig.x": "[1, 2]",
@@ -304,7 +304,7 @@ def test_the_command_writes_pages_and_speaks_json(folder, other, tmp_path, capsy
     assert code == 0
     assert json.loads(out)["report"] == str(tmp_path / "one.html")
     assert (tmp_path / "one.html").read_text() == "page"
-    monkeypatch.setattr(comparisonpage, "comparison_page", lambda _: "pages")
+    monkeypatch.setattr(comparisonpage, "build_comparison_page", lambda _: "pages")
     code, out, _ = said(capsys, monkeypatch, folder, other, "--out", tmp_path / "both.html", "--json")
     assert code == 0
     assert json.loads(out)["changed"]["seed"] == ["3", "4"]

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from sim.measure.browser import Browser, missing
+from sim.measure.browser import Browser, find_missing
 from smolbot.config.load import load_mission
 from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
-from smolbot.ui.console.console import OpenConsole
+from smolbot.ui.console.open_console import OpenConsole
 
 
 @pytest.fixture(scope="session")
@@ -43,7 +43,7 @@ def opened(runs: Path, free_port: Callable[[], int], tmp_path_factory: pytest.Te
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("session")))
         said: list[str] = []
-        console = OpenConsole(port=free_port(), runs=runs, tell=said.append)
+        console = OpenConsole(port=free_port(), runs=runs, log=said.append)
         yield console
         console.close()
 
@@ -51,7 +51,7 @@ def opened(runs: Path, free_port: Callable[[], int], tmp_path_factory: pytest.Te
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """Headless Chromium."""
-    lack = missing()
+    lack = find_missing()
     if lack and os.environ.get("SMOLBOT_NO_SKIPS") == "1":
         pytest.fail(lack)
     if lack:

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from smolbot.errors import InputError
-from smolbot.ui.console.console import OpenConsole
-from smolbot.ui.console.door import Door, must_be_free
-from smolbot.ui.console.drawing import mission_text
+from smolbot.ui.console.drawing_panel import format_mission
+from smolbot.ui.console.open_console import OpenConsole
+from smolbot.ui.console.page_access import PageAccess, check_port_free
 
 HERE = {"Host": "127.0.0.1:8420"}
 TOKEN = "a-token"
@@ -24,7 +24,7 @@ TOKEN = "a-token"
 
 def test_a_page_that_others_can_reach_needs_a_token() -> None:
     with pytest.raises(InputError, match="needs a token"):
-        Door("0.0.0.0", 8420)
+        PageAccess("0.0.0.0", 8420)
 
 
 @pytest.mark.parametrize(
@@ -39,40 +39,40 @@ def test_a_page_that_others_can_reach_needs_a_token() -> None:
     ],
 )
 def test_on_loopback_only_pages_of_this_machine_are_answered(headers: dict[str, str], status: int | None) -> None:
-    refused = Door("127.0.0.1", 8420).refusal("/", headers)
+    refused = PageAccess("127.0.0.1", 8420).check_request("/", headers)
     assert (refused.status if refused else None) == status
 
 
 def test_the_token_is_asked_for_once_and_then_kept_by_the_browser() -> None:
-    door, headers = Door("0.0.0.0", 8420, TOKEN), {"Host": "lab.example:8420"}
+    door, headers = PageAccess("0.0.0.0", 8420, TOKEN), {"Host": "lab.example:8420"}
     for path in ("/", "/?token=wrong", "/?token=", "/bar", "/?Token=a-token"):
-        refused = door.refusal(path, headers)
+        refused = door.check_request(path, headers)
         assert refused is not None
         assert refused.status == 401
-    shown = door.refusal(f"/?token={TOKEN}", headers)
+    shown = door.check_request(f"/?token={TOKEN}", headers)
     assert shown is not None
     assert shown.status == 303
     assert "HttpOnly; SameSite=Strict" in shown.cookie
-    assert door.refusal("/", headers | {"Cookie": shown.cookie.partition(";")[0]}) is None
-    wrong = door.refusal("/", headers | {"Cookie": f"{door.cookie}=other"})
+    assert door.check_request("/", headers | {"Cookie": shown.cookie.partition(";")[0]}) is None
+    wrong = door.check_request("/", headers | {"Cookie": f"{door.cookie}=other"})
     assert wrong is not None
     assert wrong.status == 401
 
 
 def test_orders_need_the_key_of_a_page_that_was_let_in() -> None:
-    door = Door("127.0.0.1", 8420)
-    assert door.may_order(f"/stop?key={door.key}")
+    door = PageAccess("127.0.0.1", 8420)
+    assert door.is_order_allowed(f"/stop?key={door.key}")
     for path in ("/stop", "/stop?key=", "/stop?key=guess", "/stop?key=é"):
-        assert not door.may_order(path)
+        assert not door.is_order_allowed(path)
 
 
 def test_a_busy_port_is_one_clear_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(InputError, match="Name another port"):
-        must_be_free("127.0.0.1", server.getsockname()[1])
+        check_port_free("127.0.0.1", server.getsockname()[1])
 
 
 def _ask(console: OpenConsole, path: str, **headers: str) -> tuple[int, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", console.door.port, timeout=20.0)
+    connection = http.client.HTTPConnection("127.0.0.1", console.access.port, timeout=20.0)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
     return answer.status, answer.read().decode(errors="replace")
@@ -80,10 +80,10 @@ def _ask(console: OpenConsole, path: str, **headers: str) -> tuple[int, str]:
 
 def test_strangers_stop_nothing(opened: OpenConsole) -> None:
     assert _ask(opened, "/stop?key=guess") == (403, "Only a page of this console may stop a mission.\n")
-    status, words = _ask(opened, f"/stop?key={opened.door.key}", Origin="http://evil.example")
+    status, words = _ask(opened, f"/stop?key={opened.access.key}", Origin="http://evil.example")
     assert (status, words) == (403, "A page of http://evil.example may not use this console.\n")
     assert opened.page.bar.heard == []
-    assert _ask(opened, f"/stop?key={opened.door.key}")[0] == 200
+    assert _ask(opened, f"/stop?key={opened.access.key}")[0] == 200
     assert len(opened.page.bar.heard) == 1
 
 
@@ -98,7 +98,7 @@ def test_strangers_stop_nothing(opened: OpenConsole) -> None:
     ids=["tls", "version", "method", "endless line"],
 )
 def test_what_is_no_request_is_answered_or_closed_and_the_page_lives_on(words: bytes, opened: OpenConsole) -> None:
-    with socket.create_connection(("127.0.0.1", opened.door.port), 20.0) as sock:
+    with socket.create_connection(("127.0.0.1", opened.access.port), 20.0) as sock:
         try:
             sock.sendall(words)
             sock.shutdown(socket.SHUT_WR)
@@ -114,11 +114,11 @@ def test_a_huge_or_senseless_message_closes_only_the_page_that_sent_it(opened: O
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
-    address = f"ws://127.0.0.1:{opened.door.port}"
+    address = f"ws://127.0.0.1:{opened.access.port}"
     for path, message in (
         ("/", b"\xc1" * 100),
         ("/", b"x" * 2_000_000),
-        (f"/bar?key={opened.door.key}", "x" * 2_000_000),
+        (f"/bar?key={opened.access.key}", "x" * 2_000_000),
     ):
         subprotocols = [f"viser-v{viser.__version__}"] if path == "/" else None
         page = connect(address + path, subprotocols=subprotocols, max_size=None)  # type: ignore[arg-type]
@@ -126,7 +126,7 @@ def test_a_huge_or_senseless_message_closes_only_the_page_that_sent_it(opened: O
             page.send(message)
             while True:
                 page.recv(timeout=20.0)
-    with connect(f"{address}/bar?key={opened.door.key}") as bar:
+    with connect(f"{address}/bar?key={opened.access.key}") as bar:
         assert '"state"' in str(bar.recv(timeout=20.0))
     with (
         connect(f"{address}/bar?key=guess") as bar,
@@ -168,10 +168,10 @@ def test_a_drawing_becomes_a_mission_that_loads(tmp_path: Path) -> None:
 
     points = [(-8.0, -8.0), (0.0, 6.5), (8.0, -8.0)]
     path = tmp_path / "drawn.toml"
-    path.write_text(mission_text(load_mission("r_path"), points, 0.0, "my letter"), encoding="utf-8")
+    path.write_text(format_mission(load_mission("r_path"), points, 0.0, "my letter"), encoding="utf-8")
     drawn = load_mission(str(path))
     assert isinstance(drawn, Mission)
     assert drawn.name == "my_letter"
     assert np.allclose(1e3 * drawn.path.points[:, :2], points)
     with pytest.raises(InputError, match="only looks"):
-        mission_text(load_mission("endoscope"), points, 0.0, "x")
+        format_mission(load_mission("endoscope"), points, 0.0, "x")

@@ -11,18 +11,18 @@ from smolbot.errors import InputError
 from smolbot.runs.recording.reader import read_run
 from smolbot.runs.recording.recorder import McapFile
 from smolbot.runs.recording.scan import Scan
-from smolbot.ui.console.bar import state_of, told
-from smolbot.ui.console.figures import SHOWN, series, table, thinned
-from smolbot.ui.console.flight import Flight
-from smolbot.ui.console.runs import read_flight, runs_in
+from smolbot.ui.console.bar import describe_state, make_bar_state
+from smolbot.ui.console.figures_panel import MAX_POINTS, collect_series, format_table, thin_rows
+from smolbot.ui.console.flight_state import FlightState
+from smolbot.ui.console.runs_panel import list_runs, read_flight
 
 
 @pytest.fixture(scope="module")
-def flight(runs: Path) -> Flight:
+def flight(runs: Path) -> FlightState:
     return read_flight(runs / "line")
 
 
-def test_every_cycle_of_the_record_is_there(flight: Flight, runs: Path) -> None:
+def test_every_cycle_of_the_record_is_there(flight: FlightState, runs: Path) -> None:
     recorded = read_run(runs / "line")
     cycles = [moment.cycle for moment in recorded.moments]
     believed = np.array([1e3 * c.tracked.position for c in cycles if c.tracked is not None])
@@ -35,41 +35,41 @@ def test_every_cycle_of_the_record_is_there(flight: Flight, runs: Path) -> None:
     assert (flight.ending.status, flight.ending.reason) == (run.status, run.stop_reason)
 
 
-def test_heat_of_the_coils_is_what_the_flight_reckoned(flight: Flight, runs: Path) -> None:
+def test_heat_of_the_coils_is_what_the_flight_reckoned(flight: FlightState, runs: Path) -> None:
     peaks = read_run(runs / "line").run().safety["coil_temperature_peak_c"]
     assert isinstance(peaks, dict)
     shown = flight.heat.values().max(axis=0)
     assert shown == pytest.approx([peaks[name] for name in flight.heated], abs=0.05)
 
 
-def test_a_look_back_shows_only_what_was_known_then(flight: Flight) -> None:
+def test_a_look_back_shows_only_what_was_known_then(flight: FlightState) -> None:
     middle = 0.5 * (flight.cycles.times()[0] + flight.latest)
     assert 0 < flight.cycles.until(middle) < len(flight.cycles)
-    for times, _ in series(flight, middle).values():
+    for times, _ in collect_series(flight, middle).values():
         assert len(times) == 0 or times[-1] <= middle
-    assert told(flight, False, "", middle)["state"] not in ("TIMEOUT", "COMPLETED")
-    assert told(flight, False, "")["state"] == flight.ending.status.upper()  # type: ignore[union-attr]
+    assert make_bar_state(flight, False, "", middle)["state"] not in ("TIMEOUT", "COMPLETED")
+    assert make_bar_state(flight, False, "")["state"] == flight.ending.status.upper()  # type: ignore[union-attr]
 
 
 def test_a_flight_of_which_nothing_came_yet_can_be_looked_at() -> None:
-    empty = Flight("m")
-    assert state_of(empty)[0] == "STARTING"
-    assert told(empty, True, "")["error"] == "–"
-    assert table(empty, None).startswith("<table")
-    assert all(len(times) == 0 for times, _ in series(empty, None).values())
+    empty = FlightState("m")
+    assert describe_state(empty)[0] == "STARTING"
+    assert make_bar_state(empty, True, "")["error"] == "–"
+    assert format_table(empty, None).startswith("<table")
+    assert all(len(times) == 0 for times, _ in collect_series(empty, None).values())
 
 
 def test_thinning_keeps_the_last_point() -> None:
     times = np.arange(12345.0)
-    thin, values = thinned(times, times[:, None])
+    thin, values = thin_rows(times, times[:, None])
     assert thin[-1] == times[-1]
-    assert len(thin) <= SHOWN
+    assert len(thin) <= MAX_POINTS
     assert np.array_equal(thin, values[:, 0])
 
 
 def test_runs_are_found_by_their_record(runs: Path, tmp_path: Path) -> None:
-    assert runs_in(runs) == ["line"]
-    assert runs_in(tmp_path) == []
+    assert list_runs(runs) == ["line"]
+    assert list_runs(tmp_path) == []
 
 
 def test_what_is_no_record_is_one_clear_error(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_what_is_no_record_is_one_clear_error(tmp_path: Path) -> None:
         read_flight(tmp_path)
 
 
-def test_a_record_that_was_cut_short_shows_what_is_in_it(runs: Path, tmp_path: Path, flight: Flight) -> None:
+def test_a_record_that_was_cut_short_shows_what_is_in_it(runs: Path, tmp_path: Path, flight: FlightState) -> None:
     often = McapFile(tmp_path / "often.mcap")  # flushed as by a run that does not fly past in a second
     for number, found in enumerate(Scan(runs / "line" / "run.mcap").messages()):
         assert found.topic is not None

@@ -11,10 +11,10 @@ import pytest
 
 from sim.measure.browser import Browser
 from smolbot.flight.safety.stop_latch import Latch
-from smolbot.runs.recording.reader import stream
-from smolbot.ui.console.console import OpenConsole
-from smolbot.ui.link.feed import CONSOLE, Feed
-from smolbot.ui.link.joining import join
+from smolbot.runs.recording.reader import stream_messages
+from smolbot.ui.console.open_console import OpenConsole
+from smolbot.ui.link.feed import CONSOLE_REASON, Feed
+from smolbot.ui.link.join import join_console
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Mission:
 
 @pytest.fixture(scope="module")
 def page(opened: OpenConsole, browser: Browser) -> Browser:
-    browser.open(opened.door.address)
+    browser.open(opened.access.address)
     return browser
 
 
@@ -50,8 +50,8 @@ def mission() -> Mission:
 @pytest.fixture
 def flying(opened: OpenConsole, page: Browser, mission: Mission) -> Iterator[Feed]:
     """A mission that has joined, and has said all of the recorded run but its end."""
-    feed = join(opened.console, {"mission": "line on tank"}, mission.latch, mission)
-    for number, (topic, data) in enumerate(stream(f"{opened.console.runs}/line")):
+    feed = join_console(opened.console, {"mission": "line on tank"}, mission.latch, mission)
+    for number, (topic, data) in enumerate(stream_messages(f"{opened.console.runs}/line")):
         if topic not in ("/run/end", "/windows"):
             feed.put(topic, number, data)
     page.until("state", ("FLYING", "APPROACHING"))
@@ -61,13 +61,13 @@ def flying(opened: OpenConsole, page: Browser, mission: Mission) -> Iterator[Fee
 
 def test_a_page_without_a_mission_says_so(page: Browser) -> None:
     assert page.text("state") == "IDLE"
-    assert not page.complaints()
+    assert not page.read_errors()
 
 
 def test_stop_pressed_in_a_browser_stops_the_mission(flying: Feed, page: Browser, mission: Mission) -> None:
     page.press_stop()
     assert mission.halted.wait(20.0)
-    assert (mission.latch.reason, mission.latch.ending) == (CONSOLE, "stopped")
+    assert (mission.latch.reason, mission.latch.ending) == (CONSOLE_REASON, "stopped")
 
 
 def test_escape_stops_too(flying: Feed, page: Browser, mission: Mission) -> None:
@@ -85,30 +85,30 @@ def test_stop_reaches_the_mission_from_a_page_that_is_gone_at_once(
     page.press_stop()
     assert mission.halted.wait(20.0)
     assert page.driver.current_url == "about:blank"
-    page.open(opened.door.address)
+    page.open(opened.access.address)
 
 
 def test_a_page_that_is_closed_stops_nothing(
     opened: OpenConsole, flying: Feed, page: Browser, mission: Mission
 ) -> None:
     page.driver.get("about:blank")
-    page.open(opened.door.address)
+    page.open(opened.access.address)
     assert page.text("state") in ("FLYING", "APPROACHING")
-    assert not mission.latch.is_shut
+    assert not mission.latch.tripped
 
 
 def test_pause_and_resume(flying: Feed, page: Browser, mission: Mission) -> None:
-    from smolbot.runs.recording.messages import event_message
+    from smolbot.runs.recording.messages import encode_event
     from smolbot.runs.run import Event
 
     page.driver.find_element("id", "pause").click()
     assert mission.held.wait(20.0)
-    flying.put("/events", 0, event_message(Event(99.0, "paused")).SerializeToString())  # as the loop says it
+    flying.put("/events", 0, encode_event(Event(99.0, "paused")).SerializeToString())  # as the loop says it
     page.until("state", ("PAUSED",))
     assert page.until("pause", ("Resume",))
     page.driver.find_element("id", "pause").click()
     assert mission.resumed.wait(20.0)
-    flying.put("/events", 0, event_message(Event(99.1, "resumed")).SerializeToString())
+    flying.put("/events", 0, encode_event(Event(99.1, "resumed")).SerializeToString())
     page.until("state", ("FLYING", "APPROACHING"))
 
 
@@ -164,6 +164,6 @@ def test_clicks_on_the_liquid_draw_a_path(opened: OpenConsole, page: Browser) ->
 
 
 def test_a_page_without_the_token_shows_why(opened: OpenConsole, page: Browser) -> None:
-    page.driver.get(f"http://127.0.0.1:{opened.door.port}/stop")
+    page.driver.get(f"http://127.0.0.1:{opened.access.port}/stop")
     assert "Only a page of this console may stop a mission." in page.driver.page_source
-    page.open(opened.door.address)
+    page.open(opened.access.address)

@@ -17,10 +17,10 @@ import pytest
 from smolbot.flight.pause import Pause
 from smolbot.flight.safety.stop_latch import Latch
 from smolbot.ui.link import feed as feeding
-from smolbot.ui.link.consoles import Console, new_secret, read, running, write_down
-from smolbot.ui.link.feed import CONSOLE, Feed
-from smolbot.ui.link.frames import LONGEST, Kind, LinkError, frame, message, parse_message
-from smolbot.ui.link.gate import STRANGERS, Gate, Line, stop_through
+from smolbot.ui.link.console_server import MAX_UNAUTHENTICATED, ConsoleServer, MissionConnection, request_stop
+from smolbot.ui.link.consoles import Console, list_running, make_secret, read_console, write_console
+from smolbot.ui.link.feed import CONSOLE_REASON, Feed
+from smolbot.ui.link.frames import MAX_FRAME_SIZE, Kind, LinkError, make_frame, make_message_frame, parse_message
 from smolbot.ui.link.handshake import GREETING
 
 
@@ -28,22 +28,22 @@ from smolbot.ui.link.handshake import GREETING
 class Heard:
     """Stands where the page does."""
 
-    lines: list[Line] = field(default_factory=list)
+    lines: list[MissionConnection] = field(default_factory=list)
     messages: list[tuple[str, int, bytes]] = field(default_factory=list)
     gone: list[str] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
     news: threading.Condition = field(default_factory=threading.Condition)
 
-    def joined(self, line: Line) -> None:
+    def add_mission(self, line: MissionConnection) -> None:
         self._note(self.lines, line)
 
-    def said(self, line: Line, topic: str, time_ns: int, data: bytes) -> None:
+    def receive_message(self, line: MissionConnection, topic: str, time_ns: int, data: bytes) -> None:
         self._note(self.messages, (topic, time_ns, data))
 
-    def stopped(self, line: Line) -> None:
+    def log_stop(self, line: MissionConnection) -> None:
         pass
 
-    def left(self, line: Line, why: str) -> None:
+    def remove_mission(self, line: MissionConnection, why: str) -> None:
         self._note(self.gone, why)
 
     def tell(self, line: str) -> None:
@@ -77,16 +77,16 @@ def heard() -> Heard:
 
 
 @pytest.fixture
-def console(heard: Heard, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Gate, Console]]:
+def console(heard: Heard, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[ConsoleServer, Console]]:
     """An open gate, and how it is written down."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    secret = new_secret()
-    gate = Gate(secret, heard, lambda asked: _stop_all(gate, asked), heard.tell)
+    secret = make_secret()
+    gate = ConsoleServer(secret, heard, lambda asked: _stop_all(gate, asked), heard.tell)
     yield gate, Console(1, gate.port, secret, "http://127.0.0.1:1/", 1, str(tmp_path))
     gate.close()
 
 
-def _stop_all(gate: Gate, asked: str) -> list[dict[str, Any]]:
+def _stop_all(gate: ConsoleServer, asked: str) -> list[dict[str, Any]]:
     told = []
     for line in gate.lines:
         line.order(Kind.STOP, asked)
@@ -101,7 +101,7 @@ def mission() -> Mission:
 
 
 @pytest.fixture
-def flown(console: tuple[Gate, Console], mission: Mission, heard: Heard) -> Iterator[Feed]:
+def flown(console: tuple[ConsoleServer, Console], mission: Mission, heard: Heard) -> Iterator[Feed]:
     """A mission that has joined."""
     feed = Feed(console[1].connect(), {"mission": "m", "process": 7}, mission.latch, mission.pause)
     feed.begin()
@@ -120,13 +120,13 @@ def test_messages_arrive_whole_and_in_order(flown: Feed, heard: Heard) -> None:
 
 
 def test_stop_shuts_the_latch_and_halts_in_the_thread_that_hears_it(
-    console: tuple[Gate, Console], flown: Feed, mission: Mission
+    console: tuple[ConsoleServer, Console], flown: Feed, mission: Mission
 ) -> None:
     with console[1].connect() as sock:
-        told = stop_through(sock, "a test", 20.0)
+        told = request_stop(sock, "a test", 20.0)
     assert told == [{"mission": "m", "stopped": True}]
     assert mission.halted.is_set()
-    assert (mission.latch.reason, mission.latch.ending) == (CONSOLE, "stopped")
+    assert (mission.latch.reason, mission.latch.ending) == (CONSOLE_REASON, "stopped")
 
 
 def test_pause_and_resume_reach_the_loop(flown: Feed, mission: Mission, heard: Heard) -> None:
@@ -138,7 +138,7 @@ def test_pause_and_resume_reach_the_loop(flown: Feed, mission: Mission, heard: H
     mission.pause.resume = resumed.set  # type: ignore[method-assign]
     heard.lines[0].order(Kind.RESUME)
     assert resumed.wait(20.0)
-    assert not mission.latch.is_shut
+    assert not mission.latch.tripped
 
 
 @pytest.mark.parametrize("how", ["closed", "good-bye", "garbage"])
@@ -156,9 +156,9 @@ def test_a_console_that_goes_stops_the_mission(how: str, flown: Feed, mission: M
 
 
 def test_a_console_that_says_nothing_any_more_stops_the_mission(
-    console: tuple[Gate, Console], mission: Mission, heard: Heard, monkeypatch: pytest.MonkeyPatch
+    console: tuple[ConsoleServer, Console], mission: Mission, heard: Heard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feeding, "SILENCE", 0.2)
+    monkeypatch.setattr(feeding, "SILENCE_TIMEOUT", 0.2)
     feed = Feed(console[1].connect(), {"mission": "m"}, mission.latch, mission.pause)
     feed.begin()
     heard.wait(lambda: heard.lines)  # a page that beats no more: nobody calls gate.beat()
@@ -168,25 +168,25 @@ def test_a_console_that_says_nothing_any_more_stops_the_mission(
 
 
 def test_signs_of_life_are_no_orders_and_a_good_bye_ends_nothing(
-    console: tuple[Gate, Console], flown: Feed, mission: Mission, heard: Heard
+    console: tuple[ConsoleServer, Console], flown: Feed, mission: Mission, heard: Heard
 ) -> None:
     for _ in range(100):
-        console[0].beat()
+        console[0].send_heartbeats()
     held = threading.Event()
     mission.pause.hold = held.set  # type: ignore[method-assign]
     heard.lines[0].order(Kind.PAUSE)
     assert held.wait(20.0)  # all that came before it was heard
-    assert not mission.latch.is_shut
+    assert not mission.latch.tripped
     flown.end()
     heard.wait(lambda: heard.gone)
     assert heard.gone == [""]  # it said good-bye
-    assert not mission.latch.is_shut
+    assert not mission.latch.tripped
 
 
 def test_a_queue_that_is_full_drops_and_counts_and_never_waits(
     mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feeding, "WAITING", 10)
+    monkeypatch.setattr(feeding, "MAX_QUEUED", 10)
     ours, theirs = socket.socketpair()
     feed = Feed(ours, {}, mission.latch, mission.pause)  # not begun: nothing takes from the queue
     for k in range(25):
@@ -220,7 +220,7 @@ def _strangers(port: int) -> Iterator[tuple[str, socket.socket]]:
 
 
 def test_strangers_are_shown_the_door_and_the_mission_is_untouched(
-    console: tuple[Gate, Console], flown: Feed, mission: Mission, heard: Heard
+    console: tuple[ConsoleServer, Console], flown: Feed, mission: Mission, heard: Heard
 ) -> None:
     for number, (_, sock) in enumerate(_strangers(console[0].port), 1):
         _until_closed(sock)
@@ -229,16 +229,18 @@ def test_strangers_are_shown_the_door_and_the_mission_is_untouched(
     assert len(heard.told) == 5
     flown.put("/timing", 1, b"still here")
     heard.wait(lambda: heard.messages)
-    assert not mission.latch.is_shut
+    assert not mission.latch.tripped
     assert len(heard.lines) == 1
 
 
-def test_one_who_knows_the_secret_and_talks_nonsense_is_told_so(console: tuple[Gate, Console], heard: Heard) -> None:
+def test_one_who_knows_the_secret_and_talks_nonsense_is_told_so(
+    console: tuple[ConsoleServer, Console], heard: Heard
+) -> None:
     for words in (
-        frame(Kind.HELLO, b"not json"),
-        frame(Kind.HELLO, b"[]"),
+        make_frame(Kind.HELLO, b"not json"),
+        make_frame(Kind.HELLO, b"[]"),
         struct.pack("!IB", 2**31, 1),
-        frame(Kind.STOP),
+        make_frame(Kind.STOP),
     ):
         with console[1].connect() as sock:
             sock.sendall(words)
@@ -249,22 +251,24 @@ def test_one_who_knows_the_secret_and_talks_nonsense_is_told_so(console: tuple[G
 
 
 def test_a_mission_whose_frames_are_too_long_is_cut_off_alone(
-    console: tuple[Gate, Console], flown: Feed, mission: Mission, heard: Heard
+    console: tuple[ConsoleServer, Console], flown: Feed, mission: Mission, heard: Heard
 ) -> None:
     with console[1].connect() as sock:
-        sock.sendall(frame(Kind.HELLO, b'{"role": "mission"}') + struct.pack("!IB", LONGEST + 1, 2))
+        sock.sendall(make_frame(Kind.HELLO, b'{"role": "mission"}') + struct.pack("!IB", MAX_FRAME_SIZE + 1, 2))
         heard.wait(lambda: heard.gone)
     assert "at most" in heard.gone[0]
     flown.put("/timing", 1, b"still here")
     heard.wait(lambda: heard.messages)
-    assert not mission.latch.is_shut
+    assert not mission.latch.tripped
 
 
-def test_a_crowd_of_strangers_keeps_no_mission_out_for_good(console: tuple[Gate, Console], heard: Heard) -> None:
-    crowd = [socket.create_connection(("127.0.0.1", console[0].port), 20.0) for _ in range(3 * STRANGERS)]
+def test_a_crowd_of_strangers_keeps_no_mission_out_for_good(
+    console: tuple[ConsoleServer, Console], heard: Heard
+) -> None:
+    crowd = [socket.create_connection(("127.0.0.1", console[0].port), 20.0) for _ in range(3 * MAX_UNAUTHENTICATED)]
     for sock in crowd:
         sock.close()
-    heard.wait(lambda: len(heard.told) >= STRANGERS)
+    heard.wait(lambda: len(heard.told) >= MAX_UNAUTHENTICATED)
     while True:  # the last strangers' places are given back as their threads end
         try:
             console[1].connect().close()
@@ -274,36 +278,36 @@ def test_a_crowd_of_strangers_keeps_no_mission_out_for_good(console: tuple[Gate,
 
 
 def test_messages_cut_short_are_no_messages() -> None:
-    whole = message("/shots", 5, b"data")[5:]
+    whole = make_message_frame("/shots", 5, b"data")[5:]
     assert parse_message(whole) == ("/shots", 5, b"data")
     for cut in (0, 5, 9, 12):
         with pytest.raises(LinkError):
             parse_message(whole[:cut])
 
 
-def test_a_console_is_found_by_its_file_which_nobody_else_may_read(console: tuple[Gate, Console]) -> None:
-    path = write_down(console[1])
+def test_a_console_is_found_by_its_file_which_nobody_else_may_read(console: tuple[ConsoleServer, Console]) -> None:
+    path = write_console(console[1])
     assert path.stat().st_mode & 0o777 == 0o600
-    assert read(path) == console[1]
-    assert running() == [console[1]]
+    assert read_console(path) == console[1]
+    assert list_running() == [console[1]]
 
 
-def test_the_file_of_a_console_that_ended_is_cleared_away(console: tuple[Gate, Console]) -> None:
-    path = write_down(console[1])
+def test_the_file_of_a_console_that_ended_is_cleared_away(console: tuple[ConsoleServer, Console]) -> None:
+    path = write_console(console[1])
     console[0].close()
-    assert running() == []
+    assert list_running() == []
     assert not path.exists()
 
 
-def test_a_foreign_server_at_the_port_is_not_taken_for_a_console(console: tuple[Gate, Console]) -> None:
+def test_a_foreign_server_at_the_port_is_not_taken_for_a_console(console: tuple[ConsoleServer, Console]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        there = Console(1, server.getsockname()[1], new_secret(), "", 1, "")
+        there = Console(1, server.getsockname()[1], make_secret(), "", 1, "")
         threading.Thread(target=lambda: server.accept()[0].sendall(b"220 mail.example ESMTP\r\n"), daemon=True).start()
         with pytest.raises(LinkError, match=r"no console answers there|closed"):
             there.connect()
 
 
-def test_the_secret_is_never_sent(console: tuple[Gate, Console]) -> None:
+def test_the_secret_is_never_sent(console: tuple[ConsoleServer, Console]) -> None:
     said: list[bytes] = []
 
     class Overheard(socket.socket):
@@ -311,16 +315,16 @@ def test_the_secret_is_never_sent(console: tuple[Gate, Console]) -> None:
             said.append(bytes(data))
             super().sendall(data)
 
-    from smolbot.ui.link.handshake import call
+    from smolbot.ui.link.handshake import authenticate_to_console
 
     sock = Overheard()
     sock.connect(("127.0.0.1", console[0].port))
-    call(sock, bytes.fromhex(console[1].secret))
+    authenticate_to_console(sock, bytes.fromhex(console[1].secret))
     sock.close()
     assert said
     assert bytes.fromhex(console[1].secret) not in b"".join(said)
 
 
 def test_a_mission_that_is_watched_loads_no_page() -> None:
-    script = "import sys, smolbot.ui.cli.live, smolbot.ui.link.gate; sys.exit('viser' in sys.modules)"
+    script = "import sys, smolbot.ui.cli.live, smolbot.ui.link.console_server; sys.exit('viser' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], timeout=120, check=False).returncode == 0

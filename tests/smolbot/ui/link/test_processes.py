@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from smolbot.ui.link.consoles import ENVIRONMENT, read
+from smolbot.ui.link.consoles import ENVIRONMENT, read_console
 
 pytestmark = pytest.mark.slow
 
@@ -100,7 +100,7 @@ def test_a_mission_opens_a_console_for_itself_which_ends_after_it(session: Sessi
     run = session.flying("a")
     written = list((session.folder / "session" / "smolbot").glob("console-*.json"))
     assert len(written) == 1
-    known = read(written[0])
+    known = read_console(written[0])
     assert known is not None
     stop = session.begin("stop")
     stop.communicate(timeout=60)
