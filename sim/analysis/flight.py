@@ -355,7 +355,7 @@ def require_loop(mission: Mission) -> None:
     InputError
         If it has none.
     """
-    if getattr(getattr(mission, "sections", None), "make_controller", None) is None:
+    if getattr(getattr(mission, "sections", None), "controller", None) is None:
         raise InputError(f"{mission.name}: has no [controller]: it only localizes: there is no loop to analyse.")
     kind: str = mission.robot.kind
     if kind != "gradient":

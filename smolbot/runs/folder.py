@@ -183,7 +183,7 @@ def collect_provenance(seed: int, settings: Mapping[str, str], world: Mapping[st
         "settings": dict(settings),
         "world": dict(world),
         "python": platform.python_version(),
-        "platform": platform.to_state_space(),
+        "platform": platform.system(),
         "linear_algebra": describe_blas(),
         "packages": find_package_versions(),
     }
