@@ -243,7 +243,7 @@ def check_recovery(victim: Victim, phase: str, killed: float) -> Outcome:
             out.faults.append(f"not recovered: {error}")
         return out
     out.messages, out.torn, out.recovered = done.found.messages, done.torn is not None, len(whole.moments)
-    if not whole.complete or again.needed:
+    if not whole.whole or again.needed:
         out.faults.append("is not whole after it was recovered")
     if out.messages < out.flushed:
         out.faults.append(f"{out.flushed} messages were said to be flushed, {out.messages} are there")

@@ -256,7 +256,7 @@ def check_windows(record: RecordedRun, half_periods: int | None) -> None:
     cycles = set(record.shot_of_cycle)
     heard = [p for p in record.played if p.samples is not None and p.number in cycles]
     if not record.moments:
-        short = "" if record.complete else "; it was cut short before the first"
+        short = "" if record.whole else "; it was cut short before the first"
         raise InputError(f"{record.path}: holds no cycle, so there is nothing to replay{short}.")
     if not heard:
         raise InputError(

@@ -154,8 +154,8 @@ class LinearModel:
         -------
         ndarray, shape (n_out,)
         """
-        tapped = _kernels.tapped(field, self.chain.first, self.chain.weights)
-        return _kernels.mixed(self.mixing, tapped if self.separable else tapped.reshape(-1, 1))
+        tapped = _kernels.apply_taps(field, self.chain.first, self.chain.weights)
+        return _kernels.mix_channels(self.mixing, tapped if self.separable else tapped.reshape(-1, 1))
 
     def compute_response(
         self,
@@ -188,7 +188,7 @@ class LinearModel:
         out = np.zeros(first.shape[2])
         jacobian = np.zeros((compiled.N_PARAMETERS, len(out)))
         place = (np.ascontiguousarray(position, dtype=float), np.ascontiguousarray(rotation))
-        _kernels.model(first, *self.constants[1:], *place, float(phase), float(amplitude), out, jacobian)
+        _kernels.evaluate_model(first, *self.constants[1:], *place, float(phase), float(amplitude), out, jacobian)
         return out, jacobian.T
 
 
@@ -342,7 +342,7 @@ class Problem:
         """
         place = (np.array(position), np.array(rotation, order="C"))
         top = self.model.amplitude_max
-        phase, size = _kernels.linear_start(self.data, *self.model.constants, *place, FIRST_AMPLITUDE * top)
+        phase, size = _kernels.estimate_phase_and_amplitude(self.data, *self.model.constants, *place, FIRST_AMPLITUDE * top)
         return phase, min(max(size, MIN_FIRST * top), MAX_FIRST * top)
 
 
@@ -394,7 +394,7 @@ def find_usable_channels(recording: Recording, sensors: SensorArray, device: Dev
             f"The oscillation has decayed {1e3 * since:g} ms after the drive (damping {device.damping:g} 1/s, "
             f"{device.damping_model}). Is the time in ms?"
         )
-    moving: BoolArray = _kernels.moving(recording.field)
+    moving: BoolArray = _kernels.find_varying_channels(recording.field)
     return moving & ~recording.saturated
 
 

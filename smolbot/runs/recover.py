@@ -85,7 +85,7 @@ def recover(run: str | Path) -> Recovery:
     done = Recovery(read_run(path))
     try:
         target = path.with_name(RECORD) if path.name == TORN else path
-        if not done.found.complete or path != target:
+        if not done.found.whole or path != target:
             done.torn = _rewrite(done.found, target)
         if target.name == RECORD:
             _complete(done, target)
@@ -129,7 +129,7 @@ def _rewrite(found: RecordedRun, target: Path) -> Path:
         file.append("/run/end", last, make_end_message(found.run()).SerializeToString())
     file.close()
     again = read_run(part)
-    if not again.complete or len(again.moments) != len(found.moments) or len(again.played) != len(found.played):
+    if not again.whole or len(again.moments) != len(found.moments) or len(again.played) != len(found.played):
         raise InputError(f"{part}: does not hold what was read of {found.path}; that one was left as it is.")
     if found.path != target:  # the old one is out of the way already
         part.replace(target)
@@ -199,7 +199,7 @@ def _compute_figures(done: Recovery, mission: AnyMission, run: Run, trace: Trace
 
 def _count_lost_bytes(found: RecordedRun) -> int:
     """Return the number of unreadable bytes, of this record and of the one that it was rewritten from."""
-    return found.lost_bytes + (found.recovered.lost_bytes if found.recovered is not None else 0)
+    return found.lost + (found.recovered.lost_bytes if found.recovered is not None else 0)
 
 
 def write_cycles(path: Path, found: RecordedRun) -> None:

@@ -24,7 +24,7 @@ ANEW = 'If that is meant: python -m tests.golden.renew {name} --why "…"'
 def test_a_golden_answer_is_given_again(name):
     made_on, expected = load(EXPECTED / f"{name}.json.xz")
     difference = compare(expected, MAKERS[name]())
-    assert difference is None or difference.is_allowed(made_on == machine()), (
+    assert difference is None or difference.allowed(made_on == machine()), (
         f"{name}: {difference}. {ANEW.format(name=name)}"
     )
 
@@ -70,7 +70,7 @@ def test_a_replay_of_a_golden_record_gives_the_poses_of_the_flight():
         recorded = [{"pose": m.cycle.pose, "tracked": m.cycle.tracked} for m in again.record.moments]
         found = [{"pose": c.pose, "tracked": c.tracked} for c in again.cycles]
     difference = compare(as_answers(recorded), as_answers(found))
-    assert difference is None or difference.is_allowed(same_machine=False), difference
+    assert difference is None or difference.allowed(same_machine=False), difference
 
 
 @pytest.mark.parametrize("estimator", ["whitened", "paper"])
@@ -165,14 +165,14 @@ def test_differences_are_sized_in_their_unit_and_judged_by_the_machine():
     now["pose"]["position"][0] = 0.5e-9
     small = compare(was, now)
     assert small.most == {"m": 0.5e-9}
-    assert small.is_allowed(same_machine=False)
-    assert not small.is_allowed(same_machine=True)
+    assert small.allowed(same_machine=False)
+    assert not small.allowed(same_machine=True)
     now["currents"][0] += 5e-7  # one fit of many may end one step sooner
-    assert compare(was, now).is_allowed(same_machine=False)
+    assert compare(was, now).allowed(same_machine=False)
     now["currents"] = [8.0 + 5e-7] * 10
-    assert not compare(was, now).is_allowed(same_machine=False)
+    assert not compare(was, now).allowed(same_machine=False)
     now["currents"] = [8.0 + 5e-6] + [8.0] * 9
-    assert not compare(was, now).is_allowed(same_machine=False)
+    assert not compare(was, now).allowed(same_machine=False)
     for other in ({**was, "note": "b"}, {**was, "more": 1}, {"pose": was["pose"]}, {**was, "currents": []}):
-        assert not compare(was, other).is_allowed(same_machine=False)
+        assert not compare(was, other).allowed(same_machine=False)
     assert answers.ELSEWHERE["m"] == 1e-9

@@ -116,7 +116,7 @@ def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> Array
         matrix, labels, values, slopes, frames[model.used], float(fit.phase), float(fit.amplitude)
     )
     longer = np.zeros_like(out)
-    _kernels.model(
+    _kernels.evaluate_model(
         matrix, labels, positions, axes, moment, l0 + _L0_STEP, angles, powers, *place, fit.phase, fit.amplitude, longer,
         np.zeros((compiled.N_PARAMETERS, len(out))),
     )  # fmt: skip

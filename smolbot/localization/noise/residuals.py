@@ -87,7 +87,7 @@ def compute_energies(
     n_blocks = whiten.shape[1] // n
     place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
     signal, jacobian = model.compute_response(*place, matrix=answers)
-    heard = _kernels.tapped(np.ascontiguousarray(recording.field[model.used]), model.chain.first, model.chain.weights)
+    heard = _kernels.apply_taps(np.ascontiguousarray(recording.field[model.used]), model.chain.first, model.chain.weights)
     left = whiten @ (heard[:, :n_blocks].reshape(-1) - signal)
     # degrees of freedom that the fit has used
     taken = np.linalg.solve(np.linalg.cholesky(fit.normal), (whiten @ jacobian).T)

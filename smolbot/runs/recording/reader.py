@@ -104,11 +104,11 @@ class RecordedRun(Readable):
     shot_of_cycle: list[int] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     end: pb.End | None = None
-    complete: bool = True
+    whole: bool = True
     dropped: int = 0
     messages: int = 0
-    messages_without_topic: int = 0
-    lost_bytes: int = 0
+    nameless: int = 0
+    lost: int = 0
     recovered: pb.Recovered | None = None
     wall: float = 0.0
     number_of_cycle: list[int] = field(default_factory=list)
@@ -325,8 +325,8 @@ class _RunBuilder:
         found = self._found
         if found is None:
             raise InputError(f"{self._path}: {self._explain_missing_begin(scan)}")
-        found.lost_bytes, found.messages_without_topic = scan.lost_bytes, self._nameless
-        found.complete = scan.finished and found.end is not None
+        found.lost, found.nameless = scan.lost_bytes, self._nameless
+        found.whole = scan.finished and found.end is not None
         try:
             self._assemble(found)
         except (ValueError, TypeError, KeyError, IndexError) as error:  # e.g. a pose of five numbers

@@ -119,7 +119,7 @@ def compare(runs: Sequence[str | Path]) -> Comparison:
     notes = [
         f"{flight.record.path}: the record is cut short; its figures are of what is in it."
         for flight in flights
-        if not flight.record.complete
+        if not flight.record.whole
     ]
     if _has_different_paths(flights):
         notes.insert(0, "These runs followed different paths: overlays show each with its own, errors are along it.")

@@ -91,7 +91,7 @@ def build_report(flight: RecordedFlight) -> str:
 
 def _describe_warning(flight: RecordedFlight) -> str:
     record = flight.record
-    if not record.complete:
+    if not record.whole:
         return (
             f"This record is cut short: it ends after {flight.run.duration:.1f} s without saying how the run ended. "
             "All figures are of what was recorded until then."

@@ -44,8 +44,8 @@ def export(
     size = sum(p.stat().st_size for p in ([target] if target.is_file() else target.rglob("*")))
     said = f"{len(found.moments)} cycles, {len(found.played)} shots, {len(found.events)} events"
     rows = [("run", said if shots is None else f"shots {shots}"), ("written", f"{target}, {size / 1e6:.1f} MB")]
-    if not found.complete:
+    if not found.whole:
         rows.append(("not whole", "the record is torn or damaged: this is what can be read. See smolbot recover."))
     print_table(f"export {run}", rows, err=json)
     if json:
-        echo_json({"run": str(found.path), "format": kind, "out": str(target), "bytes": size, "whole": found.complete})
+        echo_json({"run": str(found.path), "format": kind, "out": str(target), "bytes": size, "whole": found.whole})

@@ -45,7 +45,7 @@ def make_summary(done: Recovery) -> dict[str, Any]:
     return {
         "record": str(found.path),
         "needed": done.needed,
-        "whole": found.complete,
+        "whole": found.whole,
         "ended": found.end is not None,
         "status": flown.status,
         "stop_reason": flown.stop_reason,
@@ -53,7 +53,7 @@ def make_summary(done: Recovery) -> dict[str, Any]:
         "shots": len(found.played),
         "cycles": len(numbers),
         "last_s": flown.duration,
-        "lost_bytes": found.lost_bytes,
+        "lost_bytes": found.lost,
         "dropped": found.dropped,
         "cycles_missing_between": numbers[-1] + 1 - len(numbers) if numbers else 0,
         "cycles_not_recorded": done.cycles_not_recorded,

@@ -49,7 +49,7 @@ def replay(
     found: dict[str, Any] = {
         "run": str(played.record.folder),
         "changed": played.changed,
-        "whole": played.record.complete,
+        "whole": played.record.whole,
         "cycles": len(played.cycles),
         "identical": difference is None,
         "first_difference": difference,
@@ -75,7 +75,7 @@ def _show(played: Replay, found: dict[str, Any], *, json: bool) -> None:
         return
     same = found["identical"]
     lines = ["every pose is the same, bit for bit" if same else f"first difference: {found['first_difference']}"]
-    if not played.record.complete:
+    if not played.record.whole:
         lines.append("the record was cut short; what is in it was replayed")
     if played.stop_reason:
         lines.append(f"the replay ended early: {played.stop_reason}")

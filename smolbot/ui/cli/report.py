@@ -65,11 +65,11 @@ def _write_report(run: Path, out: Path | None, json: bool) -> None:
         ("verdict", "; ".join([summary["verdict"], *summary["verdict_reasons"]])),
         ("report", f"{path}, {path.stat().st_size / 1e6:.2f} MB"),
     ]
-    if not flight.record.complete:
+    if not flight.record.whole:
         rows.insert(0, ("record", "cut short: figures are of what is in it"))
     print_table(flight.title, rows, err=json)
     if json:
-        echo_json({**summary, "report": str(path), "whole": flight.record.complete})
+        echo_json({**summary, "report": str(path), "whole": flight.record.whole})
 
 
 def _compare(runs: list[Path], out: Path | None, json: bool) -> None:
