@@ -144,9 +144,9 @@ def evaluate_model(
     moment : ndarray, shape (3,), in A·m², body frame
     l0 : float, in m
     angles : ndarray, shape (K,), in rad
-        Nodes of the interpolation; see `series`.
+        Nodes of the interpolation; see `compute_series`.
     powers : ndarray, shape (K, K)
-        Coefficients of the power series; see `series`.
+        Coefficients of the power series; see `compute_series`.
     position : ndarray, shape (3,), in m, world frame
         Of the rotation centre.
     rotation : ndarray, shape (3, 3)
@@ -344,9 +344,9 @@ def fit(
     moment : ndarray, shape (3,), in A·m², body frame
     l0 : float, in m
     angles : ndarray, shape (K,), in rad
-        See `series`.
+        See `compute_series`.
     powers : ndarray, shape (K, K)
-        See `series`.
+        See `compute_series`.
     position : ndarray, shape (3,), in m, world frame
         Start.
     rotation : ndarray, shape (3, 3)
@@ -465,9 +465,9 @@ def estimate_phase_and_amplitude(
     moment : ndarray, shape (3,), in A·m², body frame
     l0 : float, in m
     angles : ndarray, shape (K,), in rad
-        See `series`.
+        See `compute_series`.
     powers : ndarray, shape (K, K)
-        See `series`.
+        See `compute_series`.
     position : ndarray, shape (3,), in m, world frame
     rotation : ndarray, shape (3, 3)
         Body to world.

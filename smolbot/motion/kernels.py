@@ -22,7 +22,7 @@ BODY_SIZE = 7
 PATH_DISTANCE, MISSING_PROGRESS, HEADING, TAIL_PUSH, CURRENT_COST, FIELD_WEAKNESS, WEAK_FIELD, HUBER_ANGLE = range(8)
 WEIGHT_COUNT = 8
 RESIDUALS_PER_WINDOW = 8  # for each window
-SEARCH_BACK, SEARCH_AHEAD = 1e-3, 2e-3  # how far, in m, from where it was, a robot is looked for
+SEARCH_BACK, SEARCH_AHEAD = 1e-3, 2e-3  # m: range of arc lengths around the last one in which a robot is searched
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -392,17 +392,17 @@ def _compute_residuals(
     and along half way, both at the end, the missing arc length, then the heading, the push at the tail and the weakness
     of the field; after those of all windows, each coil's share of its highest current.
 
-    `work`: Jacobian (total, windows * n_coils) of the residuals, or (0, 0) where it is not wanted; and room for
+    `work`: Jacobian (total, windows * n_coils) of the residuals, or (0, 0) if it is not needed; and buffers for
     the derivatives of the coils' field (6, ...) and of the state (7, ...), as `_simulate_with_derivatives` takes them.
     """
-    points, arc, compass, spacing = route
+    points, arc, headings, spacing = route
     first, last, guess, stride, ahead, near = leg
     jacobian, inputs, slopes, field, gradient = work
     n, windows = b.shape[0], currents.shape[0]
-    told = jacobian.shape[0] > 0
+    with_jacobian = jacobian.shape[0] > 0
     x, y, heading = state[0], state[1], state[2]
     goal, cost, row = guess, 0.0, 0
-    if told:
+    if with_jacobian:
         jacobian[:] = 0.0
         slopes[:] = 0.0
     for w in range(windows):
@@ -413,7 +413,7 @@ def _compute_residuals(
                 gradient[i, 0] += currents[w, c] * g[c, i, 0]
                 gradient[i, 1] += currents[w, c] * g[c, i, 1]
         count = 0
-        if told:
+        if with_jacobian:
             count = (w + 1) * n  # later windows change nothing of this one
             for j in range(count):
                 own = 1.0 if j >= w * n else 0.0
@@ -424,7 +424,7 @@ def _compute_residuals(
         ch, sh = body[MAGNET] * math.cos(heading), body[MAGNET] * math.sin(heading)
         bx = field[0] + gradient[0, 0] * (x + ch) + gradient[0, 1] * (y + sh)
         by = field[1] + gradient[1, 0] * (x + ch) + gradient[1, 1] * (y + sh)
-        # c^2 max(0, 1 - |B| / B_least)^2: where the coils nearly cancel, a robot goes where their errors send it
+        # c^2 max(0, 1 - |B| / B_least)^2: where the coils' fields nearly cancel, their errors decide the motion
         strength = math.sqrt(bx * bx + by * by)
         out[row + 7] = weights[FIELD_WEAKNESS] * max(1.0 - strength / weights[WEAK_FIELD], 0.0)
         if out[row + 7] > 0.0 and strength > 0.0:
@@ -455,13 +455,13 @@ def _compute_residuals(
         # h^2 rho(psi - psi_path), the path's heading interpolated a little ahead
         on, moves = s + ahead, 1.0
         if s < arc[last] - near and on > arc[last]:
-            on, moves = arc[last], 0.0  # no turning into the next leg before this one is done
+            on, moves = arc[last], 0.0  # do not turn into the next leg before this one is done
         at = (on - arc[first]) / spacing
-        if not 0.0 <= at <= compass.shape[0] - 1.001:
-            at, moves = min(max(at, 0.0), compass.shape[0] - 1.001), 0.0
+        if not 0.0 <= at <= headings.shape[0] - 1.001:
+            at, moves = min(max(at, 0.0), headings.shape[0] - 1.001), 0.0
         k = int(at)
-        bend = wrap_angle(compass[k + 1] - compass[k])
-        off = wrap_angle(heading - compass[k] - (at - k) * bend)
+        bend = wrap_angle(headings[k + 1] - headings[k])
+        off = wrap_angle(heading - headings[k] - (at - k) * bend)
         knee, size = weights[HUBER_ANGLE], abs(off)
         out[row + 5] = weights[HEADING] * (size if size < knee else math.sqrt(knee * (2.0 * size - knee)))
         steep = weights[HEADING] * (1.0 if size < knee else knee / math.sqrt(knee * (2.0 * size - knee)))
@@ -481,7 +481,7 @@ def _compute_residuals(
     for w in range(windows):
         for c in range(n):
             out[row] = weights[CURRENT_COST] * currents[w, c] / high[c]
-            if told:
+            if with_jacobian:
                 jacobian[row, w * n + c] = weights[CURRENT_COST] / high[c]
             row += 1
     for i in range(row):

@@ -56,7 +56,7 @@ class DeviceFit:
     Attributes
     ----------
     device : Device
-        With the frequency and damping that were fitted; theta_max is as given.
+        With the fitted frequency and damping; theta_max is as given.
     position : ndarray, shape (3,), in m
     orientation : ndarray, shape (4,)
     amplitude : float, in rad
@@ -192,9 +192,9 @@ def fit_device(
     fix_time : bool
         Hold frequency and damping as given.
     hum : Hum, optional
-        Mains lines in the room; see `thin`.
+        Mains lines in the room; see `thin_recording`.
     duration : float, optional, in s
-        Length of the recording's beginning that is used; see `thin`.
+        Length of the recording's beginning that is used; see `thin_recording`.
 
     Returns
     -------
@@ -203,7 +203,7 @@ def fit_device(
     Raises
     ------
     InputError
-        As for `thin`.
+        As for `thin_recording`.
     """
     thinned = thin_recording(recording, sensors, device.frequency, hum, duration)
     # parameters: shift (0..2, m), rotation (3..5, rad), phase 6, ln amplitude 7, frequency 8, ln damping 9
