@@ -71,8 +71,7 @@ class Follower:
             return Command(None, note="searching for the signal")
         if not tracker.confirmed:
             return Command(None, note="waiting for a second pose to agree")
-        held_back = self._waiting is not None and shot.windows != self._waiting.mechanical
-        if self._waiting is not None and held_back:
+        if self._waiting is not None and shot.windows != self._waiting.mechanical:
             return self._waiting  # a pause or a search came first, so that the magnet still has to be moved
         pose = tracker.pose_at(shot.end)
         if not self._begun:

@@ -335,9 +335,9 @@ def fit(
     ----------
     data : ndarray, shape (n_out,)
     matrix : ndarray, shape (n_functions, n_channels, n_out)
-        Response of the linear chain; see `model`.
+        Response of the linear chain; see `evaluate_model`.
     labels : ndarray of int, shape (n_functions, 3)
-        See `model`.
+        See `evaluate_model`.
     positions : ndarray, shape (n_channels, 3), in m, world frame
         Of the sensors.
     axes : ndarray, shape (n_channels, 3), world frame
@@ -456,9 +456,9 @@ def estimate_phase_and_amplitude(
     ----------
     data : ndarray, shape (n_out,)
     matrix : ndarray, shape (n_functions, n_channels, n_out)
-        Response of the linear chain; see `model`.
+        Response of the linear chain; see `evaluate_model`.
     labels : ndarray of int, shape (n_functions, 3)
-        See `model`.
+        See `evaluate_model`.
     positions : ndarray, shape (n_channels, 3), in m, world frame
         Of the sensors.
     axes : ndarray, shape (n_channels, 3), world frame

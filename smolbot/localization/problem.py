@@ -342,8 +342,8 @@ class Problem:
         """
         place = (np.array(position), np.array(rotation, order="C"))
         top = self.model.amplitude_max
-        start = *place, FIRST_AMPLITUDE * top
-        phase, size = _kernels.estimate_phase_and_amplitude(self.data, *self.model.constants, *start)
+        start = *self.model.constants, *place, FIRST_AMPLITUDE * top
+        phase, size = _kernels.estimate_phase_and_amplitude(self.data, *start)
         return phase, min(max(size, MIN_FIRST * top), MAX_FIRST * top)
 
 

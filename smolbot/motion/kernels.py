@@ -15,12 +15,10 @@ import numpy as np
 from numba import njit
 
 MOMENT, DRAG, ROTATIONAL_DRAG, STIFFNESS, STOP, MAGNET, CENTER = range(7)
-BODY_SIZE = 7
 # Weights of a plan, per mm or rad: distance from the path, arc length that is missing, heading, push at the tail,
 # currents, weakness of the field; the field (T) below which it is called weak, and the angle beyond which the cost of a
 # wrong heading grows linearly
 PATH_DISTANCE, MISSING_PROGRESS, HEADING, TAIL_PUSH, CURRENT_COST, FIELD_WEAKNESS, WEAK_FIELD, HUBER_ANGLE = range(8)
-WEIGHT_COUNT = 8
 RESIDUALS_PER_WINDOW = 8  # for each window
 SEARCH_BACK, SEARCH_AHEAD = 1e-3, 2e-3  # m: range of arc lengths around the last one in which a robot is searched
 
@@ -190,7 +188,7 @@ def propagate_turn_variance(body, b, g, currents, heading, duration, steps, fiel
 def _solve_deflection(sine, cosine, torque, stiffness, stop, bent):
     """Compute the deflection toward a field whose angle from the housing has a sine, not below 0, and a cosine.
 
-    Newton's method from a guess `bent`, between nothing and the stop; see `deflection`. Between 0 and `stop`,
+    Newton's method from a guess `bent`, between nothing and the stop; see `compute_deflection`. Between 0 and `stop`,
     spring and field balance at one angle only.
     """
     if torque * (sine * math.cos(stop) - cosine * math.sin(stop)) >= stiffness * stop:
@@ -208,7 +206,7 @@ def _solve_deflection(sine, cosine, torque, stiffness, stop, bent):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _simulate_with_derivatives(body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count):
-    """Simulate one window as `roll` does, with the derivatives of all results by the first `count` variables.
+    """Simulate one window as `simulate_window` does, with the derivatives of its results by `count` variables.
 
     Angles are kept as unit vectors, (c, s) for the housing, so that a step takes an exponential and square roots
     but hardly any trigonometric function.
@@ -350,7 +348,7 @@ def find_nearest(points, arc, first, last, guess, x, y, back=SEARCH_BACK, ahead=
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _find_nearest_segment(points, arc, first, last, guess, x, y, back, ahead):
-    """Find the nearest place as `nearest` does, and the segment that it is on."""
+    """Find the nearest place as `find_nearest` does, and the segment that it is on."""
     low, high = first, last
     while low < last - 1 and arc[low + 1] < guess - back:
         low += 1
@@ -373,7 +371,7 @@ def _find_nearest_segment(points, arc, first, last, guess, x, y, back, ahead):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _differentiate_place(points, i, offsets, dx, dy):
-    """Compute the change of `nearest`'s offsets across and along, and arc length, as the point moves (dx, dy)."""
+    """Compute the change of `find_nearest`'s offsets across and along, and arc length, as the point moves (dx, dy)."""
     x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     length = math.sqrt(x * x + y * y)
     tx, ty = x / length, y / length

@@ -115,20 +115,6 @@ class Holder:
     place_std: FloatArray
     turn_std: FloatArray
 
-    def compute_device_pose(self, pose: Pose) -> Pose:
-        """Compute the pose of the device from the pose of the track.
-
-        Parameters
-        ----------
-        pose : Pose
-            Of the track.
-
-        Returns
-        -------
-        Pose
-        """
-        return compute_pose_in_holder(pose, np.concatenate([self.place, self.turn]))
-
 
 @dataclass(frozen=True, eq=False)
 class ArrayCalibration:

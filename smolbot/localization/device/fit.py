@@ -100,16 +100,11 @@ def compute_power_coefficients(
     ndarray, shape (n_sensors, POWERS), in T
         Of the powers 1 to `POWERS`; the constant is not observable. Exact to 1e-6 of the signal within 40 degrees.
     """
-    nodes, inverse = _compute_nodes_and_inverse()
+    nodes = NODE_SPREAD * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
+    inverse = np.linalg.inv(np.vander(nodes, POWERS + 1, increasing=True))
     values = compute_sensor_field(sensors, device, position, orientation, nodes * REFERENCE)
     coefficients: FloatArray = (values @ inverse.T)[:, 1:]
     return coefficients
-
-
-def _compute_nodes_and_inverse() -> tuple[FloatArray, FloatArray]:
-    nodes = NODE_SPREAD * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
-    inverse: FloatArray = np.linalg.inv(np.vander(nodes, POWERS + 1, increasing=True)).astype(np.float64)
-    return nodes, inverse
 
 
 @dataclass(frozen=True, eq=False)
