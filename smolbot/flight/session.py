@@ -66,7 +66,7 @@ def run(
     out : path, optional
         Run folder to write; none is written without it.
     gui : bool
-        Show the simulated world in a window, provenance there is a display.
+        Show the simulated world in a window, if there is a display.
     witness : bool
         Log the ground truth of a simulated world. Poses and commands do not depend on it.
     operator : Operator, optional
@@ -136,7 +136,7 @@ def fly(
     settings : mapping, optional
         Settings that replaced those of the mission file, for the record.
     gui : bool
-        Show the simulated world in a window, provenance there is a display.
+        Show the simulated world in a window, if there is a display.
     witness : bool
         Log the ground truth of a simulated world.
     make_listeners : callable, optional
@@ -189,7 +189,7 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
     seed : int
         Seed of a simulated world.
     gui : bool
-        Show a simulated world in a window, provenance there is a display.
+        Show a simulated world in a window, if there is a display.
     operator : Operator, optional
         Does by hand what no stage can do; nobody unless given.
 

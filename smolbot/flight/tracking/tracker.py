@@ -324,16 +324,16 @@ class Tracker:
         innovation = np.empty(6 if swing is None else 7)
         innovation[_P], innovation[_E] = pose.position - state.position, turned
         if swing is None:
-            measured = self._innovation_scale * pose.covariance + _MODEL_FLOOR[:6, :6]
+            measurement_covariance = self._innovation_scale * pose.covariance + _MODEL_FLOOR[:6, :6]
         else:
             top = self._device.theta_max
             innovation[_A] = swing.amplitude / top - state.amplitude
-            measured = self._innovation_scale * swing.covariance
-            measured[_A] /= top
-            measured[:, _A] /= top
-            measured += _MODEL_FLOOR
+            measurement_covariance = self._innovation_scale * swing.covariance
+            measurement_covariance[_A] /= top
+            measurement_covariance[:, _A] /= top
+            measurement_covariance += _MODEL_FLOOR
         m = len(innovation)
-        distance, change, covariance = update(state.covariance, measured, innovation)
+        distance, change, covariance = update(state.covariance, measurement_covariance, innovation)
         if not distance <= GATE + 2.0 * (m - 6):
             return False
         surprise = 0.95 * self._innovation_scale + 0.05 * self._innovation_scale * distance / m
