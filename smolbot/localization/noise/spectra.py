@@ -55,7 +55,7 @@ SMOOTHING = 0.12
 
 
 class Spectra(NamedTuple):
-    """Lines and smooth spectrum of background noise; see `N_PARAMETERSoiseModel`.
+    """Lines and smooth spectrum of background noise; see `NoiseModel`.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Spectra(NamedTuple):
 
 
 def learn_spectra(quiet: Sequence[Recording]) -> Spectra:
-    """Learn lines and smooth spectrum from recordings that were checked already.
+    """Learn lines and smooth spectrum from recordings that have been checked.
 
     Parameters
     ----------
