@@ -278,6 +278,7 @@ class Margins:
 
     @property
     def stable(self) -> bool:
+        """Whether the loop is stable."""
         return self.radius <= UNSTABLE
 
     @property

@@ -86,7 +86,7 @@ class VictimOutput:
 
         Returns
         -------
-        Told
+        VictimOutput
         """
         told = cls()
         for text in log.read_bytes().split(b"\n")[:-1]:  # what follows the last end of line was cut short
@@ -176,7 +176,7 @@ class Victim:
 
         Returns
         -------
-        Told
+        VictimOutput
         """
         return VictimOutput.read(self._log)
 

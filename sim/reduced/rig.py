@@ -93,12 +93,20 @@ class ReducedRig:
         self._open = True
 
     def make_synthetic_localizer(self, localizer: PoseEstimator) -> SyntheticLocalizer:
-        """What takes the place of `localizer`; from now on the rig errs as that one would.
+        """Make the localizer of this rig: it returns poses with the errors that `localizer` would make.
+
+        Parameters
+        ----------
+        localizer : Localizer
+
+        Returns
+        -------
+        SyntheticLocalizer
 
         Raises
         ------
         InputError
-            If it is none of ours: how it errs is not known.
+            If it is another localizer, whose errors are not known.
         """
         if not isinstance(localizer, Localizer):
             raise InputError(
@@ -112,9 +120,9 @@ class ReducedRig:
         phasors = sensors.field_noise.amplitudes[:lines] / gains
         room = make_true_noise_model(self._rig, truth.noise, truth.mains_frequency, phasors)
         moment = device.moment * device.moment_in_body
-        heard = SignalSource(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
+        source = SignalSource(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
         constants = tuple(c.time_constant for c in self._rig.sections.excitation)
-        self._errors = FitErrors(localizer, self._rig, heard, self._rng)
+        self._errors = FitErrors(localizer, self._rig, source, self._rng)
         return SyntheticLocalizer(localizer.sensors, localizer.device, localizer.volume, constants)
 
     def now(self) -> float:

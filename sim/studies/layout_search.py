@@ -102,7 +102,7 @@ class LayoutScorer:
     ----------
     devices : sequence of Device
     levels : NoiseLevels
-    window : Window
+    window : ListeningWindow
     poses : Poses
     bandwidth : float, in Hz
     mismatch : Mismatch
@@ -280,7 +280,7 @@ class Search:
 
     Parameters
     ----------
-    judge : Judge
+    judge : LayoutScorer
     start : Layout
     rng : numpy.random.Generator
     """

@@ -104,13 +104,13 @@ def evaluate_layout_value(
     sensors : SensorArray
     device : Device
     noise : NoiseModel
-    window : Window
+    window : ListeningWindow
     poses : Poses
     mismatch : Mismatch
 
     Returns
     -------
-    Judgement
+    LayoutValue
     """
     response = Response(sensors, device, noise, window)
     values, slopes = response.compute_series(poses.positions, poses.rotations)

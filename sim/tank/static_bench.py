@@ -71,7 +71,7 @@ class StaticBench:
     rate : float, in Hz
     clock : float, in s
         Bench time; runs on from recording to recording.
-    truth : Truth
+    truth : TankTruth
     true_device : Device
         As sampled. For a study's evaluation only, like `true_sensors` and `last_oscillation`.
     true_sensors : TrueSensors

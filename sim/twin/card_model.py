@@ -159,15 +159,15 @@ class CardModel:
     Parameters
     ----------
     section : BenchSection
-    plant : Behind
-    between : callable, optional
+    plant : CardPlant
+    before_step : callable, optional
         Called in the card's thread before every step, with the step's end in s: moves the magnet stage.
 
     Attributes
     ----------
     journal : Journal
-    faults : FaultBox
-    monitor : Watch
+    faults : FaultInjector
+    monitor : OutputMonitor
     outputs, clocked : Generation or None
         Playing or armed on the outputs and on the clocked lines.
     inputs : Acquisition or None
@@ -527,7 +527,7 @@ class CardModel:
     def read_line(self, name: str) -> bool:
         """Return the level of an input line.
 
-        It does not wait for the card's lock, and waits at most `FRESH` s until the level is up to date.
+        It does not wait for the card's lock, and waits at most `MAX_LINE_WAIT` s until the level is up to date.
 
         Parameters
         ----------

@@ -185,7 +185,7 @@ class Twin:
 
         Parameters
         ----------
-        fault : Fault
+        fault : InjectedFault
         """
         self.card.faults.add(fault)
 

@@ -59,7 +59,7 @@ class ExternallyGuided:
 
     Parameters
     ----------
-    section : HandSection
+    section : OperatorSection
     seed : int
     l0 : float, in m
         From the cantilever's rotation centre to the magnet.

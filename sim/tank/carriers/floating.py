@@ -27,7 +27,7 @@ class Floating:
     rig : RigConfig
     robot : RobotConfig
     settings : TankSettings
-    truth : Truth
+    truth : TankTruth
     start : ndarray, shape (2,), in m
         Requested start position (x, y), world frame.
     gui : bool
@@ -85,7 +85,7 @@ def compute_start_pose(
     ----------
     rig : RigConfig
     robot : RobotConfig
-    truth : Truth
+    truth : TankTruth
     hull : Hull
     start : ndarray, shape (2,), in m
         Requested start position (x, y), world frame.

@@ -142,9 +142,9 @@ def compute_coil_field(
     point : ndarray, shape (3,), in m
         World frame.
     row : ndarray, shape (22,)
-        The coil's row of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
+        The coil's row of `sim.tank.magnetics.coil_fields.CoilSet`.
     table : ndarray
-        The coefficients of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
+        The coefficients of `sim.tank.magnetics.coil_fields.CoilSet`.
     rotation_result_to_world : ndarray, shape (3, 3)
         From the result's frame to the world frame; the identity for a result in the world frame.
     b : ndarray, shape (3,), in T per A
@@ -189,7 +189,7 @@ def compute_fields(points: FloatArray, rows: FloatArray, table: FloatArray) -> F
     points : ndarray, shape (n, 3), in m
         World frame.
     rows, table : ndarray
-        Of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
+        Of `sim.tank.magnetics.coil_fields.CoilSet`.
 
     Returns
     -------
@@ -241,7 +241,7 @@ def advance_cantilever(
     earth : ndarray, shape (3,), in T
         Uniform field, world frame.
     rows, table : ndarray
-        Of `sim.tank.magnetics.compute_coil_fields.CoilSet`; as many rows as `circuits`.
+        Of `sim.tank.magnetics.coil_fields.CoilSet`; as many rows as `circuits`.
     circuits, state : ndarray
         As laid out at the top of this file; `state` and the currents are advanced in place.
     poses : ndarray, shape (k, 7)

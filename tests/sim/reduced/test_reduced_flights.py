@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.batch.flights import PlantModel, SimulatedFlight, fly_seeds
+from sim.batch.flights import PlantModel, Flight, fly_seeds
 from sim.batch.flights_picture import format_headline
 from sim.reduced.rig import open_reduced, require_flyable
 from smolbot.config.mission import load_steering_mission
@@ -158,7 +158,7 @@ def test_results_are_labelled_wherever_they_are_shown(flown, line, tmp_path, mon
         assert [row["plant"] for row in csv.DictReader(file)] == ["reduced", "reduced"]
     assert json.loads((tmp_path / "study" / "summary.json").read_text())["plant"] == "reduced"
     assert json.loads((tmp_path / "study" / "provenance.json").read_text())["world"]["plant"] == "reduced"
-    flights = [SimulatedFlight(run.summary, run.true_trail) for run in flown.values()]
+    flights = [Flight(run.summary, run.true_trail) for run in flown.values()]
     assert "reduced plant" in format_headline(line, flights)
     assert "reduced plant" in headline_of_run(line, flown[1])
 

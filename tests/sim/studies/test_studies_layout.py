@@ -24,7 +24,7 @@ RIG = load_rig("tank")
 LEVELS = make_noise_levels(RIG)
 DEVICES = tuple(study.make_devices().values())
 WINDOW = study.make_window(RIG)
-POSES = Volume().poses(2, 1, 0)
+POSES = Volume().make_poses(2, 1, 0)
 
 
 def judge_of(weight: float, draws: int = 2) -> LayoutScorer:
