@@ -107,13 +107,13 @@ def linearize_cycle(model: Model, instant: Instant, pairs: int = PROBE_PAIRS) ->
     feedback, explained = fit_feedback(model, instant.controller, instant.pose, state, normal, sigma, pairs)
     window = command.window
 
-    def seen(moved: tuple[FloatArray, float]) -> FloatArray:
+    def project(moved: tuple[FloatArray, float]) -> FloatArray:
         return np.array([moved[0] @ normal, moved[1]])
 
     motion = np.empty((2, 2))
     for k, step in enumerate(np.diag(sigma)):
         ends = [
-            seen(model.compute_motion(state.move(sign * step[0] * normal, sign * step[1]), window))
+            project(model.compute_motion(state.move(sign * step[0] * normal, sign * step[1]), window))
             for sign in (1.0, -1.0)
         ]
         motion[:, k] = (ends[0] - ends[1]) / (2.0 * sigma[k])
@@ -170,8 +170,8 @@ def fit_feedback(
     design = np.column_stack([np.ones(len(points)), points / sigma])
     found, *_ = np.linalg.lstsq(design, moved, rcond=None)
     left = np.sum((moved - design @ found) ** 2, axis=0)
-    whole = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
-    explained = np.where(whole > NO_MOTION, 1.0 - left / np.maximum(whole, TINY), 1.0)
+    total = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
+    explained = np.where(total > NO_MOTION, 1.0 - left / np.maximum(total, TINY), 1.0)
     return found[1:].T / sigma, explained
 
 

@@ -155,11 +155,11 @@ class Browser(Closeable):
         offset = begun - wall + 0.5 * (before + after)
         for _ in range(CLOCK_READINGS):
             before = time.monotonic()
-            told = offset + 1e-3 * float(self.driver.execute_script("return performance.now()"))
+            reported = offset + 1e-3 * float(self.driver.execute_script("return performance.now()"))
             after = time.monotonic()
-            if not before - CLOCK_TOLERANCE <= told <= after + CLOCK_TOLERANCE:
+            if not before - CLOCK_TOLERANCE <= reported <= after + CLOCK_TOLERANCE:
                 raise RuntimeError(
-                    f"the page's clock is off: {told:.4f} s is not within {before:.4f} and {after:.4f} s"
+                    f"the page's clock is off: {reported:.4f} s is not within {before:.4f} and {after:.4f} s"
                 )
         return offset, CLOCK_TOLERANCE
 

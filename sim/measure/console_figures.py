@@ -178,8 +178,8 @@ class ConsoleBench:
         line = self._flier.stdout.readline()
         if not line:
             raise RigError(f"The flier ended: {(self.folder / 'flier.log').read_text()[-2000:]}")
-        told: dict[str, Any] = json.loads(line)
-        return told
+        report: dict[str, Any] = json.loads(line)
+        return report
 
     def await_shot(self, number: int, timeout: float = 60.0) -> None:
         """Wait until a number of shots have listened since the flight began.

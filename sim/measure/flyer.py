@@ -76,12 +76,12 @@ def main() -> None:
         link = connect_console(mission, 1, latch, lambda _: None) if asked.get("live") else nullcontext((None, None))
         with link as (pause, pump):
             run = fly(mission, 1, folder=folder, settings=settings, latch=latch, pause=pause, make_live_sink=pump)
-        told = {
+        report = {
             "status": run.status, "reason": run.stop_reason, "cycles": len(run.cycles), "heard": latch.heard,
             "rested": latch.rested, "lateness": compute_lateness(run.cycles),
             "compute": [cycle.compute for cycle in run.cycles],
         }  # fmt: skip
-        print(json.dumps(told), flush=True)
+        print(json.dumps(report), flush=True)
 
 
 if __name__ == "__main__":

@@ -307,8 +307,8 @@ def compute_bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
         for room in range(2)
     ]
     squares = np.mean([b.position_rms**2 for b in found], axis=0).reshape(len(places), len(turns)).mean(axis=1)
-    drawn: FloatArray = 1e6 * np.sqrt(squares).reshape(len(MAP), len(MAP))
-    return drawn
+    errors: FloatArray = 1e6 * np.sqrt(squares).reshape(len(MAP), len(MAP))
+    return errors
 
 
 def draw(outcome: Outcome, path: Path) -> None:

@@ -165,11 +165,11 @@ class LayoutScorer:
         for number, (device, functions) in enumerate(self._courses):
             if number % N_PHASES == 0:
                 columns, errors = self._compute_columns(sensor, device)
-            gram, heard = functions.T @ functions, self._waves.T @ functions
-            seen = gram @ columns
+            gram, on_waves = functions.T @ functions, self._waves.T @ functions
+            on_columns = gram @ columns
             parts.append((
-                np.swapaxes(columns, 1, 2) @ seen, heard @ columns,
-                np.swapaxes(seen, 1, 2) @ errors, heard @ errors,
+                np.swapaxes(columns, 1, 2) @ on_columns, on_waves @ columns,
+                np.swapaxes(on_columns, 1, 2) @ errors, on_waves @ errors,
             ))  # fmt: skip
         return Share(*(np.array(group) for group in zip(*parts, strict=True)))
 
@@ -249,9 +249,9 @@ class LayoutScorer:
             mixers = [_make_mixer(phasors[:, j]) for j in range(len(sensors))]
             # noise of the lines of the mains, by the Woodbury identity
             inside = np.linalg.inv(np.eye(len(overlap)) + sum(m @ overlap @ m.T for m in mixers))
-            heard = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
-            left = np.swapaxes(heard, -1, -2) @ inside
-            covariance = _invert(information - left @ heard)
+            on_waves = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
+            left = np.swapaxes(on_waves, -1, -2) @ inside
+            covariance = _invert(information - left @ on_waves)
             total += float(np.mean(np.einsum("cpaa->cp", covariance[..., :3, :3])))
             if self.weight > 0.0:
                 for mixer, share in zip(mixers, shares, strict=True):

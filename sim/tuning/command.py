@@ -42,11 +42,11 @@ def tune(
         raise InputError("--resume needs --out, the folder of the search to go on with.")
     settings = parse_settings(set_)
     name = load_steering_mission(mission, rig, settings).name
-    with show_bar(name, total=trials) as tell:
+    with show_bar(name, total=trials) as update:
 
         def progress(done: int, best: float | None) -> None:
             cost = "no trial complete yet" if best is None else f"best {best:.3f} mm"
-            tell(completed=done, description=f"{name}: {cost}")
+            update(completed=done, description=f"{name}: {cost}")
 
         found = search_gains(
             mission, trials=trials, worlds=worlds, held_out=held_out, plant=plant.value,

@@ -538,8 +538,8 @@ class CardModel:
         bool
         """
         if name == self.section.relays.all_open:
-            asked = time.monotonic()
-            while self.compute_time(self.plant.played) < asked and time.monotonic() < asked + MAX_LINE_WAIT:
+            requested = time.monotonic()
+            while self.compute_time(self.plant.played) < requested and time.monotonic() < requested + MAX_LINE_WAIT:
                 time.sleep(0.5 * POLL_INTERVAL)
             return self._all_open
         if name == self.section.operator.stop_line:

@@ -321,7 +321,7 @@ def advance_cantilever(
 
     damp, push = math.exp(-2.0 * eta * h), h * math.exp(-eta * h)  # frequency and decay are right to 2nd order
     slip = friction * h
-    drawn = np.zeros((n_live + 1, 2))  # sums of current times moment (A²·m²): mean force and torque
+    moments = np.zeros((n_live + 1, 2))  # sums of current times moment (A²·m²): mean force and torque
     sum_x = sum_z = 0.0
     sine, cosine = math.sin(theta), math.cos(theta)
     for k in range(substeps):
@@ -359,10 +359,10 @@ def advance_cantilever(
             ds, dc = turn - turn**3 / 6.0, 1.0 - 0.5 * turn**2 + turn**4 / 24.0
             sine, cosine = sine * dc + cosine * ds, cosine * dc - sine * ds
         for n in range(n_live):
-            drawn[n, 0] += circuits[live[n], CURRENT] * mx
-            drawn[n, 1] += circuits[live[n], CURRENT] * mz
-        drawn[n_live, 0] += mx
-        drawn[n_live, 1] += mz
+            moments[n, 0] += circuits[live[n], CURRENT] * mx
+            moments[n, 1] += circuits[live[n], CURRENT] * mz
+        moments[n_live, 0] += mx
+        moments[n_live, 1] += mz
         sum_x += dx
         sum_z += dz
         row = trace[used + k]
@@ -381,7 +381,7 @@ def advance_cantilever(
         b[n_live, r] = e[r]
     fx = fy = fz = tx = ty = tz = 0.0
     for n in range(n_live + 1):
-        mx, mz = drawn[n, 0] / substeps, drawn[n, 1] / substeps
+        mx, mz = moments[n, 0] / substeps, moments[n, 1] / substeps
         fx += g[n, 0, 0] * mx + g[n, 2, 0] * mz
         fy += g[n, 0, 1] * mx + g[n, 2, 1] * mz
         fz += g[n, 0, 2] * mx + g[n, 2, 2] * mz

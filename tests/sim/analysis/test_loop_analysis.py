@@ -140,7 +140,7 @@ def cycles():
 
 
 def loops(first: int, last: int, step: int = 5) -> list[SampledLoop]:
-    return [SampledLoop.of(average_cycles(cycles(), k, 4)) for k in range(first, last, step)]
+    return [SampledLoop.from_cycle(average_cycles(cycles(), k, 4)) for k in range(first, last, step)]
 
 
 def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equation():
@@ -240,7 +240,7 @@ def test_a_robot_hunts_where_the_loop_does_not_hold():
         i for i in simulate_flight(model, model.controller()) if i.command.phase == "follow" and not i.command.done
     ]
     every = [linearize_cycle(model, i) for i in flown]
-    found = [compute_margins(SampledLoop.of(average_cycles(every, k, 4))) for k in range(len(every))]
+    found = [compute_margins(SampledLoop.from_cycle(average_cycles(every, k, 4))) for k in range(len(every))]
     loose = np.array([c.arc for c, m in zip(every, found, strict=True) if m.disc < 0.1])
     firm = np.array([c.arc for c, m in zip(every, found, strict=True) if m.disc > 0.6])
     rng = np.random.default_rng(1)

@@ -37,12 +37,12 @@ def told(run):
 
 @pytest.fixture(scope="module")
 def flown(line):
-    return {seed: fly(line, seed, open_rig=open_reduced) for seed in (1, 2)}
+    return {seed: fly(line, seed, opener=open_reduced) for seed in (1, 2)}
 
 
 def test_the_same_seed_is_the_same_flight_whatever_was_flown_before(line, flown):
     for seed in (2, 1):  # the other way round
-        poses, shots, status = told(fly(line, seed, open_rig=open_reduced))
+        poses, shots, status = told(fly(line, seed, opener=open_reduced))
         before = told(flown[seed])
         assert np.array_equal(poses, before[0])
         assert shots == before[1]
@@ -66,7 +66,7 @@ def test_the_number_of_processes_changes_nothing():
 
 
 def test_without_the_witness_poses_and_commands_are_the_same(line, flown):
-    alone = fly(line, 1, open_rig=open_reduced, witness=False)
+    alone = fly(line, 1, opener=open_reduced, witness=False)
     assert np.array_equal(told(alone)[0], told(flown[1])[0])
     assert "tracking_error_mm" not in alone.summary
 
@@ -164,7 +164,7 @@ def test_results_are_labelled_wherever_they_are_shown(flown, line, tmp_path, mon
 
 
 def test_a_run_folder_of_the_reduced_plant_says_so(line, tmp_path):
-    fly(line, 1, open_rig=open_reduced, folder=RunFolder(tmp_path / "run"))
+    fly(line, 1, opener=open_reduced, folder=RunFolder(tmp_path / "run"))
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["plant"] == "reduced"
     assert json.loads((tmp_path / "run" / "provenance.json").read_text())["world"]["plant"] == "reduced"
 
@@ -175,7 +175,7 @@ def test_ring_down_is_taken_from_the_rig_file_where_there_is_none_to_learn_from(
     short = load_steering_mission(
         "line", settings={"localization.learn_ring_down": "true", "stop.max_duration_s": "2.0"}
     )
-    run = fly(short, 1, open_rig=open_reduced)
+    run = fly(short, 1, opener=open_reduced)
     event = next(e for e in run.events if e.what == "ring-down learned")
     assert event.detail["time_constants_ms"] == pytest.approx([1.0, 1.0])
     windows = run.cycles[-1].shot.windows

@@ -26,7 +26,7 @@ def settings_of(mission):
 
 def commands_of(mission, seed):
     """The windows of a flight, shot by shot, as its controller came to command them."""
-    run = fly(mission, seed, open_rig=open_reduced)
+    run = fly(mission, seed, opener=open_reduced)
     return [(Rest(run.begun),), *[(*c.shot.windows, Rest(mission.rig.turnaround)) for c in run.cycles]]
 
 

@@ -61,7 +61,7 @@ def test_more_chunks_leave_the_first_ones_as_they_were():
 
 
 def test_a_study_that_was_killed_goes_on_where_it_was(tmp_path):
-    asked = Options("draws").asked()
+    asked = Options("draws").list_deciding()
     broken = [*pieces()[:3], *pieces(work=fails)[3:]]
     with pytest.raises(RuntimeError, match="killed"):
         run_chunks(broken, StudyFolder(tmp_path / "s", asked))
@@ -74,15 +74,15 @@ def test_a_study_that_was_killed_goes_on_where_it_was(tmp_path):
 
 
 def test_a_folder_of_another_study_is_not_resumed_nor_overwritten(tmp_path):
-    StudyFolder(tmp_path / "s", Options("bound", seed=1).asked())
+    StudyFolder(tmp_path / "s", Options("bound", seed=1).list_deciding())
     with pytest.raises(InputError, match="not empty"):
-        StudyFolder(tmp_path / "s", Options("bound", seed=1).asked())
+        StudyFolder(tmp_path / "s", Options("bound", seed=1).list_deciding())
     with pytest.raises(InputError, match="seed was 1, is 2"):
-        StudyFolder(tmp_path / "s", Options("bound", seed=2).asked(), resume=True)
+        StudyFolder(tmp_path / "s", Options("bound", seed=2).list_deciding(), resume=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="no study"):
-        StudyFolder(tmp_path / "other", Options("bound").asked(), resume=True)
+        StudyFolder(tmp_path / "other", Options("bound").list_deciding(), resume=True)
 
 
 def test_a_half_written_chunk_is_run_again(tmp_path):

@@ -36,7 +36,7 @@ def carried(tmp_path_factory):
     """The whole study of a short line, with a search of a few flights."""
     folder = tmp_path_factory.mktemp("margins") / "s"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "closest_gains", partial(study.closest_gains, most=4))
+        patch.setattr(study, "find_closest_gains", partial(study.find_closest_gains, most=4))
         patch.setattr(study, "_fly_reduced", lambda *_: np.zeros((0, 4)))
         outcome, path = run_study(load_study("margins"), short(), folder)
     return outcome, path
@@ -112,7 +112,7 @@ def test_what_cannot_be_studied_is_one_clear_error(arguments, message, capsys, t
 
 def test_a_study_of_a_mission_resumes_with_the_same_mission_only():
     def given(mission, settings):
-        return _make_mission_options(STUDY, mission, 1, 0, None, settings, {}).asked()
+        return _make_mission_options(STUDY, mission, 1, 0, None, settings, {}).list_deciding()
 
     assert given("line", ["a=1", "b=2"]) == given("line", ["b=2", "a=1"])
     assert given("line", None) != given("r_path", None)
@@ -123,7 +123,7 @@ def test_a_study_of_a_mission_resumes_with_the_same_mission_only():
 def test_gains_go_no_further_than_the_reduced_plant_follows(passed, monkeypatch):
     """Of three flights all pass now: the first share of the way with which no fewer pass is taken, or else the last."""
     found = Found({"lookahead_mm": 1.6}, 1.0, 0.5, (10.0, 10.0), 7)
-    monkeypatch.setattr(study, "closest_gains", lambda model, weights: found)
+    monkeypatch.setattr(study, "find_closest_gains", lambda model, weights: found)
     asked = []
 
     def flown(chunk, mission, settings):
