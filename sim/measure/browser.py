@@ -84,7 +84,7 @@ class Browser(Closeable):
         end = time.monotonic() + timeout
         while self.read_text("state") in ("", "NO CONTACT"):
             if time.monotonic() > end:
-                raise TimeoutError(f"The page at {address} has heard nothing within {timeout:g} s.")
+                raise TimeoutError(f"The page at {address} has received nothing within {timeout:g} s.")
             time.sleep(0.1)
         self.driver.execute_script(  # viser's notice that drawing is slow here: nobody has it who has a screen
             "const style = document.createElement('style'); style.textContent = '.mantine-Notifications-root "
@@ -124,12 +124,12 @@ class Browser(Closeable):
         Raises
         ------
         TimeoutError
-            If none came in time.
+            If none appeared in time.
         """
         end = time.monotonic() + timeout
         while (found := self.read_text(name)) not in texts:
             if time.monotonic() > end:
-                raise TimeoutError(f"#{name} says '{found}', and none of {', '.join(texts)} within {timeout:g} s.")
+                raise TimeoutError(f"#{name} shows '{found}', and none of {', '.join(texts)} within {timeout:g} s.")
             time.sleep(0.1)
         return found
 

@@ -97,7 +97,7 @@ class ReducedRig:
 
         Parameters
         ----------
-        localizer : Localizer
+        localizer : PoseEstimator
 
         Returns
         -------
@@ -106,7 +106,7 @@ class ReducedRig:
         Raises
         ------
         InputError
-            If it is another localizer, whose errors are not known.
+            If it is no `Localizer`: its errors are not known.
         """
         if not isinstance(localizer, Localizer):
             raise InputError(

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.batch.flights import PlantModel, Flight, fly_seeds
+from sim.batch.flights import Flight, PlantModel, fly_seeds
 from sim.batch.flights_picture import format_headline
 from sim.reduced.rig import open_reduced, require_flyable
 from smolbot.config.mission import load_steering_mission

@@ -38,7 +38,7 @@ def ways(mission, seed, shots):
         poses = []
         for shot in shots:
             one.advance(shot)
-            poses.append(one.history.at(one.time))
+            poses.append(one.history.interpolate_pose(one.time))
         found.append(np.array(poses))
         assert one.time == pytest.approx(sum(w.duration for shot in shots for w in shot))
     return found
@@ -108,7 +108,7 @@ def test_other_seeds_and_doubled_mismatches_lead_elsewhere(line):
         plant = ReducedPlant(line.rig, line.robot, settings, np.zeros(2), seed)
         for shot in shots:
             plant.advance(shot)
-        return plant.history.at(plant.time)[:2]
+        return plant.history.interpolate_pose(plant.time)[:2]
 
     ideal, once, twice = (end(3, scale) for scale in (0.0, 1.0, 2.0))
     off, doubled = np.linalg.norm(once - ideal), np.linalg.norm(twice - ideal)
@@ -121,7 +121,7 @@ def test_the_way_does_not_depend_on_how_a_rest_is_divided(line):
     def end(rests):
         plant = ReducedPlant(line.rig, line.robot, settings_of(line), np.zeros(2), 2)
         plant.advance((Actuate((8.0, 0.0, 0.0, 0.0), 0.05), *rests))
-        return plant.history.at(plant.time)
+        return plant.history.interpolate_pose(plant.time)
 
     whole, parts = end([Rest(0.2)]), end([Rest(0.05), Listen(2, 103.5), Rest(0.15 - 1 / 103.5)])
     assert np.linalg.norm(whole[:3] - parts[:3]) < 1e-6

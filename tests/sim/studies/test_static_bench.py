@@ -60,7 +60,7 @@ def true_noise_model(bench, top=2500.0, spacing=0.5):
 def test_an_ideal_silent_bench_hears_what_the_forward_model_says(device):
     settings = {"sensors.bandwidth_hz": "1e9"}
     ours = bench(device=device, settings=settings)
-    n = ours.samples(2)
+    n = ours.count_samples(2)
     theta = compute_deflection(device, 0.02 + np.arange(n) / ours.rate, 0.2, 0.7)
     expected = compute_sensor_field(ours.sensors, device, PLACE, TURN, theta)
     assert ours.compute_clean_readings(PLACE, TURN, n, 0.02, 0.2, 0.7) == pytest.approx(
@@ -110,14 +110,14 @@ def test_a_disturbing_field_is_heard_along_each_axis_and_low_passed():
 
 
 def test_quiet_recordings_are_as_long_as_asked_and_follow_no_drive():
-    quiet = bench().quiet(5.0)
+    quiet = bench().record_background(5.0)
     assert 5.0 <= sum(q.duration for q in quiet) < 5.001
     assert all(q.drive is None and not np.isfinite(q.time_since_drive) for q in quiet)
 
 
 def test_learned_noise_comes_near_the_true_one():
     ours = bench(2)
-    learned, true = NoiseModel.learn(ours.quiet(6.0)), true_noise_model(ours)
+    learned, true = NoiseModel.learn(ours.record_background(6.0)), true_noise_model(ours)
     for order in (1, 3, 5):
         a = learned.lines[int(np.argmin(np.abs(learned.line_frequencies - 50.0 * order)))]
         b = true.lines[int(np.argmin(np.abs(true.line_frequencies - 50.0 * order)))]

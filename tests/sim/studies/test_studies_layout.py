@@ -40,7 +40,7 @@ def start() -> Layout:
 def test_score_of_the_search_is_the_bound():
     layout = start()
     judged = judge_of(0.0)
-    score = judged.compute_score(layout, judged.shares(layout))
+    score = judged.compute_score(layout, judged.compute_shares(layout))
     squares = []
     for device in DEVICES:
         for room in range(2):
@@ -55,8 +55,8 @@ def test_score_of_the_search_is_the_bound():
 def test_score_counts_sensors_out_of_place_as_the_judgement_does():
     layout = start()
     with_errors, without = (judge_of(w, 1) for w in (1.0, 0.0))
-    squares = with_errors.compute_score(layout, with_errors.shares(layout)) ** 2
-    squares -= without.compute_score(layout, without.shares(layout)) ** 2
+    squares = with_errors.compute_score(layout, with_errors.compute_shares(layout)) ** 2
+    squares -= without.compute_score(layout, without.compute_shares(layout)) ** 2
     noise = LEVELS.sample_room_model(RIG.sensors, 0)
     expected = np.mean(
         [evaluate_layout_value(RIG.sensors, d, noise, WINDOW, POSES, Mismatch()).systematic_rms ** 2 for d in DEVICES]
@@ -82,7 +82,7 @@ def test_sensors_out_of_place_do_to_a_fit_what_was_expected():
         moved = model.positions + mismatch.place * rng.standard_normal((10, 3))
         true = replace(model, positions=moved, axes=np.array(axes) * gains)
         size = device.theta_max / np.radians(30.0)
-        data = true.response(position, rotation, phase, size)[0]
+        data = true.compute_response(position, rotation, phase, size)[0]
         errors.append(Problem(model, data).fit(position, rotation, phase, size).position - position)
     expected = evaluate_layout_value(
         sensors, device, noise, WINDOW, Poses(position[None], rotation[None]), mismatch

@@ -189,7 +189,7 @@ def test_a_robot_outside_the_container_is_an_error_that_says_where_and_when():
 
 
 def test_what_was_drawn_can_be_written_down():
-    drawn = make(TwinPlant, "gel", "helical").drawn()
+    drawn = make(TwinPlant, "gel", "helical").list_mismatches()
     assert json.loads(json.dumps(drawn)).keys() == {"truth", "carrier"}
 
 

@@ -105,7 +105,10 @@ def test_a_magnet_that_is_measured_turns_the_helix_as_one_that_is_commanded():
         plant.set_magnet(2 * math.pi * frequency * (k + 1) * PIECE / plant.rate, heading, near=True)
         plant.advance(still)
     for share in (0.25, 0.5, 0.75, 1.0):
-        one, other = tank.history.interpolate_pose(begin + share * seconds), plant.history.interpolate_pose(start + share * seconds)
+        one, other = (
+            tank.history.interpolate_pose(begin + share * seconds),
+            plant.history.interpolate_pose(start + share * seconds),
+        )
         assert np.linalg.norm(one[:3] - other[:3]) < 2e-6
         assert 2 * math.acos(min(abs(one[3:] @ other[3:]), 1.0)) < math.radians(0.3)
     assert np.linalg.norm(one[:3] - tank.history.interpolate_pose(begin)[:3]) > 2e-4
