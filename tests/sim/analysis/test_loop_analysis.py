@@ -168,7 +168,7 @@ def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equ
         tracker.update(shot, heard)
     from sim.analysis.linear import _differentiate_tracker
 
-    instant = SimpleNamespace(tracker=before, shot=shot, heard=heard)
+    instant = SimpleNamespace(tracker=before, shot=shot, measured=heard)
     found = _differentiate_tracker(model, instant, np.array([0.0, 1.0]), np.array([5e-5, 0.01]))
     t = shot.duration
     f, h = np.array([[1.0, t], [0.0, 1.0]]), np.array([[1.0, 0.0]])
