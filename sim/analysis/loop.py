@@ -245,7 +245,7 @@ class SampledLoop:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from ringing on. Zero margins where it does so already, infinite ones where nothing makes it.
+    """Stability margins of a loop: zero where it is unstable already, infinite where nothing makes it unstable.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ _loaded: dict[tuple[Any, ...], Any] = {}
 
 
 def forget_missions() -> None:
-    """Read files anew where they are needed next in this process: they may have changed since it flew last."""
+    """Forget the loaded missions: their files may have changed since this process flew last."""
     _loaded.clear()
 
 

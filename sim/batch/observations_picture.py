@@ -33,7 +33,7 @@ def draw_observations(mission: Observation, flights: list[Flight], path: Path) -
         rows = [error, turn, ("Trusted poses a second", ["pose_rate_hz"], limits.min_rate_hz)]
     else:
         rows = [("Sigma of the measurements in space, in mm", ["sigma_mm"], limits.max_sigma_mm), error, turn]
-    text = "full tank, each observation a device, a bench and a hand drawn anew"
+    text = "full tank, each observation with a newly sampled device, bench and operator"
     with open_sheet(path, format_headline(mission, flights), text) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.15, 1.0], wspace=0.17, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09

@@ -48,7 +48,7 @@ class Browser(Closeable):
     Parameters
     ----------
     width, height : int
-        Of the window, in pixels. What is drawn by software costs a processor.
+        Of the window, in pixels. Software rendering costs a processor.
     """
 
     def __init__(self, width: int = 1600, height: int = 1000) -> None:

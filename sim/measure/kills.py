@@ -334,7 +334,7 @@ def format_kill(number: int, outcome: Outcome) -> str:
 
 
 def main() -> None:
-    """Print the table; 1 if a run could not be recovered, or lies."""
+    """Print the table; 1 if a run could not be recovered or is wrong."""
     parser = argparse.ArgumentParser(prog="python -m sim.measure.kills", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)

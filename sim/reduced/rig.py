@@ -110,7 +110,7 @@ class ReducedRig:
         """
         if not isinstance(localizer, Localizer):
             raise InputError(
-                f"The reduced plant knows how whitened and paper err, and nothing of {type(localizer).__name__}. Fly "
+                f"The reduced plant models the errors of whitened and paper, not of {type(localizer).__name__}. Fly "
                 "it in the full tank: --plant full."
             )
         plant, truth = self._plant, self._plant.truth

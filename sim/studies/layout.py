@@ -28,7 +28,7 @@ TEST_DRAWS = 100
 """First noise draw for the final evaluation: other draws than the search used."""
 
 SYSTEMATIC_WEIGHT = 0.1
-"""Weight of the variance from misplaced sensors against that of noise: calibration removes most of it."""
+"""Weight of the variance from misplaced sensors relative to that of noise: calibration removes most of it."""
 
 DESCENTS = 4
 """Searches, each from its own start."""

@@ -241,7 +241,7 @@ class CardModel:
                 latest = now
                 try:
                     behind = self._play_step()
-                except Exception as error:  # the tank failed: readers are told, the thread does not end silently
+                except Exception as error:  # the tank failed: readers get the error, the thread does not end silently
                     self.failure = f"{type(error).__name__}: {error}"
                     self.journal.add("broken", error=self.failure)
                     self._end, behind = True, False

@@ -32,7 +32,7 @@ Triple = tuple[float, float, float]
 Quad = tuple[float, float, float, float]
 
 # Entries of `device`: moment (A·m²), its direction at rest (body x, z), l0, theta_max, squared angular frequency, dry
-# friction (rad/s²), damping (1/s), restitution of the stops, inertia (kg·m²), middle of the housing seen from the
+# friction (rad/s²), damping (1/s), restitution of the stops, inertia (kg·m²), middle of the housing from the
 # rotation centre (3)
 MOMENT, REST_X, REST_Z, L0, THETA_MAX, OMEGA_SQUARED, FRICTION, ETA, RESTITUTION, INERTIA, MIDDLE = range(11)
 # Entries of `state`: deflection (rad), rate (rad/s), time in the window (s), angular frequency of the drive (rad/s)

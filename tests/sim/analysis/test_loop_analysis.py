@@ -183,7 +183,7 @@ def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equ
 
 
 @pytest.mark.parametrize("late", [0, 2])
-def test_the_linear_loop_rings_where_its_margin_says(late):
+def test_the_linear_loop_rings_at_its_margin(late):
     loop = loops(30, 31)[0]
     found = next(g for g in np.geomspace(1.0, 30.0, 400) if loop.compute_spectral_radius(g, late) > 1.0 + 1e-6)
     if late == 0:
@@ -223,7 +223,7 @@ def deviates(model: Model, gain: float, late: int, kick: float = 5e-5, first: in
 
 
 @pytest.mark.parametrize("late", [0, 1, 2])
-def test_a_flight_with_the_true_law_and_tracker_rings_where_the_linear_loop_says(late):
+def test_a_flight_with_the_true_law_and_tracker_rings_where_the_linear_loop_predicts(late):
     # the loop changes along the line: its limit lies between those of the places flown over, a quarter allowed
     def limit(loop: SampledLoop) -> float:
         return next(g for g in np.geomspace(1.0, 40.0, 400) if loop.compute_spectral_radius(g, late) > 1.0 + 1e-6)
@@ -235,7 +235,7 @@ def test_a_flight_with_the_true_law_and_tracker_rings_where_the_linear_loop_says
 
 
 @pytest.mark.parametrize("gain", [3.5, 4.0])
-def test_a_flight_bears_poses_as_late_as_the_linear_loop_says(gain):
+def test_a_flight_tolerates_poses_as_late_as_the_linear_loop_predicts(gain):
     # found at 2 cycles and predicted at 1 to 2: one cycle allowed
     found = [
         next(late for late in range(20) if loop.compute_spectral_radius(gain, late) > 1.0 + 1e-6)

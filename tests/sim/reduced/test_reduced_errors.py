@@ -56,7 +56,7 @@ def error_of(fitted, truth):
 
 @pytest.mark.parametrize("half_periods", [2, 6])
 @pytest.mark.parametrize("estimator", ["whitened", "paper"])
-def test_sensors_and_magnets_that_are_off_move_a_pose_as_they_move_a_fit(
+def test_wrong_sensors_and_magnets_move_a_synthetic_pose_as_they_move_a_fit(
     estimator, half_periods, array, along_device, pose_at, line, room
 ):
     truth = pose_at(*PLACE)
@@ -112,7 +112,7 @@ def test_poses_of_the_papers_estimator_scatter_as_expected_of_it(array, along_de
     assert scatter == pytest.approx(np.sqrt(np.diag(wanted)), rel=0.1)
 
 
-def test_a_smaller_swing_is_seen_less_well_and_none_not_at_all(array, along_device, pose_at, line, room):
+def test_a_smaller_swing_is_located_less_well_and_none_not_at_all(array, along_device, pose_at, line, room):
     truth = pose_at(*PLACE)
     errors = FitErrors(
         Localizer(array, along_device), line.rig, heard_by(array, along_device, room), np.random.default_rng(7)

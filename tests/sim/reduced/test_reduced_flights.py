@@ -100,7 +100,7 @@ def test_it_keeps_the_promise_of_a_rig(line):
         rig.play(CYCLE)
 
 
-def test_a_sighting_says_when_it_was_and_carries_no_samples(line):
+def test_a_synthetic_recording_has_its_time_and_no_samples(line):
     rig = open_reduced(line, 1)
     poses = rig.make_synthetic_localizer(Localizer(rig.sensors, line.robot.device))
     heard = rig.play(CYCLE)
@@ -116,7 +116,7 @@ def test_a_sighting_says_when_it_was_and_carries_no_samples(line):
     assert np.array_equal(again.position, pose.position)
 
 
-def test_without_a_prior_either_of_the_two_orientations_that_sound_alike_is_seen_with_one_the_nearer(line):
+def test_without_a_prior_either_ambiguous_orientation_is_found_with_one_the_nearer(line):
     rig = open_reduced(line, 1)
     poses = rig.make_synthetic_localizer(Localizer(rig.sensors, line.robot.device))
     found = []
@@ -132,7 +132,7 @@ def test_without_a_prior_either_of_the_two_orientations_that_sound_alike_is_seen
     assert 3 < sum(found) < 17
 
 
-def test_what_is_hardly_driven_is_not_believed_and_what_is_not_driven_not_seen(line):
+def test_what_is_hardly_driven_is_not_trusted_and_what_is_not_driven_not_located(line):
     rig = open_reduced(line, 1)
     poses = rig.make_synthetic_localizer(Localizer(rig.sensors, line.robot.device))
     faint = rig.play(Shot((Excite((0.01, 0.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5))))
@@ -163,7 +163,7 @@ def test_results_are_labelled_wherever_they_are_shown(flown, line, tmp_path, mon
     assert "reduced plant" in headline_of_run(line, flown[1])
 
 
-def test_a_run_folder_of_the_reduced_plant_says_so(line, tmp_path):
+def test_a_run_folder_of_the_reduced_plant_is_labelled(line, tmp_path):
     fly(line, 1, opener=open_reduced, folder=RunFolder(tmp_path / "run"))
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["plant"] == "reduced"
     assert json.loads((tmp_path / "run" / "provenance.json").read_text())["world"]["plant"] == "reduced"

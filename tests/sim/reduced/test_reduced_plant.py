@@ -81,7 +81,7 @@ def test_same_commands_and_seed_lead_along_the_full_tanks_way_within_a_tenth_of_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [5, 6, 7])
-def test_commands_of_a_whole_letter_still_lead_along_the_full_tanks_way(seed):
+def test_commands_of_a_complete_letter_still_follow_the_full_tanks_path(seed):
     mission = load_steering_mission("r_small")
     full, reduced = ways(mission, seed, commands_of(mission, seed))
     apart = np.linalg.norm(full[:, :3] - reduced[:, :3], axis=1)
@@ -127,7 +127,7 @@ def test_the_way_does_not_depend_on_how_a_rest_is_divided(line):
     assert np.linalg.norm(whole[:3] - parts[:3]) < 1e-6
 
 
-def test_field_of_the_plane_is_that_of_the_drawn_coils_near_it(line):
+def test_field_of_the_plane_is_that_of_the_sampled_coils_near_it(line):
     tank = Tank(line.rig, line.robot, settings_of(line), np.array(line.start), 7)
     coils: TankCoils = tank.coils
     height = tank.carrier.hull.float_height

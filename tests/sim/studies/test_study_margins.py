@@ -42,7 +42,7 @@ def carried(tmp_path_factory):
     return outcome, path
 
 
-def test_the_study_leaves_margins_at_every_place_and_says_the_worst(carried):
+def test_the_study_writes_margins_at_every_place_and_reports_the_worst(carried):
     outcome, path = carried
     figures = json.loads((path / "study.json").read_text())
     assert {"results.csv", "margins.png", "study.json"} <= {p.name for p in path.iterdir()}
@@ -152,7 +152,7 @@ def test_both_sets_of_gains_are_flown_in_the_same_worlds_of_the_reduced_plant():
     assert after.shape == (before.shape if columns["_names"].size else (0, 4))
 
 
-def test_a_flight_too_short_to_analyse_says_so():
+def test_a_flight_too_short_to_analyse_is_an_error():
     empty = {"_names": np.array([], dtype=np.str_), "_values": np.array([])}
     row = {"cycle": np.array([1]), "arc": np.array([0.0]), "speed": np.array([0.0]), "duration": np.array([0.1]),
            "wait": np.array([0.0]), "saturated": np.array([False])}  # fmt: skip

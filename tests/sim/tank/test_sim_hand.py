@@ -31,7 +31,7 @@ def hand(seed=1, **changes) -> EndoscopeOperator:
     return EndoscopeOperator(kind, OperatorParameters.sample(kind, seed))
 
 
-def test_the_tank_holds_the_device_where_the_track_says_at_every_time():
+def test_the_tank_holds_the_device_on_its_track_at_every_time():
     rig = load_rig("kidney", {"tank.hand.rest_s": "0.3"})
     track = hand(4, rest_s=0.3)
     shot = Shot((Excite((3.0, 0.0), 103.5, 3), RingDown(0.02), Listen(6, 103.5), Rest(0.5)))
@@ -47,7 +47,7 @@ def test_the_tank_holds_the_device_where_the_track_says_at_every_time():
     assert alike.min() > 1.0 - 1e-9
 
 
-def test_another_seed_is_another_hand_and_the_same_seed_the_same():
+def test_another_seed_is_another_operator_and_the_same_seed_the_same():
     times = np.linspace(20.0, 40.0, 50)
     assert np.array_equal(hand(1).interpolate_poses(times), hand(1).interpolate_poses(times))
     assert np.abs(hand(1).interpolate_poses(times) - hand(2).interpolate_poses(times))[:, :3].max() > 1e-3
@@ -68,7 +68,7 @@ def test_the_shipped_track_bends_by_more_than_half_a_turn_and_comes_back():
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
 
 
-def test_a_hand_keeps_to_its_speed_and_is_slower_in_bends():
+def test_an_operator_keeps_to_its_speed_and_is_slower_in_bends():
     track = hand(pace_percent=0.0, **STILL)
     times = np.arange(track.start_time, track.end_time, 2e-3)
     poses = track.interpolate_poses(times)
@@ -80,7 +80,7 @@ def test_a_hand_keeps_to_its_speed_and_is_slower_in_bends():
     assert speed[bent].max() < 0.8 * speed.max()
 
 
-def test_tremor_is_as_large_as_asked():
+def test_tremor_is_as_large_as_requested():
     shaken, calm = hand(tremor_mm=0.2, tremor_deg=0.0), hand(tremor_mm=0.0, tremor_deg=0.0)
     times = np.arange(calm.start_time + 1.0, calm.end_time - 1.0, 1e-3)
     off = np.linalg.norm(shaken.interpolate_poses(times)[:, :3] - calm.interpolate_poses(times)[:, :3], axis=1)
@@ -131,7 +131,7 @@ def magpylib_turn(direction):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_shaft_has_no_pole_too_many_and_the_strength_that_was_asked_for(seed):
+def test_a_shaft_has_no_pole_too_many_and_the_requested_strength(seed):
     kind = section().shaft
     shaft = EndoscopeShaft.sample(kind, seed, 1.5e-3)
     assert abs(shaft.poles.sum()) < 1e-12

@@ -77,7 +77,7 @@ def test_bench_keeps_the_shape_of_the_promise(rig: BenchRig) -> None:
     assert all(item.ok for item in rig.checks())
 
 
-def test_a_cycle_is_heard_as_the_tank_lets_it_be_heard(rig: BenchRig, twin: Twin) -> None:
+def test_a_cycle_is_recorded_as_in_the_tank(rig: BenchRig, twin: Twin) -> None:
     asked = rig.now()
     heard = rig.play(CYCLE)
     assert heard is not None

@@ -33,7 +33,7 @@ def shot(bench: Bench, pulling: float = 0.02) -> Waveform:
         ("read_timeout", LostWindow, "-200284"),
     ],
 )
-def test_a_fault_that_comes_once_is_one_stated_error_and_the_next_shot_plays(
+def test_a_fault_that_occurs_once_is_one_stated_error_and_the_next_shot_plays(
     bench: Bench, no_guard: NoGuard, fault: str, kind: type[Exception], said: str
 ) -> None:
     waveform = shot(bench)
@@ -56,9 +56,7 @@ def test_a_fault_that_stays_fails_every_shot_until_it_is_cleared(bench: Bench, n
 
 
 @pytest.mark.parametrize("phase", ["before", "actuation", "listening"])
-def test_a_fault_comes_in_the_phase_and_the_shot_that_were_asked_for(
-    bench: Bench, no_guard: NoGuard, phase: str
-) -> None:
+def test_a_fault_occurs_in_the_requested_phase_and_shot(bench: Bench, no_guard: NoGuard, phase: str) -> None:
     waveform = shot(bench)
     bench.model.faults.add(parse_fault(f"overrun@{phase}#2"))
     assert bench.card.play(waveform, no_guard)[0] is not None
@@ -100,7 +98,7 @@ def test_a_server_that_stalls_runs_into_deadlines_and_the_watchdog_opens_every_r
     guard.close()
 
 
-def test_an_unfed_watchdog_opens_every_relay_in_time_and_says_so(bench: Bench) -> None:
+def test_an_unfed_watchdog_opens_every_relay_in_time_and_reports_it(bench: Bench) -> None:
     class Unfed(Guard):
         def _feed_and_watch(self) -> None:
             pass
@@ -122,7 +120,7 @@ def test_an_unfed_watchdog_opens_every_relay_in_time_and_says_so(bench: Bench) -
     guard.close()
 
 
-def test_a_stuck_relay_is_seen_at_the_contacts_and_a_pressed_button_at_its_line(bench: Bench) -> None:
+def test_a_stuck_relay_is_detected_at_the_contacts_and_a_pressed_button_at_its_line(bench: Bench) -> None:
     guard = Guard(bench.section, bench.driver, lambda reason: None)
     guard.open()
     guard.check_relays_open()
@@ -181,7 +179,7 @@ def test_faults_wait_for_their_second_after_the_first_shot() -> None:
 
 
 @pytest.mark.parametrize("text", ["flood", "overrun@noon", "overrun@actuation#x", "overrun@now:twice"])
-def test_a_fault_that_cannot_be_read_says_what_can(text: str) -> None:
+def test_a_fault_that_cannot_be_read_names_those_that_can(text: str) -> None:
     with pytest.raises(InputError, match=f"--fault {text}: "):
         parse_fault(text)
 

@@ -103,7 +103,7 @@ def test_the_journal_gives_what_came_after_an_entry() -> None:
     assert [e["which"] for e in journal.list_since(seen[2]["number"])] == [3, 4]
 
 
-def test_a_hand_moves_when_it_is_asked_late_but_never_early() -> None:
+def test_the_magnet_operator_moves_late_but_never_early() -> None:
     hand = MagnetOperator(10.0, 0.2, np.random.default_rng(1))
     took = []
     for number in range(40):
@@ -123,7 +123,7 @@ def test_a_hand_moves_when_it_is_asked_late_but_never_early() -> None:
     assert np.mean(took) == pytest.approx(10.0 + 2.0 * np.sqrt(2.0 / np.pi), abs=3 * 1.2 / np.sqrt(40))
 
 
-def test_the_side_door_answers_and_says_what_it_does_not_know() -> None:
+def test_the_control_interface_answers_and_reports_what_it_does_not_know() -> None:
     heard: list[str] = []
     handlers: dict[str, Callable[..., object]] = {
         "inject": lambda asked: heard.append(parse_fault(asked["fault"]).name),

@@ -69,7 +69,7 @@ def test_sampled_commands_move_the_tank_as_windows_do(both):
         assert abs(abs(one[3:] @ other[3:]) - 1) < 1e-6
 
 
-def test_sampled_commands_are_heard_as_windows_are(both):
+def test_sampled_commands_give_the_signal_of_windows(both):
     tank, plant = both
     clock, n = SHOT.duration - 0.02, 1000
     heard, _ = tank.measure(clock, n)
@@ -116,7 +116,7 @@ def test_each_recording_has_constants_of_its_own():
     assert np.abs(means[0] - means[1]).max() > 0.02
 
 
-def test_what_was_not_played_cannot_be_heard():
+def test_what_was_not_played_cannot_be_read():
     plant = make(TwinPlant)
     plant.advance(np.zeros((6, 100)))
     with pytest.raises(InputError, match="keeps samples 0 to 100"):
@@ -188,7 +188,7 @@ def test_a_robot_outside_the_container_is_an_error_that_says_where_and_when():
         plant.advance(np.zeros((6, 250)))
 
 
-def test_what_was_drawn_can_be_written_down():
+def test_sampled_mismatches_can_be_written_as_json():
     drawn = make(TwinPlant, "gel", "helical").list_mismatches()
     assert json.loads(json.dumps(drawn)).keys() == {"truth", "carrier"}
 
@@ -206,7 +206,7 @@ def rows(count, start):
     return out
 
 
-def test_truth_arrives_at_another_process_as_it_was_told():
+def test_truth_arrives_at_another_process_unchanged():
     server = TruthServer("127.0.0.1", 0, {"seed": 4, "truth": np.zeros(2)})
     epoch = time.monotonic()
     witness = RemoteWitness(f"127.0.0.1:{server.port}", epoch)
@@ -227,7 +227,7 @@ def test_truth_arrives_at_another_process_as_it_was_told():
         server.close()
 
 
-def test_a_witness_without_a_twin_says_so():
+def test_a_witness_without_a_twin_is_an_error():
     server = TruthServer("127.0.0.1", 0, {})
     server.close()
     with pytest.raises(RigError, match="no twin tells the truth"):

@@ -74,7 +74,7 @@ def test_the_same_commands_give_the_same_motion(both):
     assert np.linalg.norm(moved) > 1e-5
 
 
-def test_the_same_commands_are_heard_as_the_same_signal(both):
+def test_the_same_commands_give_the_same_signal(both):
     tank, plant = both
     n = round(0.02 * plant.rate)
     one, other = clean(tank, tank.time - 0.02, n), clean(plant, plant.time - 0.02, n)
@@ -82,7 +82,7 @@ def test_the_same_commands_are_heard_as_the_same_signal(both):
     assert np.abs(one - other).max() < 1e-13  # a step of the converter is 3e-10 T
 
 
-def test_pieces_of_a_clean_signal_fit_together_to_less_than_the_converter_sees(both):
+def test_pieces_of_a_clean_signal_fit_together_to_less_than_the_converter_resolves(both):
     _, plant = both
     begin, n = plant.time - 0.02, 1000
     parts = [clean(plant, begin + first / plant.rate, 250) for first in range(0, n, 250)]
