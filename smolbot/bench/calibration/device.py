@@ -144,7 +144,7 @@ class Calibration(Readable):
     ----------
     device : Device
         The calibrated device; moment and l0 are as believed (theta_max times moment is what is measured).
-    std : Uncertainty
+    std : DeviceUncertainty
         Scatter over repeats, and for theta_max the height's uncertainty.
     assumed : Device
     height : float, in m

@@ -80,7 +80,7 @@ def test_what_is_no_record_is_one_clear_error(tmp_path: Path) -> None:
 
 def test_a_record_that_was_cut_short_shows_what_is_in_it(runs: Path, tmp_path: Path, flight: FlightState) -> None:
     often = McapFile(tmp_path / "often.mcap")  # flushed as by a run that does not fly past in a second
-    for number, found in enumerate(Scan(runs / "line" / "run.mcap").messages()):
+    for number, found in enumerate(Scan(runs / "line" / "run.mcap").read_messages()):
         assert found.topic is not None
         often.append(found.topic, found.time, found.data)
         if number % 20 == 0:
