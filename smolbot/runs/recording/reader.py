@@ -251,6 +251,15 @@ def read_run(run: str | Path) -> RecordedRun:
 
     A record that was cut short or damaged gives what is in it; `whole` is False then.
 
+    Parameters
+    ----------
+    run : str or Path
+        Run folder, or its record.
+
+    Returns
+    -------
+    RecordedRun
+
     Raises
     ------
     InputError
