@@ -93,13 +93,13 @@ def test_where_no_currents_pull_head_first_it_says_so_and_tail_first_goes_on():
 
 
 def test_it_would_finish_the_letter_on_which_the_paper_s_law_stalls():
-    seen = preview(load_steering_mission("r_small", settings=LARGE))
-    assert seen.go
-    assert load_steering_mission("r_small", settings=LARGE).path.project(seen.trail[25:])[1].max() < 1.0e-3
+    expected = preview(load_steering_mission("r_small", settings=LARGE))
+    assert expected.go
+    assert load_steering_mission("r_small", settings=LARGE).path.project(expected.trail[25:])[1].max() < 1.0e-3
     stalled = preview(load_steering_mission("r_small", settings={**LARGE, "controller.law": "current_ratio"}))
     assert not stalled.go
-    assert seen.reach.force.min() > 20e-6
-    assert np.degrees(seen.reach.direction_error.max()) < 3.2
+    assert expected.force_profile.force.min() > 20e-6
+    assert np.degrees(expected.force_profile.direction_error.max()) < 3.2
 
 
 def test_the_end_is_handed_over_within_the_tolerance():
