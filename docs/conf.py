@@ -58,7 +58,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"(sim\.(tank|reduced)\.rig\.)?(TankRig|TankStage|ReducedRig)"),  # keep the protocol Rig
     # parts of the loop, which are handed in and not made by hand
     (r"py:class", r"smolbot\.flight\.(loop|pause|preparation|safety|scheduler)\..*"),
-    (r"py:class", r"smolbot\.(localization\.(array|synthetic)|runs\.(folder|recording\.pump))\..*"),
+    (r"py:class", r"smolbot\.(localization\.(array|synthetic)|runs\.(folder|recording\.message_queue))\..*"),
 ]
 
 smartquotes = False
