@@ -75,7 +75,7 @@ class Predictive:
 
         subject to  I_min <= I_wk <= I_max,
 
-    lengths in mm, angles in rad. rho(x) = x^2 up to `HUBER`, and grows linearly beyond. By the gains:
+    lengths in mm, angles in rad. rho(x) = x^2 up to `HUBER_KNEE`, and grows linearly beyond. By the gains:
 
     ===========  =============================================================================================
     n            1 / (1 + (sigma / confidence_mm)^2), sigma of the pose in the plane: how firmly to correct

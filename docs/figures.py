@@ -215,7 +215,7 @@ def _believed_error(seed: int, settings: dict[str, str]) -> tuple[Any, Any]:
         held.append(tank(tuple(flown.start_placement[:2]), drawn, ideal=False))
         return held[0]
 
-    run = fly(mission, seed, open_rig=opened)
+    run = fly(mission, seed, opener=opened)
     tracked = [cycle.tracked for cycle in run.cycles if cycle.tracked is not None]
     times = np.array([pose.time for pose in tracked])
     errors = [1e3 * np.linalg.norm(pose.position - held[0].witness.truth(pose.time).position) for pose in tracked]

@@ -100,7 +100,7 @@ def _block(info: str, name: str, body: list[str], line: int) -> Iterator[Step]:
     elif name:
         yield File(line, name, "\n".join(body).strip("\n") + "\n", info == "diff")
     elif info not in ("sh", "text"):
-        raise TutorialError(line, f"a block of '{info}' needs the name of its file above it: **`FIRMWARE_NAME`**.")
+        raise TutorialError(line, f"a block of '{info}' needs the name of its file above it: **`NAME`**.")
 
 
 def _commands(body: list[str], line: int) -> Iterator[Command]:

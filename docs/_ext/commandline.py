@@ -56,7 +56,7 @@ def _told(parameter: Any) -> tuple[str, str, str]:
     return f"`{written} {_metavar(parameter)}`", _default(parameter), plain(parameter.help or "")
 
 
-_KINDS = {"PlantModel": "PLANT", "str": "TEXT", "int": "INTEGER", "float": "NUMBER", "Path": "PATH", "list[str]": "TEXT"}
+_KINDS = {"str": "TEXT", "int": "INTEGER", "float": "NUMBER", "list[str]": "TEXT", "PlantModel": "PLANT"}
 
 
 def _metavar(parameter: Any) -> str:

@@ -34,7 +34,7 @@ def as_floats(value: Any, shape: tuple[int | None, ...], name: str, *, finite: b
     ----------
     value : array_like
     shape : tuple of int or None
-        Requested shape; ``N_PARAMETERSone`` matches any length.
+        Requested shape; ``None`` matches any length.
     name : str
         Name of the value, for messages.
     finite : bool

@@ -55,7 +55,7 @@ SMOOTHING = 0.12
 
 
 class Spectra(NamedTuple):
-    """Lines and smooth spectrum of background noise; see `N_PARAMETERSoiseModel`.
+    """Lines and smooth spectrum of background noise; see `NoiseModel`.
 
     Attributes
     ----------
