@@ -13,7 +13,7 @@ sys.path.insert(0, str(HERE / "_ext"))
 import lookup_tables.builder  # noqa: E402
 import smolbot  # noqa: E402
 
-# Imported there for type checkers only, without which the types of its signatures cannot be told.
+# Imported there for type checkers only, without which the types of its signatures cannot be resolved.
 lookup_tables.builder.FieldTable = lookup_tables.FieldTable  # type: ignore[misc]
 
 project = "smolbot"
@@ -85,4 +85,10 @@ def _name_arrays(app: Any, what: str, name: str, obj: Any, options: Any, signatu
 
 
 def setup(app: Any) -> None:
+    """Register what this file defines in Sphinx.
+
+    Parameters
+    ----------
+    app : Sphinx
+    """
     app.connect("autodoc-process-signature", _name_arrays)
