@@ -61,12 +61,12 @@ def test_limits_units_and_sections_are_those_of_the_model():
     schema = filekeys.Schema(Outer)
     keys = schema.root["properties"]
     assert filekeys.find_unit("speed_mm_s") == "mm/s"
-    assert schema.value(keys["speed_mm_s"]) == "number > 0"
-    assert schema.value(keys["law"]) == "text"
-    assert schema.section(keys["law"]) is None
-    inner, several = schema.section(keys["inner"])
+    assert schema.describe_value(keys["speed_mm_s"]) == "number > 0"
+    assert schema.describe_value(keys["law"]) == "text"
+    assert schema.find_section(keys["law"]) is None
+    inner, several = schema.find_section(keys["inner"])
     assert several
-    assert schema.value(inner["properties"]["turns"]) == "whole number ≥ 2, ≤ 9"
+    assert schema.describe_value(inner["properties"]["turns"]) == "whole number ≥ 2, ≤ 9"
 
 
 @pytest.mark.parametrize("page", ["missions/r_path.toml", "rigs/tank.toml", "rigs/bench.toml", "robots/gradient.toml"])
