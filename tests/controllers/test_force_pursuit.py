@@ -70,7 +70,7 @@ def test_near_its_goal_it_pulls_no_harder_than_brings_it_there():
     assert not command.saturated
 
 
-def test_a_force_that_the_coils_cannot_give_is_cut_and_said():
+def test_a_force_that_the_coils_cannot_give_is_reduced_and_reported():
     weak = replace(known(), limits=replace(known().limits, max_current=4.0))
     law = ForcePursuit(weak, {"force_un": 300.0})
     law.reset(straight((5, 0), (8, 0)), pose(0, 0))

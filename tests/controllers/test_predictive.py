@@ -131,7 +131,7 @@ def test_at_a_corner_it_turns_before_it_pulls(turn_deg):
     assert 3 <= near.sum() <= 25  # some windows pass at the corner, but not many
 
 
-def test_it_pulls_head_first_unless_told_otherwise():
+def test_it_pulls_head_first_unless_set_otherwise():
     """Up to a little in turns, where the field that turns the robot also pulls at it."""
     from smolbot.motion import kernels
     from smolbot.motion.gradient import pack_robot
@@ -229,7 +229,7 @@ def test_planned_headings_pull_along_the_path_and_are_not_the_path_s_own():
     assert np.degrees(np.abs(headings - np.pi / 2)).max() > 8.0
 
 
-def test_headings_follow_from_where_the_robot_points_if_a_turn_is_dear():
+def test_headings_follow_from_where_the_robot_points_if_a_turn_is_costly():
     points = np.column_stack([np.linspace(-1e-3, 1e-3, 9), np.zeros(9), np.full(9, Z)])
     ways = np.tile([1.0, 0.0], (9, 1))
     costly = HeadingPlanner(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 2.0)
