@@ -8,7 +8,7 @@ from numba import njit
 from smolbot.core.arrays import FloatArray
 
 MAX_MAHALANOBIS_SQUARED = 9.0
-"""Squared distance, in standard deviations, beyond which a motion is not believed: was its window played at all?"""
+"""Squared distance, in standard deviations, beyond which a measured motion is an outlier (a window was not played)."""
 
 INITIAL_STD = np.array([0.1, 6e-5, 6e-5])
 """First uncertainty of mobility (a factor) and drift (m/s)."""
@@ -82,19 +82,19 @@ class Adaptation:
         self._update_agility(measured_turn, predicted_turn)
         return True
 
-    def _update_agility(self, turned: float, wanted: float) -> None:
+    def _update_agility(self, turned: float, predicted: float) -> None:
         self._turn_variance += TURN_RANDOM_WALK_STD**2
-        noise = TURN_NOISE**2 + (MODEL_NOISE * wanted) ** 2
-        gain = self._turn_variance * wanted / (wanted**2 * self._turn_variance + noise)
-        self.agility = min(max(self.agility * (1.0 + gain * (turned - wanted)), MIN_FACTOR), MAX_FACTOR)
-        self._turn_variance *= 1.0 - gain * wanted
+        noise = TURN_NOISE**2 + (MODEL_NOISE * predicted) ** 2
+        gain = self._turn_variance * predicted / (predicted**2 * self._turn_variance + noise)
+        self.agility = min(max(self.agility * (1.0 + gain * (turned - predicted)), MIN_FACTOR), MAX_FACTOR)
+        self._turn_variance *= 1.0 - gain * predicted
 
 
 @njit(cache=True, error_model="numpy")
 def _update(
     x: FloatArray, p: FloatArray, measured: FloatArray, predicted: FloatArray, duration: float, noise: float
 ) -> bool:
-    """Do one Kalman update in place: seen = mobility * predicted + drift * duration; False for an outlier."""
+    """Do one Kalman update in place: measured = mobility * predicted + drift * duration; False for an outlier."""
     for a in range(3):
         p[a, a] += RANDOM_WALK_STD[a] ** 2
     h = np.zeros((2, 3))
@@ -106,13 +106,13 @@ def _update(
     sxx = h[0, 0] * gain[0, 0] + duration * gain[1, 0] + noise
     sxy = h[0, 0] * gain[0, 1] + duration * gain[1, 1]
     syy = h[1, 0] * gain[0, 1] + duration * gain[2, 1] + noise
-    whole = sxx * syy - sxy * sxy
+    det = sxx * syy - sxy * sxy
     mx, my = measured[0] - h[0, 0] * x[0] - duration * x[1], measured[1] - h[1, 0] * x[0] - duration * x[2]
-    if (syy * mx * mx - 2.0 * sxy * mx * my + sxx * my * my) / whole > MAX_MAHALANOBIS_SQUARED:
+    if (syy * mx * mx - 2.0 * sxy * mx * my + sxx * my * my) / det > MAX_MAHALANOBIS_SQUARED:
         return False
     old = p.copy()
     for a in range(3):
-        kx, ky = (syy * gain[a, 0] - sxy * gain[a, 1]) / whole, (sxx * gain[a, 1] - sxy * gain[a, 0]) / whole
+        kx, ky = (syy * gain[a, 0] - sxy * gain[a, 1]) / det, (sxx * gain[a, 1] - sxy * gain[a, 0]) / det
         x[a] += kx * mx + ky * my
         for b in range(3):
             p[a, b] = old[a, b] - kx * gain[b, 0] - ky * gain[b, 1]

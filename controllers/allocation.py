@@ -58,8 +58,8 @@ def _solve(matrix, right, size):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _maximize_force(rows, wanted, order, size, low, high, basis, matrix, work, multipliers, currents):
-    """Maximize rows[FORCE] . I with rows[order] I = wanted[order], low <= I <= high; False without a solution.
+def _maximize_force(rows, target, order, size, low, high, basis, matrix, work, multipliers, currents):
+    """Maximize rows[FORCE] . I with rows[order] I = target[order], low <= I <= high; False without a solution.
 
     Every basis is tried. Its multipliers put every other current on one of its bounds, and the equations give the
     basic ones. A basis whose currents keep to their bounds is optimal.
@@ -82,7 +82,7 @@ def _maximize_force(rows, wanted, order, size, low, high, basis, matrix, work, m
                 currents[basis[i]] = 0.0
                 multipliers[i] = work[i]
             for k in range(size):
-                work[k] = wanted[order[k]]
+                work[k] = target[order[k]]
                 for c in range(n):
                     work[k] -= rows[order[k], c] * currents[c]
                 for i in range(size):
@@ -109,11 +109,11 @@ def _maximize_force(rows, wanted, order, size, low, high, basis, matrix, work, m
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _compute_dual_slope(rows, wanted, order, size, low, high, multipliers, step, share):
+def _compute_dual_slope(rows, target, order, size, low, high, multipliers, step, share):
     """Compute the slope of `_minimize_heat`'s dual along `step`, after a share of it; it decreases along the step."""
     out = 0.0
     for k in range(size):
-        out += step[k] * wanted[order[k]]
+        out += step[k] * target[order[k]]
     for c in range(low.shape[0]):
         pull = along = 0.0
         for k in range(size):
@@ -124,8 +124,8 @@ def _compute_dual_slope(rows, wanted, order, size, low, high, multipliers, step,
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _minimize_heat(rows, wanted, order, size, low, high, matrix, work, multipliers, step, currents):
-    """Minimize |I|² with rows[order] I = wanted[order] and low <= I <= high; return False if no solution was found.
+def _minimize_heat(rows, target, order, size, low, high, matrix, work, multipliers, step, currents):
+    """Minimize |I|² with rows[order] I = target[order] and low <= I <= high; return False if no solution was found.
 
     At the optimum I = clip(rows^T y); y follows by Newton steps on the concave dual, each as long as the dual
     rises.
@@ -135,7 +135,7 @@ def _minimize_heat(rows, wanted, order, size, low, high, matrix, work, multiplie
         multipliers[k] = 0.0
     for _ in range(40):
         for k in range(size):
-            work[k] = wanted[order[k]]
+            work[k] = target[order[k]]
             for j in range(size):
                 matrix[k, j] = 0.0
         for c in range(n):
@@ -164,7 +164,7 @@ def _minimize_heat(rows, wanted, order, size, low, high, matrix, work, multiplie
             start += work[k] * step[k]
         share, before, after = 1.0, 0.0, math.inf
         for _try in range(60):
-            rise = _compute_dual_slope(rows, wanted, order, size, low, high, multipliers, step, share)
+            rise = _compute_dual_slope(rows, target, order, size, low, high, multipliers, step, share)
             if abs(rise) < 0.1 * start:
                 break
             if rise > 0.0:
@@ -180,7 +180,7 @@ def _minimize_heat(rows, wanted, order, size, low, high, matrix, work, multiplie
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _solve_with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+def _solve_with_rules(rows, target, cool, rules, side, low, high, order, basis, matrix, work, currents):
     """Solve with some rules (1: way, 2: field, 3: both) as equations; return their number, 0 without a solution."""
     n = low.shape[0]
     order[0], order[1], size = BESIDE, FORCE, 2 if cool else 1
@@ -193,25 +193,25 @@ def _solve_with_rules(rows, wanted, cool, rules, side, low, high, order, basis, 
         order[size] = FIELD
         size += 1
     if cool:
-        fits = _minimize_heat(rows, wanted, order, size, low, high, matrix, work[0], work[1], work[2], currents)
+        fits = _minimize_heat(rows, target, order, size, low, high, matrix, work[0], work[1], work[2], currents)
     else:
-        fits = _maximize_force(rows, wanted, order, size, low, high, basis, matrix, work[0], work[1], currents)
+        fits = _maximize_force(rows, target, order, size, low, high, basis, matrix, work[0], work[1], currents)
     return size if fits else 0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _check_rules(rows, wanted, slack, work, currents):
+def _check_rules(rows, target, slack, work, currents):
     """Return the force across the way, or 0 where it is small enough, and whether the field is strong enough."""
     force = across = field = 0.0
     for c in range(currents.shape[0]):
         force += rows[FORCE, c] * currents[c]
         across += work[3, c] * currents[c]
         field += rows[FIELD, c] * currents[c]
-    return across if abs(across) > slack * abs(force) + 1e-9 else 0.0, field >= wanted[FIELD] - 1e-9
+    return across if abs(across) > slack * abs(force) + 1e-9 else 0.0, field >= target[FIELD] - 1e-9
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _solve_program(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
+def _solve_program(rows, target, cool, slack, low, high, order, basis, matrix, work, memory, currents):
     """Find the best currents for given rows: the inequality rules are added in turn, until all of them hold.
 
     The optimum with some of the rules left out, if it keeps to them, is the optimum. So is one with some of them
@@ -223,9 +223,9 @@ def _solve_program(rows, wanted, cool, slack, low, high, order, basis, matrix, w
         work[3, c] = rows[ACROSS, c]
     rules, side = int(memory[0]), memory[1]
     if rules > 0:
-        size = _solve_with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents)
+        size = _solve_with_rules(rows, target, cool, rules, side, low, high, order, basis, matrix, work, currents)
         if size:
-            across, strong = _check_rules(rows, wanted, slack, work, currents)
+            across, strong = _check_rules(rows, target, slack, work, currents)
             right = across == 0.0 and strong
             toward = -1.0 if cool else 1.0
             for k in range(size):
@@ -240,9 +240,9 @@ def _solve_program(rows, wanted, cool, slack, low, high, order, basis, matrix, w
         side = 0.0
         for with_way in (0, 1):
             rules = with_way + with_field
-            if not _solve_with_rules(rows, wanted, cool, rules, side, low, high, order, basis, matrix, work, currents):
+            if not _solve_with_rules(rows, target, cool, rules, side, low, high, order, basis, matrix, work, currents):
                 return False
-            across, strong = _check_rules(rows, wanted, slack, work, currents)
+            across, strong = _check_rules(rows, target, slack, work, currents)
             if across == 0.0 and strong:
                 memory[0], memory[1] = rules, side
                 return True
@@ -262,7 +262,7 @@ def _solve_at_angle(angle, way, size, rules, b, g, low, high, store, order, basi
     """
     least, steepest, slack = rules
     n = b.shape[0]
-    rows, wanted, matrix, work = store[0], store[1, 0], store[2], store[3]
+    rows, target, matrix, work = store[0], store[1, 0], store[2], store[3]
     warm, cold = store[1, 1], store[1, 2]  # what the last direction came to, of strongest and coolest currents
     ux, uy = math.cos(angle), math.sin(angle)
     tilt = side = 0.0
@@ -276,13 +276,13 @@ def _solve_at_angle(angle, way, size, rules, b, g, low, high, store, order, basi
             rows[ACROSS, c] = way[0] * fy - way[1] * fx
             rows[BESIDE, c] = ux * b[c, 1] - uy * b[c, 0]
             rows[FIELD, c] = ux * b[c, 0] + uy * b[c, 1] - side * b[c, 2]
-        wanted[BESIDE] = wanted[ACROSS] = 0.0
-        wanted[FIELD], wanted[FORCE] = least, size
+        target[BESIDE] = target[ACROSS] = 0.0
+        target[FIELD], target[FORCE] = least, size
         for cool in (False, True):
             if size < 0.0 if cool else size >= 0.0 and cold[0] >= 0.0:
                 continue
             memory = cold if cool else warm
-            if not _solve_program(rows, wanted, cool, slack, low, high, order, basis, matrix, work, memory, currents):
+            if not _solve_program(rows, target, cool, slack, low, high, order, basis, matrix, work, memory, currents):
                 return -1e300, -1e300
             if cool:
                 continue
@@ -385,7 +385,7 @@ def search_currents(b, g, low, high, way, size, least, steepest, slack, head_fir
     middle = math.atan2(way[1], way[0])
     half = 0.5 * math.pi - 1.01 * slack if head_first else math.pi
     width = half / (steps if head_first else 2 * steps)
-    count = 2 * steps + 1 if head_first else 4 * steps  # the wanted direction itself is among them
+    count = 2 * steps + 1 if head_first else 4 * steps  # the requested direction itself is among them
     pick = 1 if size >= 0.0 else 0
     values, trial, currents = np.empty(count), np.empty(n), np.zeros(n)
     best, best_force = -1e300, -1e300

@@ -191,7 +191,7 @@ class CurrentRatio:
 
         Returns
         -------
-        Reach
+        ForceProfile
         """
         arc = path.sampled(0.5e-3)
         points, tangents = path.at(arc), path.tangent(arc)
@@ -207,9 +207,9 @@ class CurrentRatio:
     def _compute_share(self, pose: Pose, currents: FloatArray, direction: FloatArray, duration: float) -> float:
         """Compute the share of the currents that moves the robot as far as the path's speed requires."""
         assert self._paced is not None
-        course, pace = self._paced
-        course.locate(pose.position, self.setup.tolerance)
-        stride = pace.compute_stride(pose.time, course.arc_length)
+        progress, pace = self._paced
+        progress.locate(pose.position, self.setup.tolerance)
+        stride = pace.compute_stride(pose.time, progress.arc_length)
         robot = self.setup.robot
         pull = float(compute_aligned_force(self.setup.table, currents, pose.position, robot.moment)[:2] @ direction)
         expected = pull / robot.drag * duration
@@ -221,15 +221,15 @@ class CurrentRatio:
     def _compute_currents(
         self, position: FloatArray, direction: FloatArray, distance: float
     ) -> tuple[FloatArray, bool, str]:
-        wanted = self._i_min + (self._i_max - self._i_min) * distance / self._threshold  # Eq. S12
-        size = min(wanted, self._most)
+        requested = self._i_min + (self._i_max - self._i_min) * distance / self._threshold  # Eq. S12
+        size = min(requested, self._most)
         fields = self.setup.table.field(position[None, :])[:, 0, :2]
         currents = np.zeros(len(fields))
         pair = find_best_pair(fields, direction)
         if pair is None:
             return currents, True, "no pair of coils can point along the way"
         currents[pair.j], currents[pair.k] = size * pair.share_j, size * pair.share_k
-        return currents, wanted > self._most, ""
+        return currents, requested > self._most, ""
 
 
 def compute_aligned_force(table: FieldTable, currents: FloatArray, position: FloatArray, moment: float) -> FloatArray:

@@ -28,7 +28,7 @@ DIRECTION_SLACK = float(np.tan(np.radians(0.1)))
 """By how much a force may always miss its direction: right at a symmetry of the coils it is worth much."""
 
 DIRECTION_OFFSETS = np.radians([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
-"""Angles by which a direction may be missed, tried from the smallest where the wanted one is out of reach, or weak."""
+"""Angles by which a direction may be missed, tried in this order where the requested one is out of reach or weak."""
 
 WEAK_PULL_SHARE = 0.1
 """Share of the strongest single coil's pull below which a force that points exactly is called weak."""
@@ -235,8 +235,8 @@ class ForceAllocator:
         if force is not None and not force >= 0.0:
             raise InputError(f"force must not be below 0 N; got {force}. Turn the direction instead.")
         field, gradient = self._evaluate_coils(position)
-        wanted = -1.0 if force is None else float(force) / self.moment
-        found = self._find_currents(field, gradient, way, wanted)
+        requested = -1.0 if force is None else float(force) / self.moment
+        found = self._find_currents(field, gradient, way, requested)
         if found is None:
             raise self._make_unreachable_error(position, field, gradient, way, force)
         total, slope = compute_field_and_force(field, gradient, found)
@@ -277,7 +277,7 @@ class ForceAllocator:
         return np.asarray(direction[:2] / length)
 
     def _search_direction(
-        self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float
+        self, field: FloatArray, gradient: FloatArray, way: FloatArray, requested: float
     ) -> tuple[float, FloatArray]:
         """Compute grad|B| along `way` in T/m, not above 0 where no solution exists, and its currents."""
         for slope in MAX_FIELD_SLOPES:
@@ -287,7 +287,7 @@ class ForceAllocator:
                 self._low,
                 self._high,
                 way,
-                wanted,
+                requested,
                 self.least_field,
                 slope,
                 DIRECTION_SLACK,
@@ -299,14 +299,14 @@ class ForceAllocator:
         return value, currents
 
     def _find_currents(
-        self, field: FloatArray, gradient: FloatArray, way: FloatArray, wanted: float
+        self, field: FloatArray, gradient: FloatArray, way: FloatArray, requested: float
     ) -> FloatArray | None:
         """Find currents for `way`; where there are none, or weak ones, for a direction within the tolerance."""
-        if wanted == 0.0:
+        if requested == 0.0:
             return np.zeros(len(field))
-        value, currents = self._search_direction(field, gradient, way, wanted)
-        enough = wanted
-        if wanted < 0.0:
+        value, currents = self._search_direction(field, gradient, way, requested)
+        enough = requested
+        if requested < 0.0:
             enough = WEAK_PULL_SHARE * compute_max_single_coil(field, gradient, self._high)
         for nudge in self._nudges:
             if value > 0.0 and value >= enough * (1.0 - 1e-6):
@@ -314,7 +314,7 @@ class ForceAllocator:
             for turn in (-nudge, nudge):
                 c, s = np.cos(turn), np.sin(turn)
                 beside = np.array([c * way[0] - s * way[1], s * way[0] + c * way[1]])
-                other, found = self._search_direction(field, gradient, beside, wanted)
+                other, found = self._search_direction(field, gradient, beside, requested)
                 if other > value:
                     value, currents = other, found
         return currents if value > 0.0 else None

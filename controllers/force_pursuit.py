@@ -31,7 +31,7 @@ class ForcePursuit:
 
     gains: ClassVar[Mapping[str, Gain]] = {
         "lookahead_mm": Gain(0.8, 0.2, 5.0, True, meaning="distance along the path of the point that is pursued"),
-        "force_un": Gain(120.0, 10.0, 500.0, True, meaning="most force that is asked for"),
+        "force_un": Gain(120.0, 10.0, 500.0, True, meaning="greatest force that is requested"),
         "least_field_mt": Gain(1.5, 0.05, 5.0, True, meaning="weaker fields do not turn the robot in time"),
         "t_min_ms": Gain(60.0, 5.0, 100.0, meaning="actuation per cycle"),
         "t_max_ms": Gain(100.0, 5.0, 200.0, meaning="actuation per cycle for a turn of 180 degrees"),
@@ -52,7 +52,7 @@ class ForcePursuit:
             setup, head_first=values["tail_first"] < 0.5, least_field=values["least_field_mt"] * 1e-3
         )
         self._rest = setup.cycle.duration(setup.device.frequency)
-        self._course: PathProgress | None = None
+        self._progress: PathProgress | None = None
         self._pace: Pace | None = None
 
     def reset(self, path: Curve, pose: Pose) -> None:
@@ -63,7 +63,7 @@ class ForcePursuit:
         path : Curve
         pose : Pose
         """
-        self._course = PathProgress(path)
+        self._progress = PathProgress(path)
         self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._t_min)
 
     def command(self, pose: Pose) -> Command:
@@ -82,30 +82,32 @@ class ForcePursuit:
         InputError
             Before the first `reset`.
         """
-        course = self._course
-        if course is None:
+        progress = self._progress
+        if progress is None:
             raise InputError("force_pursuit has no path yet: call reset first.")
-        course.locate(pose.position, self._handover)
-        if course.done:
-            return Command(None, note="path's end reached", progress=course.progress, done=True)
-        phase: Phase = "approach" if course.leg < 0 else "follow"
-        goal = course.interpolate(min(course.arc_length + self._lookahead, course.leg_end) if course.leg >= 0 else 0.0)
+        progress.locate(pose.position, self._handover)
+        if progress.done:
+            return Command(None, note="path's end reached", progress=progress.progress, done=True)
+        phase: Phase = "approach" if progress.leg < 0 else "follow"
+        goal = progress.interpolate(
+            min(progress.arc_length + self._lookahead, progress.leg_end) if progress.leg >= 0 else 0.0
+        )
         way = goal - pose.position[:2]
         distance = float(np.linalg.norm(way))
-        if self._pace is not None and course.leg >= 0:
-            distance = min(distance, self._pace.compute_stride(pose.time, course.arc_length))
+        if self._pace is not None and progress.leg >= 0:
+            distance = min(distance, self._pace.compute_stride(pose.time, progress.arc_length))
             if distance <= 0.0:
-                return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
+                return Command(None, note="ahead of the wanted speed", progress=progress.progress, phase=phase)
         heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
         turn = abs(float(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
         duration = compute_actuation_time(turn, self._t_min, self._t_max, self._sharp)
-        wanted = self.setup.robot.drag * distance / duration
-        found, note = self._allocate(pose.position, way, min(wanted, self._force))
+        requested = self.setup.robot.drag * distance / duration
+        found, note = self._allocate(pose.position, way, min(requested, self._force))
         if found is None:
-            return Command(None, True, note, progress=course.progress, phase=phase)
-        saturated = bool(note) or wanted > self._force
+            return Command(None, True, note, progress=progress.progress, phase=phase)
+        saturated = bool(note) or requested > self._force
         window = Actuate(tuple(float(c) for c in found.currents), duration)
-        return Command(window, saturated, note, progress=course.progress, phase=phase)
+        return Command(window, saturated, note, progress=progress.progress, phase=phase)
 
     def reach(self, path: Curve) -> ForceProfile:
         """Compute the strongest possible force along the path; 0 where none points along it.
@@ -116,7 +118,7 @@ class ForcePursuit:
 
         Returns
         -------
-        Reach
+        ForceProfile
         """
         arc = path.sampled(0.5e-3)
         points, tangents = path.at(arc), path.tangent(arc)

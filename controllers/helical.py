@@ -61,7 +61,7 @@ class Helical:
         "max_turns": Gain(6.0, 1.0, 20.0, meaning="most turns between two pauses"),
         "listens": Gain(3.0, 1.0, 50.0, meaning="shots listened to in every pause"),
         "tilt_deg": Gain(60.0, 5.0, 80.0, meaning="most that the magnet's axis leads the robot's by"),
-        "lookahead_turns": Gain(3.5, 0.5, 8.0, meaning="turns over which a choice of axis is judged"),
+        "lookahead_turns": Gain(3.5, 0.5, 8.0, meaning="turns over which a choice of axis is evaluated"),
         "heading_mm": Gain(0.4, 0.0, 10.0, meaning="distance that a heading off by one radian counts as"),
         "wander_deg": Gain(2.0, 0.2, 20.0, True, meaning="heading that a turn adds by chance"),
         "blocked_share": Gain(0.6, 0.1, 0.9, meaning="of the expected advance, below which a leg counts as a step-out"),
@@ -197,7 +197,7 @@ class Helical:
     def _plan(self, state: FloatArray, before: float, covariance: FloatArray) -> list[Leg]:
         """Plan turns, each with its own axis, until the predicted position gets too uncertain or the path ends.
 
-        `before` (rad) is the course of the magnet until now; nan where the magnet comes anew, and may start at any
+        `before` (rad) is the present course of the magnet; nan where the magnet approaches anew, and may start at any
         axis.
         """
         body, factors = self.setup.helix.body, self.model.factors

@@ -1,14 +1,14 @@
-"""Keeps a robot to the path's requested speed: limits how far the next window may move it."""
+"""Keep a robot to the path's requested speed: limits how far the next window may move it."""
 
 from __future__ import annotations
 
 from smolbot.paths.speed_profile import SpeedProfile
 
 MAX_CATCH_UP = 1.5
-"""A robot that is behind may be asked for this multiple of the wanted speed."""
+"""Greatest speed requested of a late robot, as a multiple of the planned speed."""
 
 MAX_DELAY = 5.0
-"""The wanted place waits for a robot that is this far behind it, in s: time lost for good is not made up for."""
+"""Greatest delay, in s: the set-point waits for a robot that is further behind; time lost before is not made up for."""
 
 MIN_STRIDE = 0.1e-3
 """Steps of less than this, in m, drown in the noise of poses; slow robots stand still for a cycle instead."""
@@ -30,7 +30,7 @@ class Pace:
     def __init__(self, profile: SpeedProfile, period: float) -> None:
         self._profile = profile
         self._period = period
-        self._wanted = 0.0
+        self._set_point = 0.0
         self._time: float | None = None
 
     def compute_stride(self, time: float, s: float) -> float:
@@ -51,9 +51,9 @@ class Pace:
         profile = self._profile
         since = 0.0 if self._time is None else max(time - self._time, 0.0)
         self._time = time
-        self._wanted = profile.after(self._wanted, since)
-        self._wanted = min(self._wanted, profile.after(s, MAX_DELAY))
-        missing = profile.after(self._wanted, self._period) - s
+        self._set_point = profile.after(self._set_point, since)
+        self._set_point = min(self._set_point, profile.after(s, MAX_DELAY))
+        missing = profile.after(self._set_point, self._period) - s
         if missing < MIN_STRIDE and s + MIN_STRIDE < profile.arc[-1]:
             return 0.0
         longest = min(max(self._period, since), 2.0 * self._period)

@@ -41,7 +41,6 @@ HUBER_KNEE = 0.5
 TWO_WINDOW_DISTANCE = 1e-3
 """From this distance to a corner, in m, and in every turn, the window after the next is planned too."""
 
-
 MAX_URGENCY, EASED_URGENCY = 8.0, 4.0
 """By how much going on and turning may gain weight, cycle by cycle, while a plan does neither; beyond the first, the
 robot is pulled straight to a point ahead, beyond the second a leg's end counts as reached from three times as far."""
@@ -65,22 +64,22 @@ class _Plan:
 class Predictive:
     """Model predictive control along the path.
 
-    Currents I (n_coils,) of the next window, and in turns and at corners of the one after, minimise over windows w
+    Currents I (n_coils,) of the next window, and in turns and at corners of the one after, minimise over windows w::
 
         J = sum_w  n^2 (d(t_w / 2)^2 / 4 + d(t_w)^2)            distance from the path, half way and at the end
-                 + f^2 (s_w* - s_w)^2                           arc length that is missing to the wanted one
+                 + f^2 (s_w* - s_w)^2                           arc length still missing to the requested one
                  + h^2 rho(psi_w - psi_path(s_w + a))           heading against the path's, a little ahead
                  + p^2 tail_w^2                                 way that the robot is pushed tail first
-                 + c^2 max(0, 1 - |B_w| / B_least)^2            weakness of the field, which coils' errors then turn
+                 + c^2 max(0, 1 - |B_w| / B_least)^2            weakness of the field, whose direction errs the more
                  + q^2 sum_k (I_wk / I_max)^2                   heat
 
         subject to  I_min <= I_wk <= I_max,
 
-    lengths in mm, angles in rad. rho(x) = x^2 up to `HUBER`, and grows linearly beyond. By the gains:
+    lengths in mm, angles in rad. rho(x) = x^2 up to `HUBER_KNEE`, and grows linearly beyond. By the gains:
 
     ===========  =============================================================================================
     n            1 / (1 + (sigma / confidence_mm)^2), sigma of the pose in the plane: how firmly to correct
-    s_w*         s_0 + w n stride, up to the leg's end; stride: what speed_mm_s, or the path's speed, asks of a window
+    s_w*         s_0 + w n stride, up to the leg's end; stride: distance per window at speed_mm_s or the path's speed
     f            forward, times (full stride / stride) and the hurry, which grows while plans go nowhere
     h, a         heading_mm times the hurry, ahead_mm
     p            1, or 0 with tail_first
@@ -90,14 +89,20 @@ class Predictive:
 
     d, s, psi, tail and B follow from I by a model that turns the robot against viscous drag, bends the cantilever up
     to its stop, and pulls it by the true force on its moment (`smolbot.motion.kernels`). So it turns before it pulls,
-    without a rule that says so. Mobility, agility and drift of the model are learned from what the windows did
-    (`controllers.adaptation`).
+    without a rule of its own. Mobility, agility and drift of the model are learned from the measured motion of each
+    window (`controllers.adaptation`).
+
+    Parameters
+    ----------
+    setup : Setup
+    gains : mapping of str to float
+        Values that differ from the defaults in `gains`.
     """
 
     gains: ClassVar[Mapping[str, Gain]] = {
         "window_ms": Gain(90.0, 20.0, 200.0, meaning="actuation per cycle, as far as the rig allows it"),
         "short_ms": Gain(40.0, 10.0, 200.0, meaning="actuation per cycle where a goal is nearly reached"),
-        "speed_mm_s": Gain(6.0, 0.5, 20.0, True, meaning="speed that is wanted during actuation"),
+        "speed_mm_s": Gain(6.0, 0.5, 20.0, True, meaning="requested speed during actuation"),
         "forward": Gain(0.3, 0.03, 3.0, True, meaning="weight of missing arc length against distance from the path"),
         "heading_mm": Gain(0.5, 0.01, 3.0, True, meaning="distance from the path that weighs as much as 1 rad"),
         "ahead_mm": Gain(0.5, 0.0, 3.0, meaning="how far ahead the path's heading counts"),
@@ -133,10 +138,10 @@ class Predictive:
         starts = make_plan_starts(self._low, self._high)
         starts = np.concatenate([np.zeros((1, len(self._high))), starts])  # the first row is for the last plan
         self._starts = {n: np.repeat(starts[:, None, :], n, axis=1) for n in (1, 2)}
-        self._compass = HeadingPlanner(setup, self._low, self._high, self._head_first, least, values["turn_s"])
+        self._heading_planner = HeadingPlanner(setup, self._low, self._high, self._head_first, least, values["turn_s"])
         self._allocator = ForceAllocator.of(setup, head_first=self._head_first, least_field=least)
         self._headings: list[FloatArray] = []
-        self._course: PathProgress | None = None
+        self._progress: PathProgress | None = None
         self._pace: Pace | None = None
         self._adaptation = Adaptation()
         self._planned: _Plan | None = None
@@ -156,18 +161,18 @@ class Predictive:
         path : Curve
         pose : Pose
         """
-        self._course = course = PathProgress(path)
+        self._progress = progress = PathProgress(path)
         self._pace = None if path.speed is None else Pace(path.speed, self._rest + self._window)
         self._hurry = 1.0
         self._planned = None
         arc = [
             np.arange(a, b + 0.5 * HEADING_SPACING, HEADING_SPACING)
-            for a, b in itertools.pairwise(course.arc[course.stops])
+            for a, b in itertools.pairwise(progress.arc[progress.stops])
         ]
         arcs = np.concatenate(arc)
-        along = np.clip(np.searchsorted(course.arc, arcs + 1e-9) - 1, 0, len(course.tangents) - 1)
+        along = np.clip(np.searchsorted(progress.arc, arcs + 1e-9) - 1, 0, len(progress.tangents) - 1)
         first = np.cumsum([0, *(len(a) for a in arc)])
-        headings = self._compass.plan_headings(path.at(arcs), course.tangents[along], HEADING_SPACING)
+        headings = self._heading_planner.plan_headings(path.at(arcs), progress.tangents[along], HEADING_SPACING)
         self._headings = [
             np.concatenate([headings[a:b], np.full(EXTRA_HEADINGS, headings[min(b, len(headings) - 1)])])
             for a, b in itertools.pairwise(first)
@@ -189,26 +194,26 @@ class Predictive:
         InputError
             Before the first `reset`.
         """
-        course = self._course
-        if course is None:
+        progress = self._progress
+        if progress is None:
             raise InputError("predictive has no path yet: call reset first.")
         # 1. What the last window did, against what was planned
         heading = self._compute_heading(pose)
         self._learn(pose, heading)
         # 2. Where on the path; a leg's end that is hard to reach counts as reached from farther away
         eased = 3.0 if self._hurry >= EASED_URGENCY else 1.0
-        course.locate(pose.position, min(eased * self._handover, self.setup.tolerance))
-        if course.done:
-            return Command(None, note="path's end reached", progress=course.progress, done=True)
-        phase: Phase = "approach" if course.leg < 0 else "follow"
+        progress.locate(pose.position, min(eased * self._handover, self.setup.tolerance))
+        if progress.done:
+            return Command(None, note="path's end reached", progress=progress.progress, done=True)
+        phase: Phase = "approach" if progress.leg < 0 else "follow"
         # 3. How far to go in this window, by the law's speed and the path's
         stride = self._speed * self._window
         if self._pace is not None and phase == "follow":
-            stride = min(stride, self._pace.compute_stride(pose.time, course.arc_length))
+            stride = min(stride, self._pace.compute_stride(pose.time, progress.arc_length))
             if stride <= 0.0:
-                return Command(None, note="ahead of the wanted speed", progress=course.progress, phase=phase)
-        # 4. The best currents, and what must be said of them
-        duration, currents, gone, turning = self._plan_window(pose, heading, course, stride)
+                return Command(None, note="ahead of the wanted speed", progress=progress.progress, phase=phase)
+        # 4. The best currents, and remarks on them
+        duration, currents, gone, turning = self._plan_window(pose, heading, progress, stride)
         sent = currents.tolist()
         limits = zip(sent, self._low.tolist(), self._high.tolist(), strict=True)
         saturated = any(i > 0.999 * high or i < 0.999 * low - 1e-9 for i, low, high in limits)
@@ -216,7 +221,7 @@ class Predictive:
         if not turning and gone < 0.03 * stride * duration / self._window:
             note = "hardly any force along the path here" + (", head first" if self._head_first else "")
         window = Actuate(tuple(sent), duration)
-        return Command(window, saturated, note, progress=course.progress, phase=phase)
+        return Command(window, saturated, note, progress=progress.progress, phase=phase)
 
     def unplayed(self) -> None:
         """Discard the last plan: it was not played, so there is nothing to learn from it."""
@@ -233,7 +238,7 @@ class Predictive:
 
         Returns
         -------
-        Reach
+        ForceProfile
         """
         arc = path.sampled(0.5e-3)
         points, tangents = path.at(arc), path.tangent(arc)
@@ -252,14 +257,14 @@ class Predictive:
         pose = Pose(0.0, middle, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((6, 6)))
         self.reset(Curve(np.array([middle, middle + np.array([1e-3, 0.0, 0.0])])), pose)
         self.command(pose)
-        self._course, self._planned, self._hurry = None, None, 1.0
+        self._progress, self._planned, self._hurry = None, None, 1.0
 
     def _compute_heading(self, pose: Pose) -> float:
         ahead = pose.rotation @ self.setup.device.moment_in_body
         return math.atan2(ahead[1], ahead[0])
 
     def _plan_window(
-        self, pose: Pose, heading: float, course: PathProgress, stride: float
+        self, pose: Pose, heading: float, progress: PathProgress, stride: float
     ) -> tuple[float, FloatArray, float, bool]:
         """Compute duration, currents, expected progress in m, and whether the window is a turn."""
         place = pose.position[:2]
@@ -277,7 +282,7 @@ class Predictive:
         b = np.ascontiguousarray(field[:, 0, :2])
         g = np.ascontiguousarray(gradient[:, 0, :2, :2])
         # 2. The leg, and whether a window more is looked ahead: in turns, before a corner, and after idle plans
-        points, arc, first, last, guess, headings = self._make_route(pose, heading, course)
+        points, arc, first, last, guess, headings = self._make_route(pose, heading, progress)
         index = min(int((guess - float(arc[first])) / HEADING_SPACING), len(headings) - 2)
         turning = abs(_wrap_angle(heading - headings[index])) > HUBER_KNEE
         windows = 2 if turning or self._hurry > 1.0 or arc[last] - guess < TWO_WINDOW_DISTANCE else 1
@@ -288,9 +293,7 @@ class Predictive:
         weights[PATH_DISTANCE] *= doubt
         weights[MISSING_PROGRESS] *= self._hurry
         weights[HEADING] *= self._hurry
-        weights[MISSING_PROGRESS] *= (
-            self._speed * self._window / stride
-        )  # a part of a short stride weighs as that of a long one
+        weights[MISSING_PROGRESS] *= self._speed * self._window / stride  # the same fraction missing, the same weight
         # 4. The model as it was learned, in places relative to `origin`
         body = pack_robot(self.setup.robot)
         body[DRAG] /= self._adaptation.mobility
@@ -311,7 +314,7 @@ class Predictive:
             )  # fmt: skip
             if best is None or cost < best[0]:
                 best = cost, duration, currents, ends
-            starts = currents[None]  # the other duration asks for much the same
+            starts = currents[None]  # the best currents of the other duration are similar
         assert best is not None
         _, duration, currents, ends = best
         # 6. Keep the plan for `_learn`: what a mobility of 1 moves, without drift and without the centre's own swing
@@ -326,7 +329,7 @@ class Predictive:
         here = goal[0] - place[0], goal[1] - place[1]
         gone = float(step[0] * here[0] + step[1] * here[1]) / max(math.hypot(*here), 1e-9)
         if self._hurry >= MAX_URGENCY:
-            rescue = self._compute_rescue_currents(pose, course)
+            rescue = self._compute_rescue_currents(pose, progress)
             if rescue is not None:
                 self._planned, self._hurry = None, 0.75 * MAX_URGENCY
                 return self._window, rescue, self._speed * self._window, turning
@@ -334,10 +337,10 @@ class Predictive:
         self._hurry = min(1.5 * self._hurry, MAX_URGENCY) if idle else max(self._hurry / 1.5, 1.0)
         return duration, currents[0], gone, turning
 
-    def _compute_rescue_currents(self, pose: Pose, course: PathProgress) -> FloatArray | None:
+    def _compute_rescue_currents(self, pose: Pose, progress: PathProgress) -> FloatArray | None:
         """Compute currents straight to a point ahead, or None where none pull there."""
-        ahead = min(course.arc_length + 2.0 * self._ahead, course.leg_end) if course.leg >= 0 else 0.0
-        way = course.interpolate(ahead) - pose.position[:2]
+        ahead = min(progress.arc_length + 2.0 * self._ahead, progress.leg_end) if progress.leg >= 0 else 0.0
+        way = progress.interpolate(ahead) - pose.position[:2]
         try:
             return self._allocator.currents(pose.position, np.array([way[0], way[1], 0.0]), RESCUE_FORCE)
         except UnreachableForceError as error:
@@ -346,25 +349,24 @@ class Predictive:
         return self._allocator.currents(pose.position, np.array([way[0], way[1], 0.0]))
 
     def _make_route(
-        self, pose: Pose, heading: float, course: PathProgress
+        self, pose: Pose, heading: float, progress: PathProgress
     ) -> tuple[FloatArray, FloatArray, int, int, float, FloatArray]:
         """Return points, arc, first and last vertex of the leg, present arc length, and headings along the leg."""
-        if course.leg >= 0:
-            first, last = course.stops[course.leg], course.stops[course.leg + 1]
-            return course.points, course.arc, first, last, course.arc_length, self._headings[course.leg]
+        if progress.leg >= 0:
+            first, last = progress.stops[progress.leg], progress.stops[progress.leg + 1]
+            return progress.points, progress.arc, first, last, progress.arc_length, self._headings[progress.leg]
         place = pose.position[:2]
-        way = course.points[0] - place
+        way = progress.points[0] - place
         length = math.hypot(way[0], way[1])
         share = np.linspace(0.0, 1.0, 4)
         points = np.column_stack([place + share[:, None] * way, np.full(4, pose.position[2])])
         ways = np.repeat(way[None, :] / length, 4, axis=0)
-        few = self._compass.plan_headings(points, ways, length / 4, heading)
+        few = self._heading_planner.plan_headings(points, ways, length / 4, heading)
         counts = math.ceil(length / HEADING_SPACING) + 1
         headings = np.interp(np.linspace(0.0, 1.0, counts), share, few)
         onward = np.full(EXTRA_HEADINGS, self._headings[0][0])
-        return (
-            np.array([place, course.points[0]]), np.array([0.0, length]), 0, 1, 0.0, np.concatenate([headings, onward])
-        )  # fmt: skip
+        headings = np.concatenate([headings, onward])
+        return np.array([place, progress.points[0]]), np.array([0.0, length]), 0, 1, 0.0, headings
 
     def _with_last(self, windows: int) -> FloatArray:
         """Return the last plan and the usual starts, each held for so many windows, shape (m, windows, n_coils)."""
@@ -380,9 +382,9 @@ class Predictive:
         self._planned = None
         if last is None or pose.time <= last.pose.time or not pose.trusted:
             return
-        seen = pose.position[:2] - last.pose.position[:2] - last.swung
+        measured = pose.position[:2] - last.pose.position[:2] - last.swung
         turned = _wrap_angle(heading - last.heading)
-        self._adaptation.learn(seen, last.moved, turned, last.turned, pose.time - last.pose.time)
+        self._adaptation.learn(measured, last.moved, turned, last.turned, pose.time - last.pose.time)
 
 
 def _wrap_angle(angle: float) -> float:

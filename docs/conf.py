@@ -13,7 +13,7 @@ sys.path.insert(0, str(HERE / "_ext"))
 import lookup_tables.builder  # noqa: E402
 import smolbot  # noqa: E402
 
-# Imported there for type checkers only, without which the types of its signatures cannot be told.
+# Imported there for type checkers only, without which the types of its signatures cannot be resolved.
 lookup_tables.builder.FieldTable = lookup_tables.FieldTable  # type: ignore[misc]
 
 project = "smolbot"
@@ -58,7 +58,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"(sim\.(tank|reduced)\.rig\.)?(TankRig|TankStage|ReducedRig)"),  # keep the protocol Rig
     # parts of the loop, which are handed in and not made by hand
     (r"py:class", r"smolbot\.flight\.(loop|pause|preparation|safety|scheduler)\..*"),
-    (r"py:class", r"smolbot\.(localization\.(array|synthetic)|runs\.(folder|recording\.pump))\..*"),
+    (r"py:class", r"smolbot\.(localization\.(array|synthetic)|runs\.(folder|recording\.message_queue))\..*"),
 ]
 
 smartquotes = False
@@ -85,4 +85,10 @@ def _name_arrays(app: Any, what: str, name: str, obj: Any, options: Any, signatu
 
 
 def setup(app: Any) -> None:
+    """Register what this file defines in Sphinx.
+
+    Parameters
+    ----------
+    app : Sphinx
+    """
     app.connect("autodoc-process-signature", _name_arrays)

@@ -20,7 +20,20 @@ FREQUENCY = 103.5
 
 
 def axes(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, Any]:
-    """A figure in the project's style."""
+    """Make a figure in the project's style.
+
+    Parameters
+    ----------
+    rows, columns : int
+    size : tuple of float, in inches
+    **options
+        Passed to ``matplotlib.pyplot.subplots``.
+
+    Returns
+    -------
+    tuple
+        The figure, and its axes.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -34,7 +47,16 @@ def axes(rows: int, columns: int, size: tuple[float, float], **options: Any) -> 
 
 
 def save(figure: Any, name: str, *, shaded: bool = False) -> None:
-    """As PNG, of few colours unless it is `shaded`."""
+    """Write a figure as PNG, with few colours unless it is shaded.
+
+    Parameters
+    ----------
+    figure : matplotlib Figure
+    name : str
+        Of the file, without suffix.
+    shaded : bool
+        Whether to keep all colours.
+    """
     from PIL import Image
 
     path = PICTURES / f"{name}.png"
@@ -49,22 +71,34 @@ def save(figure: Any, name: str, *, shaded: bool = False) -> None:
 
 
 def tank(start: tuple[float, float] = (0.0, 0.0), seed: int = 1, *, ideal: bool = True) -> Any:
-    """The shipped tank with the robot put down at `start`, in m."""
-    from sim.tank.world import TankWorld
-    from smolbot.config.rig import load_rig
-    from smolbot.config.robot import load_robot
+    """Open the shipped tank.
+
+    Parameters
+    ----------
+    start : tuple of float, in m
+        Start position (x, y) of the robot.
+    seed : int
+    ideal : bool
+        Whether to leave out noise and mismatch.
+
+    Returns
+    -------
+    Rig
+    """
+    from sim import TankWorld
+    from smolbot import load_rig, load_robot
 
     return TankWorld.open(load_rig("tank"), load_robot("gradient"), start, seed, ideal=ideal)
 
 
 def cycle() -> None:
-    """One shot as it is played and heard."""
+    """Draw one shot: outputs, and the recording."""
     from smolbot import Actuate, Excite, Listen, RingDown, Shot
 
     pull, drive = Actuate((8.0, 0.0, 3.0, 0.0), 0.060), Excite((2.2, 2.2), FREQUENCY, 3)
     windows = (pull, drive, RingDown(0.020), Listen(2, FREQUENCY))
     with tank((0.002, 0.003)) as rig:
-        heard = rig.play(Shot(windows))
+        recording = rig.play(Shot(windows))
     figure, (above, below) = axes(2, 1, (8.2, 4.4), height_ratios=[3, 2])
     ends = np.cumsum([0.0, pull.duration, drive.cycles / FREQUENCY, 0.020, 1.0 / FREQUENCY]) * 1e3
     burst = np.linspace(ends[1], ends[2], 300)
@@ -78,8 +112,8 @@ def cycle() -> None:
         above.axvline(ends[i + 1], color=GREY, lw=0.8)
         above.text((ends[i] + ends[i + 1]) / 2, 10.2, name, ha="center", color="#444444")
     above.set_title("One shot: what is played …")
-    time = ends[3] + 1e3 * np.arange(heard.field.shape[1]) / heard.sample_rate
-    swing = (heard.field - heard.field.mean(axis=1, keepdims=True)) * 1e9
+    time = ends[3] + 1e3 * np.arange(recording.field.shape[1]) / recording.sample_rate
+    swing = (recording.field - recording.field.mean(axis=1, keepdims=True)) * 1e9
     for sensor in range(len(swing)):
         below.plot(time, swing[sensor], color=DARK, lw=0.9, alpha=0.35 + 0.06 * sensor)
     below.set(xlim=(ends[3], ends[4]), xlabel="time in ms", ylabel="field in nT")
@@ -93,13 +127,13 @@ def chain() -> None:
     from smolbot.localization.chain import apply_filters, make_difference_matrix
 
     with tank((0.002, 0.003)) as rig:
-        heard = rig.play(Shot((Excite((2.2, 2.2), FREQUENCY, 3), RingDown(0.020), Listen(6, FREQUENCY))))
-    time = 1e3 * np.arange(heard.field.shape[1]) / heard.sample_rate
-    difference = make_difference_matrix(rig.sensors.axes, rig.sensors.positions) @ heard.field
-    slope = apply_filters(difference, heard.sample_rate)
+        recording = rig.play(Shot((Excite((2.2, 2.2), FREQUENCY, 3), RingDown(0.020), Listen(6, FREQUENCY))))
+    time = 1e3 * np.arange(recording.field.shape[1]) / recording.sample_rate
+    difference = make_difference_matrix(rig.sensors.axes, rig.sensors.positions) @ recording.field
+    slope = apply_filters(difference, recording.sample_rate)
     figure, panels = axes(1, 3, (9.4, 2.9))
     shown = (
-        (heard.field - heard.field.mean(axis=1, keepdims=True), 1e9, "raw, in nT"),
+        (recording.field - recording.field.mean(axis=1, keepdims=True), 1e9, "raw, in nT"),
         (difference - difference.mean(axis=1, keepdims=True), 1e9, "same-axis difference, in nT"),
         (slope, 1e6, "smoothed, differentiated, in µT/s"),
     )
@@ -113,16 +147,16 @@ def chain() -> None:
 
 
 def noise() -> None:
-    """Spectra of a quiet room as one sensor hears it, after the difference, and as the whitener leaves it."""
+    """Draw spectra of background noise in one sensor and after the difference, and its correlation."""
     from scipy.signal import welch
 
     from smolbot import Listen, Shot
     from smolbot.localization.chain import make_difference_matrix
 
     with tank() as rig:
-        quiet = [rig.play(Shot((Listen(207, FREQUENCY),))) for _ in range(20)]
-    rate = quiet[0].sample_rate
-    field = np.stack([recording.field for recording in quiet])
+        background = [rig.play(Shot((Listen(207, FREQUENCY),))) for _ in range(20)]
+    rate = background[0].sample_rate
+    field = np.stack([recording.field for recording in background])
     field = field - field.mean(axis=2, keepdims=True)
     difference = np.einsum("ds,qsn->qdn", make_difference_matrix(rig.sensors.axes, rig.sensors.positions), field)
     figure, (left, right) = axes(1, 2, (9.4, 3.4), width_ratios=[3, 2])
@@ -136,15 +170,15 @@ def noise() -> None:
     left.set_title("A quiet room: mains, drift and sensor noise")
     left.legend(loc="upper right")
     spread = np.corrcoef(field[:, :, :: int(rate / 2000)].swapaxes(0, 1).reshape(field.shape[1], -1))
-    seen = right.imshow(spread, vmin=-1, vmax=1, cmap="RdBu_r")
+    image = right.imshow(spread, vmin=-1, vmax=1, cmap="RdBu_r")
     right.set(xlabel="sensor", ylabel="sensor", xticks=range(10), yticks=range(10))
     right.set_title("Noise of the sensors hangs together")
-    figure.colorbar(seen, ax=right, shrink=0.8, label="correlation")
+    figure.colorbar(image, ax=right, shrink=0.8, label="correlation")
     save(figure, "noise", shaded=True)
 
 
 def force() -> None:
-    """Field and force of the paper's law over the workspace, and which directions can be pulled in."""
+    """Draw the force of the paper's law over the workspace, and the strongest force in each direction."""
     from controllers import ForceAllocator
     from controllers.current_ratio import compute_aligned_force, find_best_pair
     from smolbot import load_mission
@@ -187,14 +221,14 @@ def force() -> None:
 
 
 def learned() -> None:
-    """Error of the believed position along a flight, with sensors as in the rig file and learned on the way."""
+    """Draw the error of the tracked position along a flight, with sensors as in the rig file and learned in flight."""
     off = {
         f"rig.sensors.{name}": "0.0" for name in ("place_tolerance_mm", "gain_tolerance_percent", "axis_tolerance_deg")
     }
     figure, panel = axes(1, 1, (8.2, 3.0))
     grid = np.arange(11.0, 58.0, 1.0)
     for settings, colour, name in ((off, ORANGE, "sensors as in the rig file"), ({}, DARK, "learned in flight")):
-        curves = np.array([np.interp(grid, *_believed_error(seed, settings)) for seed in (1, 2, 3, 4)])
+        curves = np.array([np.interp(grid, *_track_error(seed, settings)) for seed in (1, 2, 3, 4)])
         panel.fill_between(grid, curves.min(axis=0), curves.max(axis=0), color=colour, alpha=0.2, lw=0)
         panel.plot(grid, curves.mean(axis=0), color=colour, lw=2, label=name)
     panel.set(xlabel="time in s", ylabel="believed position off, in mm", ylim=(0, None), xlim=(11, 57))
@@ -203,19 +237,19 @@ def learned() -> None:
     save(figure, "learned")
 
 
-def _believed_error(seed: int, settings: dict[str, str]) -> tuple[Any, Any]:
-    """Times in s of a flight, and how far in mm the tracked position is off, smoothed over two seconds."""
+def _track_error(seed: int, settings: dict[str, str]) -> tuple[Any, Any]:
+    """Times in s of a flight, and the error in mm of the tracked position, smoothed over two seconds."""
     from smolbot import load_mission
-    from smolbot.flight.session import fly
+    from smolbot.flight import fly
 
     mission = load_mission("r_path", None, settings)
     held: list[Any] = []
 
-    def opened(flown: Any, drawn: int) -> Any:
-        held.append(tank(tuple(flown.start_placement[:2]), drawn, ideal=False))
+    def open_tank(flown: Any, sampled: int) -> Any:
+        held.append(tank(tuple(flown.start_placement[:2]), sampled, ideal=False))
         return held[0]
 
-    run = fly(mission, seed, open_rig=opened)
+    run = fly(mission, seed, opener=open_tank)
     tracked = [cycle.tracked for cycle in run.cycles if cycle.tracked is not None]
     times = np.array([pose.time for pose in tracked])
     errors = [1e3 * np.linalg.norm(pose.position - held[0].witness.truth(pose.time).position) for pose in tracked]
@@ -223,7 +257,7 @@ def _believed_error(seed: int, settings: dict[str, str]) -> tuple[Any, Any]:
 
 
 def mismatch() -> None:
-    """What is left of the error when the tank's mismatches are scaled."""
+    """Draw the error against the scale of the tank's mismatches."""
     import smolbot
 
     figure, panel = axes(1, 1, (6.4, 3.2))
@@ -246,7 +280,14 @@ def mismatch() -> None:
 
 
 def boxes(panel: Any, places: dict[str, tuple[float, float, float, str]]) -> None:
-    """Named boxes of a drawing: x, y of the middle, width, colour."""
+    """Draw named boxes.
+
+    Parameters
+    ----------
+    panel : matplotlib Axes
+    places : dict
+        For each name x and y of the middle, width, and colour.
+    """
     from matplotlib.patches import FancyBboxPatch
 
     for text, (x, y, width, colour) in places.items():
@@ -257,13 +298,22 @@ def boxes(panel: Any, places: dict[str, tuple[float, float, float, str]]) -> Non
 
 
 def arrow(panel: Any, start: tuple[float, float], end: tuple[float, float], text: str = "", side: float = 0.14) -> None:
-    """An arrow between two places, with a word beside it."""
+    """Draw an arrow with a word beside it.
+
+    Parameters
+    ----------
+    panel : matplotlib Axes
+    start, end : tuple of float
+    text : str
+    side : float
+        Distance of the word above the middle of the arrow.
+    """
     panel.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "#666666", "lw": 1.3})
     panel.text((start[0] + end[0]) / 2, (start[1] + end[1]) / 2 + side, text, ha="center", fontsize=9, color="#444444")
 
 
 def loop() -> None:
-    """The loop: who hands what to whom."""
+    """Draw the loop: which part passes what to which."""
     figure, panel = axes(1, 1, (8.4, 3.0))
     places = {
         "controller": (0.8, 1.6, 1.5, DARK), "scheduler": (3.2, 1.6, 1.5, DARK), "rig": (5.8, 1.6, 1.2, RED),
@@ -289,7 +339,7 @@ def loop() -> None:
 
 
 def bench() -> None:
-    """The bench and its twin: the same calls end at other addresses."""
+    """Draw the bench and its twin: the same calls go to other addresses."""
     figure, panel = axes(1, 1, (8.4, 3.4))
     places = {
         "smolbot": (0.9, 1.5, 1.4, DARK), "NI client library": (3.1, 2.4, 1.9, DARK),
@@ -314,11 +364,11 @@ def bench() -> None:
 
 
 FIGURES: dict[str, Callable[[], None]] = {
-    drawn.__name__: drawn for drawn in (loop, cycle, chain, noise, force, learned, mismatch, bench)
+    draw.__name__: draw for draw in (loop, cycle, chain, noise, force, learned, mismatch, bench)
 }
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or FIGURES:
-        if wanted not in FIGURES:
-            sys.exit(f"no figure is named {wanted}; there are {', '.join(FIGURES)}.")
-        FIGURES[wanted]()
+    for name in sys.argv[1:] or FIGURES:
+        if name not in FIGURES:
+            sys.exit(f"no figure is named {name}; there are {', '.join(FIGURES)}.")
+        FIGURES[name]()

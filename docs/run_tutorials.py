@@ -1,4 +1,4 @@
-"""Runs the tutorials as their reader would: every command in an empty directory, every shown output compared.
+"""Run the tutorials as their reader would: every command in an empty directory, every shown output compared.
 
     python docs/run_tutorials.py [PAGE ...] [--quick] [--keep DIR] [--show]
 
@@ -9,7 +9,7 @@ What a page's fenced blocks mean:
   any within half of its size, as the figures of a flight differ from machine to machine. A command must exit with 0, or
   with N where ``# exits with N`` stands behind it. Without shown output only the exit code counts.
 - A block under a line that holds nothing but the name of a file in bold code: a file that the reader writes.
-- ``diff`` under such a line: a change to a file; its old lines must stand there exactly once.
+- ``diff`` under such a line: a change to a file; its old lines must occur there exactly once.
 - ``sh``, ``text`` without one: to read only. Any other block is an error.
 
 A page with ``slow_tutorial: true`` in its front matter is left out by ``--quick``. `pip install` reaches a layer of its
@@ -46,7 +46,14 @@ _DONE = "\x1e--tutorial--"
 
 
 class TutorialError(Exception):
-    """Something that a page says does not hold; `line` is where it says so."""
+    """Something that a page shows does not hold.
+
+    Parameters
+    ----------
+    line : int
+        Of the page.
+    message : str
+    """
 
     def __init__(self, line: int, message: str) -> None:
         super().__init__(message)
@@ -76,8 +83,18 @@ class File:
 Step = Command | File
 
 
-def steps(page: str) -> Iterator[Step]:
-    """What a page asks its reader to do, in order."""
+def read_steps(page: str) -> Iterator[Step]:
+    """Read what the reader of a page does, in order.
+
+    Parameters
+    ----------
+    page : str
+        Markdown.
+
+    Yields
+    ------
+    Command or File
+    """
     lines = page.splitlines()
     number = 0
     while number < len(lines):
@@ -100,7 +117,7 @@ def _block(info: str, name: str, body: list[str], line: int) -> Iterator[Step]:
     elif name:
         yield File(line, name, "\n".join(body).strip("\n") + "\n", info == "diff")
     elif info not in ("sh", "text"):
-        raise TutorialError(line, f"a block of '{info}' needs the name of its file above it: **`FIRMWARE_NAME`**.")
+        raise TutorialError(line, f"a block of '{info}' needs the name of its file above it: **`NAME`**.")
 
 
 def _commands(body: list[str], line: int) -> Iterator[Command]:
@@ -123,18 +140,28 @@ def _commands(body: list[str], line: int) -> Iterator[Command]:
 
 
 def _command(line: int, text: str, shown: list[str]) -> Command:
-    said = _EXITS.search(text)
-    return Command(line, text, tuple(shown), int(said[1]) if said else 0)
+    exits = _EXITS.search(text)
+    return Command(line, text, tuple(shown), int(exits[1]) if exits else 0)
 
 
 def matches(shown: Sequence[str], printed: str) -> bool:
-    """Whether shown lines are what was printed; runs of spaces count as one.
+    r"""Tell whether shown lines are what was printed; runs of spaces count as one.
+
+    Parameters
+    ----------
+    shown : sequence of str
+        Lines of the page.
+    printed : str
+
+    Returns
+    -------
+    bool
 
     Examples
     --------
-    >>> matches(["status   done: …"], "status done: path's end reached\\n")
+    >>> matches(["status   done: …"], "status done: path's end reached\n")
     True
-    >>> matches(["…", "last"], "first\\nsecond\\nlast\\n"), matches(["last"], "first\\nlast\\n")
+    >>> matches(["…", "last"], "first\nsecond\nlast\n"), matches(["last"], "first\nlast\n")
     (True, False)
     >>> matches(["mean 0.31 mm"], "mean 0.40 mm"), matches(["mean 0.31 mm"], "mean 0.80 mm")
     (True, False)
@@ -164,23 +191,41 @@ def _near(shown: str, printed: str) -> bool:
 
 
 def apply(diff: str, text: str) -> str:
-    """`text` with the change that `diff` shows.
+    """Apply a change to a text.
+
+    Parameters
+    ----------
+    diff : str
+        The change, as the page shows it.
+    text : str
+
+    Returns
+    -------
+    str
 
     Raises
     ------
     ValueError
-        If the old lines do not stand in it exactly once.
+        If the old lines do not occur in it exactly once.
     """
     rows = diff.splitlines()
     old = "\n".join(row[1:] for row in rows if row[:1] in ("-", " ") or not row)
     new = "\n".join(row[1:] for row in rows if row[:1] in ("+", " ") or not row)
     if text.count(old) != 1:
-        raise ValueError(f"the old lines stand in the file {text.count(old)} times, not once:\n{old}")
+        raise ValueError(f"the old lines occur in the file {text.count(old)} times, not once:\n{old}")
     return text.replace(old, new)
 
 
 class Shell:
-    """One bash, whose commands are played one after the other."""
+    """One bash, whose commands are run one after the other.
+
+    Parameters
+    ----------
+    folder : Path
+        Working directory.
+    path : str
+        Value of PATH.
+    """
 
     def __init__(self, folder: Path, path: str) -> None:
         environment = {
@@ -197,7 +242,16 @@ class Shell:
         )  # fmt: skip
 
     def run(self, command: str) -> tuple[int, str]:
-        """Exit code and output of a command.
+        """Run a command.
+
+        Parameters
+        ----------
+        command : str
+
+        Returns
+        -------
+        tuple of int and str
+            Exit code, and output.
 
         Raises
         ------
@@ -233,8 +287,18 @@ class Shell:
         self._process.wait()
 
 
-def layer(folder: Path) -> str:
-    """Make an environment over this one, and return the PATH under which its programs are found first."""
+def make_environment(folder: Path) -> str:
+    """Make an environment on top of this one.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    str
+        The PATH under which its programs are found first.
+    """
     venv.create(folder, with_pip=False, symlinks=True)
     below = sysconfig.get_path("purelib")
     inside = Path(sysconfig.get_path("purelib", vars={"base": str(folder)}))
@@ -247,7 +311,15 @@ def layer(folder: Path) -> str:
 
 
 def play(page: Path, folder: Path, *, show: bool = False) -> None:
-    """Do all that a page says, in an empty `folder`.
+    """Do all that a page shows.
+
+    Parameters
+    ----------
+    page : Path
+    folder : Path
+        Empty.
+    show : bool
+        Whether to print what commands print.
 
     Raises
     ------
@@ -257,8 +329,8 @@ def play(page: Path, folder: Path, *, show: bool = False) -> None:
     work = folder / "work"
     for inner in (work, folder / "home"):
         inner.mkdir(parents=True)
-    todo = list(steps(page.read_text(encoding="utf-8")))
-    shell = Shell(work, layer(folder / "environment"))
+    todo = list(read_steps(page.read_text(encoding="utf-8")))
+    shell = Shell(work, make_environment(folder / "environment"))
     try:
         for step in todo:
             if isinstance(step, File):
@@ -274,10 +346,8 @@ def play(page: Path, folder: Path, *, show: bool = False) -> None:
             if code != step.code:
                 raise TutorialError(step.line, f"'{step.text}' exits with {code}, not {step.code}:\n{printed}")
             if step.shown and not matches(step.shown, printed):
-                wanted = "\n".join(step.shown)
-                raise TutorialError(
-                    step.line, f"'{step.text}' prints\n{printed}\nand not, as the page shows,\n{wanted}"
-                )
+                shown = "\n".join(step.shown)
+                raise TutorialError(step.line, f"'{step.text}' prints\n{printed}\nand not, as the page shows,\n{shown}")
     finally:
         shell.close()
 
@@ -295,13 +365,33 @@ def _write(step: File, work: Path) -> None:
 
 
 def is_slow(page: Path) -> bool:
-    """Whether the page says of itself that it takes long."""
+    """Tell whether a page declares in its front matter that it takes long.
+
+    Parameters
+    ----------
+    page : Path
+
+    Returns
+    -------
+    bool
+    """
     head = page.read_text(encoding="utf-8").split("---", 2)
     return len(head) == 3 and head[0] == "" and "slow_tutorial: true" in head[1]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the pages, say how long each took; 1 if one of them does not hold."""
+    """Run the pages and print how long each took.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Default: those of the command line.
+
+    Returns
+    -------
+    int
+        1 if one of them does not hold.
+    """
     parser = argparse.ArgumentParser(description="Run the tutorials as their reader would.")
     parser.add_argument("pages", nargs="*", help="names of pages, such as my_own_path; all without")
     parser.add_argument("--quick", action="store_true", help="leave out pages that take long")
@@ -320,7 +410,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fails(page: Path, keep: Path | None, show: bool) -> bool:
-    """Play a page and say how long it took, or what does not hold."""
+    """Play a page and print how long it took, or what does not hold."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
         try:

@@ -1,4 +1,4 @@
-"""Fly a mission in the simulated tank, and draw where the robot was and where the tracker believed it to be."""
+"""Fly a mission in the simulated tank, and draw where the robot was and where the tracker estimated it to be."""
 
 import matplotlib.pyplot as plt
 

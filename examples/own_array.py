@@ -10,5 +10,5 @@ own = {"sensors.positions_mm": str((1e3 * places).tolist()), "sensors.axes": str
 rig, robot = smolbot.load_rig("tank", own), smolbot.load_robot("gradient")
 shot = smolbot.Shot((smolbot.Excite((5.0, 5.0), 103.5, 5), smolbot.RingDown(0.02), smolbot.Listen(20, 103.5)))
 with TankWorld.open(rig, robot, (0.004, -0.006), seed=3) as lab:
-    heard = lab.play(shot)
-print(smolbot.Localizer(smolbot.SensorArray(places, axes), robot.device).locate(heard))
+    recording = lab.play(shot)
+print(smolbot.Localizer(smolbot.SensorArray(places, axes), robot.device).locate(recording))

@@ -10,6 +10,8 @@ from smolbot.flight import make_loop, open_rig
 
 
 class Tug:
+    """Pull toward a point ahead, with a force of 100 µN."""
+
     gains: ClassVar = {"ahead_mm": Gain(1.0, 0.3, 6.0, meaning="how far ahead the point lies")}
 
     def __init__(self, setup, gains):
@@ -17,9 +19,11 @@ class Tug:
         self.coils = ForceAllocator(setup.table, setup.limits.max_current, setup.robot.moment, least_field=1.5e-3)
 
     def reset(self, path, pose):
+        """Start a path."""
         self.path, self.phase = path, "approach"  # first to the path's start
 
     def command(self, pose):
+        """Compute the currents of the next window."""
         (arc,), (off,) = self.path.project(pose.position[None, :])
         if off < self.setup.tolerance:
             self.phase = "follow"
@@ -29,7 +33,7 @@ class Tug:
         way = (goal - pose.position) * [1.0, 1.0, 0.0]
         try:
             currents = self.coils.currents(pose.position, way, 100e-6)  # N
-        except UnreachableForceError as error:  # nothing pulls there: say so, and only listen in this cycle
+        except UnreachableForceError as error:  # nothing pulls there: report it, and only record in this cycle
             return Command(None, saturated=True, note=str(error), progress=arc, phase=self.phase)
         return Command(Actuate(tuple(currents), 0.06), progress=arc, phase=self.phase)
 

@@ -11,7 +11,7 @@ try:
     # Whatever happens in this block (the path's end, Ctrl-C, an error of yours), its end brings every output to zero.
     with closing(open_rig(mission, seed=3)) as rig, make_loop(rig, mission) as loop:
         while not loop.done:
-            record = loop.step()  # a shot is checked and played, a pose is found and tracked, the law is asked
+            record = loop.step()  # a shot is checked and played, a pose is estimated and tracked, the law is called
             pose, number = record.trusted, len(loop.run.cycles)
             if pose is not None and number % 20 == 0:
                 x, y, z = 1e3 * pose.position  # mm

@@ -1,4 +1,4 @@
-"""Locate again in what a flight heard, with the estimator of the paper, and compare with the poses of the flight."""
+"""Locate again in the recordings of a flight, with the estimator of the paper, and compare the poses."""
 
 import numpy as np
 

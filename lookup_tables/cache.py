@@ -121,7 +121,7 @@ def mark_used(path: Path) -> None:
 def write_to_cache(path: Path, write: Callable[[str], None]) -> None:
     """Write a file under a temporary name and rename it, so that no reader ever finds half a file.
 
-    The least recently used files are deleted until the folder's fields take `LARGEST` bytes at most. A folder that
+    The least recently used files are deleted until the folder's fields take at most `MAX_CACHE_BYTES`. A folder that
     cannot be written is no error: there is one warning for each.
 
     Parameters

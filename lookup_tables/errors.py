@@ -19,13 +19,13 @@ class TableError(ValueError):
 
     @property
     def file(self) -> str:
-        """File of the first fault; empty where it is of none."""
+        """File of the first fault; empty if it concerns no file."""
         found = _PLACE.match(str(self))
         return found["file"] if found else ""
 
     @property
     def line(self) -> int | None:
-        """Line of the first fault, where it is of one."""
+        """Line of the first fault; None if it concerns no line."""
         found = _PLACE.match(str(self))
         return int(found["line"]) if found and found["line"] else None
 
@@ -33,10 +33,11 @@ class TableError(ValueError):
 class OutsideTableError(ValueError):
     """A point outside the volume that a field table covers; the message names the point and the covered range.
 
-    Attributes
+    Parameters
     ----------
+    message : str
     point, low, high : tuple of float, in m, or None
-        The first such point, and the corners of what is covered.
+        The first such point, and the corners of the covered volume; attributes of the error too.
     """
 
     def __init__(

@@ -127,15 +127,15 @@ def _to_world(samples: Samples, origin: FloatArray, rotation: FloatArray | None,
     turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
     if turn.shape != (3, 3):
         raise TableError(f"{path}: rotation must have shape (3, 3); got {turn.shape}.")
-    whole = np.round(turn)
-    right_angles = np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)) and np.linalg.det(whole) > 0
-    if not right_angles or np.abs(turn - whole).max() > ROTATION_TOLERANCE:
+    rounded = np.round(turn)
+    right_angles = np.array_equal(np.abs(rounded).sum(axis=0), np.ones(3)) and np.linalg.det(rounded) > 0
+    if not right_angles or np.abs(turn - rounded).max() > ROTATION_TOLERANCE:
         raise TableError(
             f"{path}: rotation must turn by right angles only, so that the mesh stays along the world's axes (each "
             f"row and column one 1 or -1, determinant 1); got {np.round(turn, 6).tolist()}."
         )
-    source = np.abs(whole).argmax(axis=1)  # world axis i is the file's axis source[i]
-    signs = whole[range(3), source]
+    source = np.abs(rounded).argmax(axis=1)  # world axis i is the file's axis source[i]
+    signs = rounded[range(3), source]
     axes: list[FloatArray] = []
     field = np.transpose(samples.field, (0, *(1 + source), 4))[..., source] * signs
     file_axes = (samples.x, samples.y, samples.z)

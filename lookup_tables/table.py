@@ -89,9 +89,9 @@ class FieldTable:
             from lookup_tables.potential import fit_potential
 
             potential = fit_potential(spacing, self.samples)
-        wanted = (*(max(n, 2) + DEGREE - 1 for n in shape[1:4]), shape[0])
-        if potential.shape != wanted:
-            raise TableError(f"potential must have shape {wanted} for this mesh; got {potential.shape}.")
+        expected = (*(max(n, 2) + DEGREE - 1 for n in shape[1:4]), shape[0])
+        if potential.shape != expected:
+            raise TableError(f"potential must have shape {expected} for this mesh; got {potential.shape}.")
         self.spline = Spline(np.ascontiguousarray(potential), np.array([a[0] for a in axes]), spacing)
         self._single = np.array([len(a) == 1 for a in axes])
         ends = np.array([[a[0] - BOUNDS_SLACK for a in axes], [a[-1] + BOUNDS_SLACK for a in axes]])

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the parts of the documentation that come from the code: ``tools/generate_docs.py [--check]``.
+"""Write the parts of the documentation that come from the code: ``tools/generate_docs.py [--check]``.
 
 They are kept in the pages, so that the pages read wherever Markdown is shown. In a page such a part stands between
 ``<!-- generated: KIND ARGUMENTS -->`` and ``<!-- end -->``; KIND is one of
@@ -34,7 +34,7 @@ from filekeys import write_table, write_tables  # noqa: E402
 PICTURE = DOCS / "pictures" / "rooms.svg"
 TEMPLATE = Path(__file__).with_name("rooms.svg.jinja")
 
-WHOLE = ("controllers", "lookup_tables")
+UNDIVIDED = ("controllers", "lookup_tables")
 """Packages that are one room each."""
 
 _PART = re.compile(r"(<!-- generated: (\w+)(.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -42,7 +42,18 @@ _HEAD = re.compile(r"# (.+)\n\n(\d{4}-\d\d-\d\d)\n(?:\n\*\*((?:Replaced|Extended
 
 
 def read_floors(package: str | None = None) -> list[list[str]]:
-    """Rooms of each floor of a package, the highest first; of the packages themselves without one."""
+    """Read the floors of a package from the import contracts.
+
+    Parameters
+    ----------
+    package : str, optional
+        None for the floors of the packages themselves.
+
+    Returns
+    -------
+    list of list of str
+        Rooms of each floor, the highest first.
+    """
     settings = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))
     containers = None if package is None else [package]
     contracts = settings["tool"]["importlinter"]["contracts"]
@@ -52,20 +63,36 @@ def read_floors(package: str | None = None) -> list[list[str]]:
 
 
 def describe_room(name: str) -> str:
-    """The first line of a room's own docstring."""
+    """Read the first line of a room's docstring.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name of the room.
+
+    Returns
+    -------
+    str
+    """
     path = CHECKOUT / name.replace(".", "/")
     file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    told = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-    return told.split("\n")[0].replace("``", "")
+    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    return text.split("\n")[0].replace("``", "")
 
 
 def draw_rooms() -> str:
-    """The picture of the rooms: a band for each package, a row for each floor, a box for each room."""
+    """Draw the rooms: a band for each package, a row for each floor, a box for each room.
+
+    Returns
+    -------
+    str
+        The SVG.
+    """
     bands = []
     for name in (room for floor in read_floors() for room in floor):
-        floors = [] if name in WHOLE else read_floors(name)
-        told = [[(room, describe_room(f"{name}.{room}")) for room in floor] for floor in floors]
-        bands.append({"name": name, "what": describe_room(name), "floors": told})
+        floors = [] if name in UNDIVIDED else read_floors(name)
+        described = [[(room, describe_room(f"{name}.{room}")) for room in floor] for floor in floors]
+        bands.append({"name": name, "what": describe_room(name), "floors": described})
     environment = Environment(
         loader=FileSystemLoader(TEMPLATE.parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
@@ -74,14 +101,20 @@ def draw_rooms() -> str:
 
 
 def write_decisions() -> str:
-    """Number, title, date and standing of each decision."""
+    """Write the table of decisions: number, title, date and validity of each.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
     rows = []
     for path in sorted((DOCS / "decisions").glob("0*.md")):
         head = _HEAD.match(path.read_text(encoding="utf-8"))
         if head is None:
             raise SystemExit(f"{path}: a decision begins with '# TITLE', its date, and **Replaced by …** where it is.")
-        title, date, standing = head.groups()
-        rows.append((str(int(path.name[:4])), f"[{title}]({path.name})", date, standing or "holds"))
+        title, date, replaced = head.groups()
+        rows.append((str(int(path.name[:4])), f"[{title}]({path.name})", date, replaced or "holds"))
     return write_table(("", "decision", "date", ""), rows)
 
 
@@ -93,11 +126,28 @@ KINDS: dict[str, Callable[..., str]] = {
 
 
 def fill(page: str) -> str:
-    """A page with its generated parts made anew."""
+    """Generate the parts of a page anew.
+
+    Parameters
+    ----------
+    page : str
+        Markdown.
+
+    Returns
+    -------
+    str
+    """
     return _PART.sub(lambda part: f"{part[1]}\n{KINDS[part[2]](*part[3].split())}\n\n{part[4]}", page)
 
 
 def main() -> int:
+    """Write all pages that changed, or check them.
+
+    Returns
+    -------
+    int
+        1 if a checked page is out of date.
+    """
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if something is out of date")
     check = parser.parse_args().check

@@ -1,4 +1,4 @@
-"""The reference of the command line, made from the commands themselves."""
+"""Write the reference of the command line from the commands themselves."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ from collections.abc import Iterator
 from typing import Any, get_args
 
 import typer
-from filekeys import plain, write_table
+from filekeys import to_markdown, write_table
 
 
-def root_command() -> Any:
-    """``smolbot`` with all its commands, those of entry points too."""
+def make_root_command() -> Any:
+    """Make ``smolbot`` with all its commands, those of entry points too.
+
+    Returns
+    -------
+    click Group
+    """
     from smolbot.ui.cli import app as cli
 
     cli.register_own_commands()
@@ -18,8 +23,14 @@ def root_command() -> Any:
 
 
 def write_commands() -> str:
-    """A section for each command, as Markdown: what it does, its arguments and options."""
-    root = root_command()
+    """Write a section for each command: what it does, its arguments and options.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
+    root = make_root_command()
     context = root.context_class(root, info_name="smolbot")
     return "\n\n".join(
         line
@@ -35,32 +46,32 @@ def _sections(command: Any, name: str, parent: Any) -> Iterator[str]:
             yield from _sections(command.get_command(context, inner), inner, context)
         return
     yield f"## {context.command_path}"
-    yield from (plain(" ".join(paragraph.split())) for paragraph in (command.help or "").split("\n\n"))
+    yield from (to_markdown(" ".join(paragraph.split())) for paragraph in (command.help or "").split("\n\n"))
     yield "```text\n" + " ".join([context.command_path, *command.collect_usage_pieces(context)]) + "\n```"
-    rows = [_told(parameter) for parameter in command.params if "--help" not in parameter.opts]
+    rows = [_describe(parameter) for parameter in command.params if "--help" not in parameter.opts]
     if rows:
         yield write_table(("option", "default", "meaning"), rows)
 
 
-def _told(parameter: Any) -> tuple[str, str, str]:
-    """How it is written, its default, and what it means."""
+def _describe(parameter: Any) -> tuple[str, str, str]:
+    """Name and placeholder of a parameter, its default, and its meaning."""
     if parameter.param_type_name == "argument":
         return (
             f"`{_metavar(parameter)}`",
             "" if parameter.required else _default(parameter),
-            plain(parameter.help or ""),
+            to_markdown(parameter.help or ""),
         )
     written = ", ".join([*parameter.opts, *parameter.secondary_opts])
     if parameter.is_flag:
-        return f"`{written}`", "", plain(parameter.help or "")
-    return f"`{written} {_metavar(parameter)}`", _default(parameter), plain(parameter.help or "")
+        return f"`{written}`", "", to_markdown(parameter.help or "")
+    return f"`{written} {_metavar(parameter)}`", _default(parameter), to_markdown(parameter.help or "")
 
 
-_KINDS = {"str": "TEXT", "int": "INTEGER", "float": "NUMBER", "Path": "PATH", "list[str]": "TEXT"}
+_KINDS = {"str": "TEXT", "int": "INTEGER", "float": "NUMBER", "list[str]": "TEXT", "PlantModel": "PLANT"}
 
 
 def _metavar(parameter: Any) -> str:
-    """What stands for the value, as `--help` has it."""
+    """The placeholder of a value, as in `--help`."""
     if parameter.metavar:
         return str(parameter.metavar)
     if parameter.param_type_name == "argument":

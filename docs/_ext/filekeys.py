@@ -1,6 +1,7 @@
-"""Tables of the keys that a user's file may have, as Markdown, made from the models that check it.
+"""Write tables of the keys of a user's file, as Markdown, from the models that check it.
 
-As a Sphinx extension it only tells what signatures in the API reference lead to: the place of each model's table.
+As a Sphinx extension it only registers the place of each model's table, so that the API reference links
+there.
 """
 
 from __future__ import annotations
@@ -27,8 +28,18 @@ UNITS = {
 COLUMNS = ("key", "unit", "value", "default", "meaning")
 
 
-def unit_of(key: str) -> str:
-    """Unit that the end of a key names."""
+def find_unit(key: str) -> str:
+    """Find the unit that the end of a key names.
+
+    Parameters
+    ----------
+    key : str
+
+    Returns
+    -------
+    str
+        Empty if there is none.
+    """
     parts = key.split("_")
     for start in range(1, len(parts)):
         if (unit := UNITS.get("_".join(parts[start:]))) is not None:
@@ -37,14 +48,28 @@ def unit_of(key: str) -> str:
 
 
 class Schema:
-    """JSON schema of a model, with what it refers to."""
+    """JSON schema of a model, with the definitions that it refers to.
+
+    Parameters
+    ----------
+    model : pydantic model class
+    """
 
     def __init__(self, model: Any) -> None:
         self.root: dict[str, Any] = model.model_json_schema()
         self._defined: dict[str, Any] = self.root.get("$defs", {})
 
-    def resolved(self, part: dict[str, Any]) -> dict[str, Any]:
-        """`part` with its reference followed and the alternative "nothing" taken away."""
+    def resolve(self, part: dict[str, Any]) -> dict[str, Any]:
+        """Follow the reference of a part, and remove the alternative "null".
+
+        Parameters
+        ----------
+        part : dict
+
+        Returns
+        -------
+        dict
+        """
         part = dict(part)
         options = [option for option in part.get("anyOf", ()) if option.get("type") != "null"]
         if len(options) == 1:
@@ -54,22 +79,41 @@ class Schema:
             part = {**self._defined[part.pop("$ref").rsplit("/", 1)[1]], **part}
         return part
 
-    def section(self, part: dict[str, Any]) -> tuple[dict[str, Any], bool] | None:
-        """The section that `part` is, and whether there may be several of it; None of a plain key."""
-        part = self.resolved(part)
+    def find_section(self, part: dict[str, Any]) -> tuple[dict[str, Any], bool] | None:
+        """Find the section that a part describes.
+
+        Parameters
+        ----------
+        part : dict
+
+        Returns
+        -------
+        tuple or None
+            The section, and whether it may be repeated; None for a plain key.
+        """
+        part = self.resolve(part)
         if "properties" in part:
             return part, False
         if part.get("type") == "array" and isinstance(part.get("items"), dict):
-            inner = self.resolved(part["items"])
+            inner = self.resolve(part["items"])
             if "properties" in inner:
                 return inner, True
         return None
 
-    def value(self, part: dict[str, Any]) -> str:
-        """What may stand there, in words."""
-        part = self.resolved(part)
+    def describe_value(self, part: dict[str, Any]) -> str:
+        """Describe the permitted values of a part in words.
+
+        Parameters
+        ----------
+        part : dict
+
+        Returns
+        -------
+        str
+        """
+        part = self.resolve(part)
         if "anyOf" in part:
-            return " or ".join(dict.fromkeys(self.value(option) for option in part["anyOf"]))
+            return " or ".join(dict.fromkeys(self.describe_value(option) for option in part["anyOf"]))
         if "const" in part:
             return f"{part['const']!r}".replace("'", '"')
         if "enum" in part:
@@ -79,27 +123,27 @@ class Schema:
             return self._array(part)
         if kind == "object":
             values = part.get("additionalProperties")
-            return "a table" + (f" of {self.value(values)}" if isinstance(values, dict) else "")
+            return "a table" + (f" of {self.describe_value(values)}" if isinstance(values, dict) else "")
         name = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
         return (name.get(str(kind), str(kind)) + _limits(part)).strip()
 
     def _array(self, part: dict[str, Any]) -> str:
         if "prefixItems" in part:
-            each = [self.value(item) for item in part["prefixItems"]]
+            each = [self.describe_value(item) for item in part["prefixItems"]]
             return f"{len(each)} × {each[0]}" if len(set(each)) == 1 else f"[{', '.join(each)}]"
         least = part.get("minItems", 0)
-        return f"list of {self.value(part['items'])}" + (f", at least {least}" if least else "")
+        return f"list of {self.describe_value(part['items'])}" + (f", at least {least}" if least else "")
 
 
 def _limits(part: dict[str, Any]) -> str:
     low, above = part.get("minimum"), part.get("exclusiveMinimum")
     high, below = part.get("maximum"), part.get("exclusiveMaximum")
-    said = [
+    limits = [
         f"{sign} {limit:g}"
         for sign, limit in (("≥", low), (">", above), ("≤", high), ("<", below))
         if limit is not None
     ]
-    return " " + ", ".join(said) if said else ""
+    return " " + ", ".join(limits) if limits else ""
 
 
 def _models(model: Any) -> list[Any]:
@@ -113,7 +157,13 @@ def _models(model: Any) -> list[Any]:
 
 
 class Example:
-    """Values and comments of a TOML file by section and key."""
+    """Values and comments of a TOML file by section and key.
+
+    Parameters
+    ----------
+    text : str
+        The file.
+    """
 
     _HEADER = re.compile(r"^\[+([^\]]+)\]+")
     _KEY = re.compile(r"^([a-z0-9_]+) = (.+?)(?:\s{2,}# (.*))?$")
@@ -127,8 +177,18 @@ class Example:
             elif key := self._KEY.match(line):
                 self.held.setdefault((section, key[1]), (key[2], key[3] or ""))
 
-    def of(self, section: str, key: str) -> str:
-        """`value: comment` of a key, or nothing."""
+    def find(self, section: str, key: str) -> str:
+        """Find ``value: comment`` of a key.
+
+        Parameters
+        ----------
+        section, key : str
+
+        Returns
+        -------
+        str
+            Empty if the file has none, or a long one.
+        """
         value, comment = self.held.get((section, key), ("", ""))
         if not value or len(value) > 40 or value in ("[", "{"):
             return ""
@@ -143,9 +203,14 @@ def write_tables(model: str, example: str = "", section: str = "") -> str:
     model : str
         ``"smolbot.config.mission:MissionFile"``.
     example : str
-        A file of the package whose values and comments stand beside the keys: ``"missions/r_path.toml"``.
+        A file of the package whose values and comments are shown beside the keys: ``"missions/r_path.toml"``.
     section : str
-        Where the model stands in its file, in front of the names of its sections.
+        Section of the file that the model describes, in front of the names of its own sections.
+
+    Returns
+    -------
+    str
+        Markdown.
     """
     module, name = model.split(":")
     found = getattr(import_module(module), name)
@@ -160,30 +225,30 @@ def _tables(
     schema: Schema, part: dict[str, Any], title: str, many: bool, example: Example, source: str, homes: dict[str, str]
 ) -> Iterator[str]:
     """Elements of one section, then those of the sections in it."""
-    told = NumpyDocString(part.get("description", ""))
-    meanings = {key.strip(): " ".join(item.desc) for item in told["Attributes"] for key in item.name.split(",")}
+    text = NumpyDocString(part.get("description", ""))
+    meanings = {key.strip(): " ".join(item.desc) for item in text["Attributes"] for key in item.name.split(",")}
     anchor = f'<a id="{home}"></a>' if (home := homes.get(part.get("title", ""))) else ""
     if title:
         yield f"{anchor}**`[[{title}]]`**" if many else f"{anchor}**`[{title}]`**"
     elif anchor:
         yield anchor
-    for paragraph in [" ".join(told["Summary"]), *" ".join(told["Extended Summary"]).split("  ")]:
+    for paragraph in [" ".join(text["Summary"]), *" ".join(text["Extended Summary"]).split("  ")]:
         if paragraph.strip():
-            yield plain(paragraph)
+            yield to_markdown(paragraph)
     rows, inner = [], []
     for key, property_ in part["properties"].items():
-        section = schema.section(property_)
+        section = schema.find_section(property_)
         if section is not None:
             inner.append((key, *section))
             continue
         default = property_.get("default")
         needed = key in part.get("required", ())
         shown = "needed" if needed else ("" if default is None else f"`{_toml(default)}`")
-        said = [meanings.get(key, "")]
-        if given := example.of(title, key):
-            said.append(f"{source}: {given}")
-        meaning = plain(". ".join(s.rstrip(".") for s in said if s))
-        rows.append((f"`{key}`", unit_of(key), schema.value(property_), shown, meaning))
+        parts = [meanings.get(key, "")]
+        if given := example.find(title, key):
+            parts.append(f"{source}: {given}")
+        meaning = to_markdown(". ".join(s.rstrip(".") for s in parts if s))
+        rows.append((f"`{key}`", find_unit(key), schema.describe_value(property_), shown, meaning))
     if rows:
         yield write_table(COLUMNS, rows)
     for key, section_part, several in inner:
@@ -197,19 +262,39 @@ def _toml(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value}"
 
 
-def plain(text: str) -> str:
-    """Text of a docstring or of a help as Markdown that shows it as it stands."""
+def to_markdown(text: str) -> str:
+    """Convert the text of a docstring or of a help to Markdown that shows it unchanged.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+    """
     return text.replace("``", "`").replace("<", "&lt;")
 
 
 def write_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table; a cell may hold Markdown, but no line break."""
+    """Write a Markdown table.
+
+    Parameters
+    ----------
+    columns : sequence of str
+    rows : iterable of sequence of str
+        Cells in Markdown, without line breaks.
+
+    Returns
+    -------
+    str
+    """
     lines = [columns, ["---"] * len(columns), *rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 def _note_models(app: Any, page: str, source: list[str]) -> None:
-    """Each model's table is where its name leads to."""
+    """Register the table of each model as the target of its name."""
     domain = app.env.get_domain("py")
     for name in re.findall(r'<a id="([\w.]+\.\w+)"></a>', source[0]):
         if name not in domain.objects:
@@ -217,5 +302,15 @@ def _note_models(app: Any, page: str, source: list[str]) -> None:
 
 
 def setup(app: Any) -> dict[str, Any]:
+    """Register the extension in Sphinx.
+
+    Parameters
+    ----------
+    app : Sphinx
+
+    Returns
+    -------
+    dict
+    """
     app.connect("source-read", _note_models)
     return {"version": "2", "parallel_read_safe": True}

@@ -25,11 +25,25 @@ def _mathml(node: nodes.Element, *, as_block: bool) -> str:
 
 
 def visit_inline(writer: HTML5Translator, node: nodes.Element) -> None:
+    """Write an equation within a line.
+
+    Parameters
+    ----------
+    writer : HTML5Translator
+    node : math
+    """
     writer.body.append(_mathml(node, as_block=False))
     raise nodes.SkipNode
 
 
 def visit_block(writer: HTML5Translator, node: nodes.Element) -> None:
+    """Write an equation on a line of its own, with its number.
+
+    Parameters
+    ----------
+    writer : HTML5Translator
+    node : math_block
+    """
     writer.body.append(writer.starttag(node, "div", CLASS="math notranslate"))
     if node["number"]:
         writer.body.append(f'<span class="eqno">({get_node_equation_number(writer, node)})')
@@ -40,5 +54,15 @@ def visit_block(writer: HTML5Translator, node: nodes.Element) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the extension in Sphinx.
+
+    Parameters
+    ----------
+    app : Sphinx
+
+    Returns
+    -------
+    dict
+    """
     app.add_html_math_renderer("mathml", (visit_inline, None), (visit_block, None))
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,6 +1,6 @@
-"""Paths under which things could be had before, for one more release, each with a warning that names the new one.
+"""Old import paths, which work for one more release, each with a warning that names the new one.
 
-`MOVED` is all there is to edit: a row for each old path. A row that names no object stands for a whole module.
+`MOVED` is all there is to edit: a row for each old path. A row that names no object stands for all names of a module.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MOVED = {
     "smolbot.runs.run:CycleRecord": "smolbot.runs:CycleRecord",
     "smolbot.runs.run:Event": "smolbot.runs:Event",
     "smolbot.runs.recording.reader:RecordedRun": "smolbot.runs:RecordedRun",
-    "smolbot.runs.recording.reader:Played": "smolbot.runs:Played",
+    "smolbot.runs.recording.reader:Played": "smolbot.runs:PlayedShot",
     "smolbot.runs.recording.converter:Converter": "smolbot.runs:Converter",
     "smolbot.runs.recording.files:RunFiles": "smolbot.runs:RunFiles",
     "smolbot.runs.trace:Moment": "smolbot.runs:Moment",
@@ -39,25 +39,28 @@ MOVED = {
     "smolbot.config.sensors:CalibratedSensors": "smolbot.config:CalibratedSensors",
     "smolbot.motion.controller:Cycle": "smolbot.motion:Cycle",
     "smolbot.motion.controller:HelixSetup": "smolbot.motion:HelixSetup",
-    "smolbot.motion.controller:Reach": "smolbot.motion:Reach",
+    "smolbot.motion.controller:Reach": "smolbot.motion:ForceProfile",
     "smolbot.motion.controller:complete_gains": "smolbot.motion:complete_gains",
     "smolbot.motion.robot:Robot": "smolbot.motion:Robot",
     "smolbot.motion.helix:Helix": "smolbot.motion:Helix",
-    "smolbot.motion.led:Motion": "smolbot.motion:Motion",
+    "smolbot.motion.led:Motion": "smolbot.motion:ExternalMotion",
     "smolbot.core.operator:Operator": "smolbot.core:Operator",
-    "smolbot.core.coil_heat:Coil": "smolbot.core:Coil",
+    "smolbot.core.coil_heat:Coil": "smolbot.core:ThermalCoil",
     "smolbot.core.arrays:FloatArray": "smolbot.core:FloatArray",
     "smolbot.core.arrays:BoolArray": "smolbot.core:BoolArray",
     "smolbot.localization.localizer:Swing": "smolbot.localization:Swing",
     "smolbot.localization.problem:Problem": "smolbot.localization:Problem",
     "smolbot.localization.problem:Fit": "smolbot.localization:Fit",
+    "smolbot.localization.noise.actuation_tails": "smolbot.localization.noise.actuation_decay",
+    "smolbot.motion.kernels:_rolled": "smolbot.motion.kernels:_simulate_with_derivatives",
     "sim.tank.world:TankWorld": "sim:TankWorld",
     "lookup_tables.coils:Coil": "lookup_tables:Coil",
     # documented before modules moved into rooms
+    "smolbot.poses": "smolbot.core.pose",
     "smolbot.flown:CycleRecord": "smolbot.runs:CycleRecord",
     "smolbot.flown:Event": "smolbot.runs:Event",
     "smolbot.recording.reader:RecordedRun": "smolbot.runs:RecordedRun",
-    "smolbot.recording.reader:Played": "smolbot.runs:Played",
+    "smolbot.recording.reader:Played": "smolbot.runs:PlayedShot",
     "smolbot.recording.converter:Converter": "smolbot.runs:Converter",
     "smolbot.recording.files:RunFiles": "smolbot.runs:RunFiles",
     "smolbot.records.trace:Moment": "smolbot.runs:Moment",
@@ -68,17 +71,17 @@ MOVED = {
     "smolbot.plugins:World": "smolbot.config:World",
     "smolbot.control:Cycle": "smolbot.motion:Cycle",
     "smolbot.control:HelixSetup": "smolbot.motion:HelixSetup",
-    "smolbot.control:Reach": "smolbot.motion:Reach",
+    "smolbot.control:Reach": "smolbot.motion:ForceProfile",
     "smolbot.control:complete_gains": "smolbot.motion:complete_gains",
     "smolbot.rigfile:RigConfig": "smolbot.config:RigConfig",
     "smolbot.robotfile:RobotConfig": "smolbot.config:RobotConfig",
     "smolbot.robotfile:load_robot": "smolbot:load_robot",
     "smolbot.library:find_file": "smolbot.config:find_file",
     "smolbot.operator:Operator": "smolbot.core:Operator",
-    "smolbot.watching:Motion": "smolbot.motion:Motion",
+    "smolbot.watching:Motion": "smolbot.motion:ExternalMotion",
     "smolbot.tracking:Oscillation": "smolbot.localization:Oscillation",
     "smolbot.sensorsfile:CalibratedSensors": "smolbot.config:CalibratedSensors",
-    "smolbot.heat:Coil": "smolbot.core:Coil",
+    "smolbot.heat:Coil": "smolbot.core:ThermalCoil",
     "smolbot.arrays:FloatArray": "smolbot.core:FloatArray",
     "smolbot.arrays:BoolArray": "smolbot.core:BoolArray",
     "smolbot.hardware.stage": "smolbot.bench.hardware.stage",
@@ -87,42 +90,41 @@ MOVED = {
 """Old path and new one, ``module:name`` each."""
 
 _OURS = ("smolbot", "controllers", "lookup_tables", "sim")
-_SPELLED = ("IMPORT_FROM", "LOAD_ATTR", "LOAD_METHOD")  # and not found by a pickle, which knows no other path
+_NAMING_OPCODES = ("IMPORT_FROM", "LOAD_ATTR", "LOAD_METHOD")  # and not found by a pickle, which knows no other path
 _MODULES = {old.partition(":")[0] for old in MOVED}
 
 
 class _OldPath(ModuleType):
-    """A module some of whose names, or that itself, moved elsewhere: a use of them by others warns."""
+    """A module that moved, or some of whose names did: a use of them by other packages warns."""
 
     def __getattribute__(self, name: str) -> Any:
-        held = ModuleType.__getattribute__(self, "__dict__")
-        module = held["__name__"]
+        names = ModuleType.__getattribute__(self, "__dict__")
+        module = names["__name__"]
         new = MOVED.get(f"{module}:{name}")
-        if new is None and module in MOVED and name not in held and not name.startswith("__"):
+        if new is None and module in MOVED and name not in names and not name.startswith("__"):
             new = f"{MOVED[module]}:{name}"
         if new is None:
             return ModuleType.__getattribute__(self, name)
         caller = sys._getframe(1)
-        asked = caller.f_globals.get("__name__")
-        package = str(caller.f_globals.get("__package__") or asked)  # of a program of ours, which is named __main__
-        spelled = opname[caller.f_code.co_code[caller.f_lasti]] in _SPELLED
-        gone = name not in held and asked != "importlib._bootstrap"  # which only looks whether there is such a name
-        if gone or (spelled and package.partition(".")[0] not in _OURS):
-            place, _, there = new.partition(":")
-            said = f"{module}.{name} is now {place}.{there}; the old path ends with the next release."
-            warnings.warn(said, DeprecationWarning, stacklevel=2)
-        return held[name] if name in held else _find(new)
+        importer = caller.f_globals.get("__name__")
+        package = str(caller.f_globals.get("__package__") or importer)  # a program of ours has __main__ for its name
+        is_named = opname[caller.f_code.co_code[caller.f_lasti]] in _NAMING_OPCODES
+        gone = name not in names and importer != "importlib._bootstrap"  # which only tests whether there is such a name
+        if gone or (is_named and package.partition(".")[0] not in _OURS):
+            message = f"{module}.{name} is now {new.replace(':', '.')}; the old path ends with the next release."
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return names[name] if name in names else _find(new)
 
 
-class _Empty(Loader):
-    """Makes a module that is no more: it has nothing but old paths."""
+class _EmptyLoader(Loader):
+    """Loads a module that no longer exists: it has nothing but old paths."""
 
     def exec_module(self, module: ModuleType) -> None:
         module.__class__ = _OldPath
 
 
-class _Watched(SourceFileLoader):
-    """Loads a module that is still there, and watches over its old paths."""
+class _WatchingLoader(SourceFileLoader):
+    """Loads a module that still exists, and watches over its old paths."""
 
     def exec_module(self, module: ModuleType) -> None:
         super().exec_module(module)
@@ -130,7 +132,7 @@ class _Watched(SourceFileLoader):
 
 
 class _Finder(MetaPathFinder):
-    """Finds the modules of `MOVED`, there or no more, and the packages that held them."""
+    """Finds the modules of `MOVED`, whether or not they still exist, and the packages that held them."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -139,16 +141,16 @@ class _Finder(MetaPathFinder):
         if "." not in fullname or not (fullname in _MODULES or is_parent):
             return None
         others = [finder for finder in sys.meta_path if finder is not self]  # an editable install has one of its own
-        there = next((spec for finder in others if (spec := finder.find_spec(fullname, path, target))), None)
-        if there is None:
-            return ModuleSpec(fullname, _Empty(), is_package=is_parent)
-        if fullname in _MODULES and there.origin is not None:
-            there.loader = _Watched(fullname, there.origin)
-        return there
+        found = next((spec for finder in others if (spec := finder.find_spec(fullname, path, target))), None)
+        if found is None:
+            return ModuleSpec(fullname, _EmptyLoader(), is_package=is_parent)
+        if fullname in _MODULES and found.origin is not None:
+            found.loader = _WatchingLoader(fullname, found.origin)
+        return found
 
 
 def _find(path: str) -> Any:
-    """What stands at a path of `MOVED`."""
+    """The object at a new path of `MOVED`."""
     module, _, name = path.partition(":")
     return getattr(import_module(module), name)
 

@@ -157,7 +157,7 @@ def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
 def test_reduced_plant_against_the_full_tank_and_the_loop_around_it(benchmark):
     """By processor time, since other programs share the machine."""
     mission = load_steering_mission("line")
-    run = fly(mission, 1, open_rig=open_reduced)
+    run = fly(mission, 1, opener=open_reduced)
     shots = [c.shot for c in run.cycles]
     rigs = {"full": lambda: TankWorld.open(mission.rig, mission.robot, mission.start, 1),
             "reduced": lambda: open_reduced(mission, 1)}  # fmt: skip

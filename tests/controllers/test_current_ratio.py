@@ -232,7 +232,7 @@ def test_the_laws_force_errs_more_and_more_away_from_the_centre():
     assert worst[3] > 150
 
 
-def test_reach_tells_the_true_force_along_a_path():
+def test_reach_gives_the_true_force_along_a_path():
     path = straight_to(8.0, 0.0, (-8.0, 0.0))
     reach = law().reach(path)
     assert len(reach.points) == len(reach.force) == len(reach.direction_error)

@@ -70,7 +70,7 @@ def test_near_its_goal_it_pulls_no_harder_than_brings_it_there():
     assert not command.saturated
 
 
-def test_a_force_that_the_coils_cannot_give_is_cut_and_said():
+def test_a_force_that_the_coils_cannot_give_is_reduced_and_reported():
     weak = replace(known(), limits=replace(known().limits, max_current=4.0))
     law = ForcePursuit(weak, {"force_un": 300.0})
     law.reset(straight((5, 0), (8, 0)), pose(0, 0))
@@ -93,13 +93,13 @@ def test_where_no_currents_pull_head_first_it_says_so_and_tail_first_goes_on():
 
 
 def test_it_would_finish_the_letter_on_which_the_paper_s_law_stalls():
-    seen = preview(load_steering_mission("r_small", settings=LARGE))
-    assert seen.go
-    assert load_steering_mission("r_small", settings=LARGE).path.project(seen.trail[25:])[1].max() < 1.0e-3
+    expected = preview(load_steering_mission("r_small", settings=LARGE))
+    assert expected.go
+    assert load_steering_mission("r_small", settings=LARGE).path.project(expected.trail[25:])[1].max() < 1.0e-3
     stalled = preview(load_steering_mission("r_small", settings={**LARGE, "controller.law": "current_ratio"}))
     assert not stalled.go
-    assert seen.reach.force.min() > 20e-6
-    assert np.degrees(seen.reach.direction_error.max()) < 3.2
+    assert expected.force_profile.force.min() > 20e-6
+    assert np.degrees(expected.force_profile.direction_error.max()) < 3.2
 
 
 def test_the_end_is_handed_over_within_the_tolerance():

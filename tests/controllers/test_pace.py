@@ -66,10 +66,10 @@ def test_a_mission_takes_as_long_as_its_path_asks_for_and_preview_says_so(law, s
     }
     mission = load_steering_mission("r_small", None, settings)
     wanted = 14.0 / float(speed)
-    seen = preview(mission)
-    assert seen.requested_time == pytest.approx(wanted)
-    assert seen.path_time == pytest.approx(wanted, rel=0.06)
-    run = fly(mission, 3, settings=settings, open_rig=open_reduced)
+    expected = preview(mission)
+    assert expected.requested_time == pytest.approx(wanted)
+    assert expected.path_time == pytest.approx(wanted, rel=0.06)
+    run = fly(mission, 3, settings=settings, opener=open_reduced)
     assert run.status == "completed"
     early = 2.0 * mission.tolerance * 1e3 / float(speed) if law == "current_ratio" else 0.0  # start and end of that law
     assert 0.94 * wanted - early < run.summary["path_time_s"] < 1.06 * wanted
@@ -86,7 +86,7 @@ def test_bends_are_taken_more_slowly_where_a_limit_is_given():
     }
     mission = load_steering_mission("r_small", None, settings)
     assert mission.path.speed is not None
-    run = fly(mission, 4, settings=settings, open_rig=open_reduced)
+    run = fly(mission, 4, settings=settings, opener=open_reduced)
     assert run.summary["path_time_s"] == pytest.approx(mission.path.speed.duration, rel=0.06)
     follow = [c for c in run.cycles if c.command.phase == "follow" and c.tracked is not None]
     times = np.array([c.shot.end for c in follow])

@@ -49,7 +49,7 @@ class Plant:
         self.rng = np.random.default_rng(seed)
         self.trail, self.commands = [self.place.copy()], []
 
-    def seen(self):
+    def observe(self):
         return pose(self.place[:2] + self.noise * self.rng.normal(size=2), self.heading, self.time)
 
     def play(self, command):
@@ -64,9 +64,9 @@ class Plant:
         self.trail.append(self.place.copy())
 
     def fly(self, law, path, most=900):
-        law.reset(path, self.detected())
+        law.reset(path, self.observe())
         for _ in range(most):
-            command = law.command(self.detected())
+            command = law.command(self.observe())
             if command.done:
                 return command
             self.play(command)
@@ -87,13 +87,13 @@ def test_it_is_installed_under_its_name_and_flies_the_large_letter():
 
 
 def test_the_large_letter_is_a_go_and_keeps_close_to_the_path():
-    seen = preview(mission_of("r_path"))
-    assert seen.go
-    assert seen.duration < 60.0
-    begun = int(np.argmin(np.linalg.norm(seen.trail[:40, :2] - mission_of("r_path").path.points[0, :2], axis=1)))
-    assert distances(mission_of("r_path").path, seen.trail[begun:]).max() < 0.35e-3
-    assert np.linalg.norm(seen.trail[-1] - mission_of("r_path").path.points[-1]) < 0.3e-3
-    assert seen.reach.force.min() > 40e-6
+    expected = preview(mission_of("r_path"))
+    assert expected.go
+    assert expected.duration < 60.0
+    begun = int(np.argmin(np.linalg.norm(expected.trail[:40, :2] - mission_of("r_path").path.points[0, :2], axis=1)))
+    assert distances(mission_of("r_path").path, expected.trail[begun:]).max() < 0.35e-3
+    assert np.linalg.norm(expected.trail[-1] - mission_of("r_path").path.points[-1]) < 0.3e-3
+    assert expected.force_profile.force.min() > 40e-6
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -131,7 +131,7 @@ def test_at_a_corner_it_turns_before_it_pulls(turn_deg):
     assert 3 <= near.sum() <= 25  # some windows pass at the corner, but not many
 
 
-def test_it_pulls_head_first_unless_told_otherwise():
+def test_it_pulls_head_first_unless_set_otherwise():
     """Up to a little in turns, where the field that turns the robot also pulls at it."""
     from smolbot.motion import kernels
     from smolbot.motion.gradient import pack_robot
@@ -139,9 +139,9 @@ def test_it_pulls_head_first_unless_told_otherwise():
     def tail_share(**gains):
         plant = Plant((-8e-3, -12e-3), np.pi / 2)
         law, pushed, moved = Predictive(known(), gains), 0.0, 0.0
-        law.reset(mission_of("r_path").path, plant.detected())
+        law.reset(mission_of("r_path").path, plant.observe())
         for _ in range(500):
-            command = law.command(plant.detected())
+            command = law.command(plant.observe())
             if command.done:
                 break
             b, g = known().table.field_and_gradient(plant.place[None])
@@ -222,19 +222,19 @@ def test_where_hardly_anything_pulls_head_first_it_says_so_and_does_not_stop():
 def test_planned_headings_pull_along_the_path_and_are_not_the_path_s_own():
     points = np.column_stack([np.full(41, -8e-3), np.linspace(-5e-3, 5e-3, 41), np.full(41, Z)])
     ways = np.tile([0.0, 1.0], (41, 1))
-    compass = HeadingPlanner(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 0.15)
-    headings = compass.headings(points, ways, 2.5e-4)
+    planner = HeadingPlanner(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 0.15)
+    headings = planner.plan_headings(points, ways, 2.5e-4)
     assert np.all(np.cos(headings - np.pi / 2) >= 0.0)
     assert np.abs(np.diff(headings)).max() < np.radians(11)
     assert np.degrees(np.abs(headings - np.pi / 2)).max() > 8.0
 
 
-def test_headings_follow_from_where_the_robot_points_if_a_turn_is_dear():
+def test_headings_follow_from_where_the_robot_points_if_a_turn_is_costly():
     points = np.column_stack([np.linspace(-1e-3, 1e-3, 9), np.zeros(9), np.full(9, Z)])
     ways = np.tile([1.0, 0.0], (9, 1))
-    dear = HeadingPlanner(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 2.0)
+    costly = HeadingPlanner(known(), np.zeros(4), np.full(4, 8.0), True, 1.5e-3, 2.0)
     for start in (-0.4, 0.4):
-        assert np.sign(np.sin(dear.headings(points, ways, 2.5e-4, start)[0])) == np.sign(start)
+        assert np.sign(np.sin(costly.plan_headings(points, ways, 2.5e-4, start)[0])) == np.sign(start)
 
 
 def test_the_same_poses_give_the_same_commands():

@@ -60,24 +60,24 @@ class Outer(FileModel):
 def test_limits_units_and_sections_are_those_of_the_model():
     schema = filekeys.Schema(Outer)
     keys = schema.root["properties"]
-    assert filekeys.unit_of("speed_mm_s") == "mm/s"
-    assert schema.value(keys["speed_mm_s"]) == "number > 0"
-    assert schema.value(keys["law"]) == "text"
-    assert schema.section(keys["law"]) is None
-    inner, several = schema.section(keys["inner"])
+    assert filekeys.find_unit("speed_mm_s") == "mm/s"
+    assert schema.describe_value(keys["speed_mm_s"]) == "number > 0"
+    assert schema.describe_value(keys["law"]) == "text"
+    assert schema.find_section(keys["law"]) is None
+    inner, several = schema.find_section(keys["inner"])
     assert several
-    assert schema.value(inner["properties"]["turns"]) == "whole number ≥ 2, ≤ 9"
+    assert schema.describe_value(inner["properties"]["turns"]) == "whole number ≥ 2, ≤ 9"
 
 
 @pytest.mark.parametrize("page", ["missions/r_path.toml", "rigs/tank.toml", "rigs/bench.toml", "robots/gradient.toml"])
 def test_units_of_shipped_files_are_all_known(page):
     """A key that ends like a unit has one; others are counts, names and shares."""
     example = filekeys.Example((Path(smolbot.__file__).parent / page).read_text(encoding="utf-8"))
-    bare = {key for _, key in example.held if not filekeys.unit_of(key)}
+    bare = {key for _, key in example.held if not filekeys.find_unit(key)}
     assert not [key for key in bare if key.rsplit("_", 1)[-1] in ("mm", "ms", "hz", "deg", "percent", "ohm")]
 
 
 def test_every_command_has_its_section():
-    root = commandline.root_command()
+    root = commandline.make_root_command()
     names = set(root.list_commands(root.context_class(root, info_name="smolbot")))
     assert {"run", "preview", "check", "simulate", "tune", "localize", "twin", "table", "study"} <= names

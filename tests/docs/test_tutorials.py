@@ -67,13 +67,13 @@ def test_a_page_is_played_in_one_shell_and_its_files_are_written_and_changed(tmp
         ("in notes: three, 0.31", "in notes: three, 0.91", 27, "and not, as the page shows"),
         ("in notes: three, 0.31", "in notes: four, 0.31", 27, "and not, as the page shows"),
         ("$ false   # exits with 1", "$ false", 25, "exits with 1, not 0"),
-        ("-two", "-four", 12, "stand in the file 0 times"),
+        ("-two", "-four", 12, "occur in the file 0 times"),
         ("**`notes/list.txt`**\n\n```diff", "```diff", 10, "needs the name of its file"),
         ("```console", "```python", 18, "a block of 'python' needs the name"),
         ("2\none\n…", "2\none", 20, "and not, as the page shows"),
     ],
 )
-def test_what_does_not_hold_is_told_with_its_line(tmp_path, old, new, line, said):
+def test_what_does_not_hold_is_reported_with_its_line(tmp_path, old, new, line, said):
     page = tmp_path / "page.md"
     page.write_text(PAGE.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(runner.TutorialError, match=said) as caught:
@@ -102,7 +102,7 @@ def test_what_a_page_leaves_running_ends_with_it(tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_page_can_be_read(name):
-    steps = list(runner.steps((DOCS / "tutorials" / f"{name}.md").read_text(encoding="utf-8")))
+    steps = list(runner.read_steps((DOCS / "tutorials" / f"{name}.md").read_text(encoding="utf-8")))
     assert any(isinstance(step, runner.Command) and step.shown for step in steps)
 
 

@@ -30,14 +30,14 @@ def test_a_golden_answer_is_given_again(name):
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_every_change_of_an_answer_is_told(name):
+def test_every_change_of_an_answer_is_reported(name):
     last = told().get(name)
     assert last == digest(EXPECTED / f"{name}.json.xz"), (
         f"expected/{name}.json.xz is not the one that CHANGES.md tells of ({last}). {ANEW.format(name=name)}"
     )
 
 
-def test_what_was_heard_is_never_made_anew():
+def test_recordings_are_never_made_anew():
     files = [*RECORDS.iterdir(), *SIGNALS.iterdir()]
     assert {p.relative_to(HERE).as_posix(): digest(p) for p in files} == windows()
 
@@ -56,7 +56,7 @@ def test_a_record_of_version_0_1_stays_readable(name):
     with unpacked(RECORDS / f"{name}.mcap.xz") as path:
         record = read_run(path)
         assert record.whole
-        assert (record.dropped, record.lost_bytes, record.messages_without_topic) == (0, 0, 0)
+        assert (record.dropped, record.lost, record.nameless) == (0, 0, 0)
         assert record.provenance["smolbot"] == "0.1.0"
         assert record.run().status == "completed"
         assert record.knows_truth
@@ -103,7 +103,7 @@ def moved(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "expected" / f"{name}.json.xz"
 
 
-def test_answers_made_anew_are_told_with_their_size(tmp_path, monkeypatch, capsys):
+def test_answers_made_anew_are_reported_with_their_size(tmp_path, monkeypatch, capsys):
     path = moved("foreign_paper", tmp_path, monkeypatch)
     _, before = load(path)
     other = as_answers(before)
@@ -125,7 +125,7 @@ def test_no_answer_is_made_anew_without_a_reason(why, tmp_path, monkeypatch):
         corpus.tell("foreign_paper", why, "1 m")
 
 
-def test_what_was_heard_is_refused_a_second_time():
+def test_recordings_are_not_made_a_second_time():
     with pytest.raises(GoldenFileError, match="never made anew"):
         corpus.add_windows(RECORDS / "line.mcap.xz", b"")
 

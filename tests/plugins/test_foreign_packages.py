@@ -304,7 +304,7 @@ class Unfinished:
             Illiterate,
             r"Path reader 'bad' .*: it has no method read\(path, element, width_mm, ",
         ),
-        ("path_readers", Shapeless, "it has no class attribute 'has_shapes'"),
+        ("path_readers", Shapeless, r"it has no attribute 'has_shapes', ClassVar\[bool\]"),
         ("sensors", Unexpanding, r"Kind of sensors 'bad' .*: it has no method expand\(section\)"),
         ("studies", Unfinished, r"Study 'bad' .*: it has no method conclude\(options, parts\)"),
     ],

@@ -75,7 +75,7 @@ def estimate_background_spectrum(recordings: list[Recording]) -> BackgroundSpect
     Raises
     ------
     InputError
-        If nothing can be learned from them; see `N_PARAMETERSoiseModel.learn`.
+        If nothing can be learned from them; see `NoiseModel.learn`.
     """
     if not recordings:
         return None

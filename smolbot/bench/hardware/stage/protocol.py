@@ -56,7 +56,7 @@ class StageState:
     at : {"near", "away"} or None
         Which end switch is closed; None if neither or both are.
     fault : str
-        ``NO_RUN`` if there is none.
+        ``NONE`` if there is none.
     turn : int
         Position of the turning motor, in steps since the board booted.
     steering : int
