@@ -18,7 +18,7 @@ GENERATED = "_pb2.py"
 
 
 def list_exempt(tree: ast.Module, stem: str) -> Iterator[str]:
-    """Yield the dotted names of functions that need no sections: properties, commands, and what stands inside a function."""
+    """Yield the dotted names of functions that need no sections: properties, commands, and functions in functions."""
     todo: list[tuple[ast.AST, str]] = [(tree, stem)]
     while todo:
         parent, name = todo.pop()
