@@ -21,6 +21,16 @@ from smolbot.flight.device_belief import DeviceBelief
 from smolbot.localization.forward import compute_envelope
 from smolbot.motion.controller import Command, Cycle
 
+MAX_NOISE_DURATION = 1.0
+"""Length, in s, of one recording of the background noise."""
+
+PROBE_FREQUENCY_RATIO, MIN_PROBE_RING_DOWN = 1.37, 1e-3
+"""Frequency of the excitation that a probe records, relative to the resonance, and its shortest ring-down in s: off
+resonance the device hardly swings, so that the coils' decay is recorded alone."""
+
+MAX_BURST_DOUBLINGS = 4
+"""How often the excitation is doubled in length while no signal is found."""
+
 PROBE_HALF_PERIODS = 8
 """Length, in half-periods, of the recordings from which the coils' ring-down is learned."""
 
@@ -157,7 +167,7 @@ class Scheduler:
         Shot
         """
         frequency = self.device.frequency
-        longest = min(1.0, self.limits.max_listen)
+        longest = min(MAX_NOISE_DURATION, self.limits.max_listen)
         count = max(round(duration / longest), 1)
         half_periods = max(int(2.0 * frequency * min(duration / count, longest)), 1)
         for _ in range(count):
@@ -170,8 +180,8 @@ class Scheduler:
         ------
         Shot
         """
-        frequency = 1.37 * self.device.frequency
-        ring_down = max(self.limits.min_ring_down, 1e-3)
+        frequency = PROBE_FREQUENCY_RATIO * self.device.frequency
+        ring_down = max(self.limits.min_ring_down, MIN_PROBE_RING_DOWN)
         for currents in ((self.cycle.excite_current, 0.0), (0.0, self.cycle.excite_current)):
             excite = Excite(currents, frequency, self.cycle.excite_cycles)
             listen = Listen(PROBE_HALF_PERIODS, self.device.frequency)
@@ -241,7 +251,11 @@ class Scheduler:
             turn = (self.search_shots - 1) % len(SEARCH_DIRECTIONS) + 1
             rounds = max(self.search_shots - 1, 0) // len(SEARCH_DIRECTIONS)
         longest = int(self.limits.max_excitation * self.device.frequency)
-        cycles = min(self.cycle.excite_cycles * 2 ** min(rounds, 4), longest) if rounds else self.cycle.excite_cycles
+        cycles = (
+            min(self.cycle.excite_cycles * 2 ** min(rounds, MAX_BURST_DOUBLINGS), longest)
+            if rounds
+            else self.cycle.excite_cycles
+        )
         most = self.cycle.excite_current
         if turn == 0 and pose is not None:
             fields = self._excitation_field(np.asarray(pose.position))

@@ -45,8 +45,23 @@ FALLBACK_TREND = 1
 MAX_MISFIT = 3.0
 """Variance of whitened residuals above which they contain more than noise."""
 
+MAX_MISFIT_RATIO = 0.5
+"""Misfit with a freer trend, relative to the one without, below which the freer fit is taken."""
+
+MAX_START_MISFIT = 0.3
+"""Share of the signal that a fit from the prior may leave unexplained before a cold start is tried as well."""
+
 MAX_SIGMA = (3e-3, 0.2)
 """Standard deviations, in m and rad, above which a pose is not trusted."""
+
+VOLUME_MARGIN = 0.02
+"""Distance, in m, by which a trusted pose may lie outside the search volume."""
+
+UNKNOWN_VARIANCES = [1e-2] * 3 + [10.0] * 3
+"""Variances (m², rad²) of a pose whose fit determines nothing."""
+
+RESIDUAL_SIGMAS = 4.0
+"""Standard deviations by which the residual variance must exceed one to count as larger."""
 
 
 _WITHOUT_PHASE = np.ix_([0, 1, 2, 3, 4, 5, 7], [0, 1, 2, 3, 4, 5, 7])
@@ -290,7 +305,7 @@ class Localizer(PoseEstimatorBase):
         pose, swing = self._locate_with_trend(recording, prior, first)
         if self.estimator == "whitened" and first < FALLBACK_TREND and swing.misfit > MAX_MISFIT:
             other = self._locate_with_trend(recording, prior, first + 1)
-            if other[1].misfit < 0.5 * swing.misfit:
+            if other[1].misfit < MAX_MISFIT_RATIO * swing.misfit:
                 return other
         return pose, swing
 
@@ -382,7 +397,7 @@ class Localizer(PoseEstimatorBase):
             outcomes.append((swing.misfit, pose, swing))
             if swing.misfit < MAX_MISFIT:
                 break
-        best = outcomes[-1] if outcomes[-1][0] < 0.5 * outcomes[0][0] else outcomes[0]
+        best = outcomes[-1] if outcomes[-1][0] < MAX_MISFIT_RATIO * outcomes[0][0] else outcomes[0]
         return best[1], best[2], share
 
     def prepare(self, recording: Recording, trend: int = 0) -> Problem:
@@ -411,7 +426,7 @@ class Localizer(PoseEstimatorBase):
         """Fit from a known pose; phase and amplitude start from a linear solve at that pose."""
         phase, amplitude = problem.estimate_phase_and_amplitude(position, rotation)
         first = problem.fit(position, rotation, phase, amplitude)
-        if first.sse > 0.3 * problem.total_sum_of_squares:
+        if first.sse > MAX_START_MISFIT * problem.total_sum_of_squares:
             return sorted([first, *find_best_fits(problem, self.volume)], key=lambda t: t.sse)
         return [first]
 
@@ -438,7 +453,7 @@ class Localizer(PoseEstimatorBase):
             time=recording.middle,
             position=best.position,
             orientation=orientation,
-            covariance=spread[:6, :6] if usable else np.diag([1e-2] * 3 + [10.0] * 3),
+            covariance=spread[:6, :6] if usable else np.diag(UNKNOWN_VARIANCES),
             r_squared=float(r_squared),
             flip_margin=flip_margin,
             trusted=bool(best.converged and known and self._is_inside_volume(best) and r_squared >= MIN_R_SQUARED),
@@ -461,7 +476,7 @@ class Localizer(PoseEstimatorBase):
 
     def _is_inside_volume(self, fit: Fit) -> bool:
         bounds = zip(self.volume.low, fit.position, self.volume.high, strict=True)
-        return all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
+        return all(low - VOLUME_MARGIN <= p <= high + VOLUME_MARGIN for low, p, high in bounds)
 
 
 class Paper(Localizer):
@@ -489,4 +504,4 @@ def _is_near_prior(pose: Pose, prior: Pose) -> bool:
 def _estimate_variance(problem: Problem, fit: Fit) -> float:
     """Estimate the variance of whitened residuals: one, unless they are significantly larger."""
     variance = compute_residual_variance(problem, fit)
-    return variance if variance > 1.0 + 4.0 * math.sqrt(2.0 / count_degrees_of_freedom(problem)) else 1.0
+    return variance if variance > 1.0 + RESIDUAL_SIGMAS * math.sqrt(2.0 / count_degrees_of_freedom(problem)) else 1.0

@@ -13,7 +13,7 @@ from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.estimator import PoseEstimator, PoseEstimatorBase
-from smolbot.localization.localizer import MAX_SIGMA, MIN_AMPLITUDE, MIN_R_SQUARED
+from smolbot.localization.localizer import MAX_SIGMA, MIN_AMPLITUDE, MIN_R_SQUARED, VOLUME_MARGIN
 from smolbot.localization.noise.model import NoiseModel
 
 
@@ -151,7 +151,7 @@ class SyntheticLocalizer(PoseEstimatorBase):
         certain = variances[:3].max() < MAX_SIGMA[0] ** 2 and variances[3:6].max() < MAX_SIGMA[1] ** 2
         loud = fitted.amplitude > MIN_AMPLITUDE * 1.1 * self.device.theta_max
         bounds = zip(self.volume.low, fitted.position, self.volume.high, strict=True)
-        inside = all(low - 0.02 <= p <= high + 0.02 for low, p, high in bounds)
+        inside = all(low - VOLUME_MARGIN <= p <= high + VOLUME_MARGIN for low, p, high in bounds)
         return bool(certain and loud and inside and fitted.r_squared >= MIN_R_SQUARED)
 
 

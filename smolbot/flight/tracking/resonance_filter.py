@@ -20,6 +20,9 @@ MEASUREMENT_FLOOR = np.array([0.05, 0.5])
 MIN_CHANGE = np.array([0.08, 0.06])
 """Change of frequency (Hz) and relative change of damping from which the device is replaced."""
 
+GATE = 25.0
+"""Squared Mahalanobis distance beyond which an estimate is an outlier."""
+
 MIN_SIGMAS = 4.0
 """Number of standard deviations by which a change must be significant."""
 
@@ -74,7 +77,7 @@ class ResonanceFilter:
         total = self._covariance + covariance + np.diag(MEASUREMENT_FLOOR**2)
         innovation = measured - self._deviation
         inverse = np.linalg.inv(total)
-        if innovation @ inverse @ innovation > 25.0:
+        if innovation @ inverse @ innovation > GATE:
             return None
         gain = self._covariance @ inverse
         self._deviation = self._deviation + gain @ innovation

@@ -31,6 +31,22 @@ if TYPE_CHECKING:
 GATE = 33.1
 """Squared Mahalanobis distance beyond which a pose is an outlier: chi-square of 6 degrees at 1e-5."""
 
+GATE_PER_DEGREE = 2.0
+"""Growth of the gate with each further degree of freedom."""
+
+START_COVARIANCE_FACTOR, START_FLOOR = 4.0, np.array([2e-4] * 3 + [2e-2] * 3)
+"""Covariance of a new track relative to that of its first pose, and standard deviations (m, rad) added to it."""
+
+START_AMPLITUDE, START_AMPLITUDE_STD = 0.75, 0.3
+"""Amplitude of a new track and its standard deviation, as shares of the stops."""
+
+RESTART_MISSES, RESTART_DISTANCE, RESTART_AGREEMENT = 3, 2e-3, 0.95
+"""The track restarts after this many misses where two rejected poses agree: distance (m), and squared product of the
+quaternions."""
+
+INNOVATION_OLD, INNOVATION_NEW, MAX_INNOVATION_SCALE = 0.95, 0.05, 25.0
+"""Weights of the exponential average of the innovation's size, and its upper bound."""
+
 MOTION_ERROR_SHARE = 0.3
 """Standard deviation of a predicted motion, as a share of it: drag, gain, alignment."""
 
@@ -233,11 +249,11 @@ class Tracker:
 
     def _begin(self, pose: Pose) -> None:
         covariance = np.zeros((_SIZE, _SIZE))
-        covariance[:6, :6] = 4.0 * pose.covariance + np.diag(np.array([2e-4] * 3 + [2e-2] * 3) ** 2)
-        covariance[_A, _A] = 0.3**2
+        covariance[:6, :6] = START_COVARIANCE_FACTOR * pose.covariance + np.diag(START_FLOOR**2)
+        covariance[_A, _A] = START_AMPLITUDE_STD**2
         covariance[_V, _V] = DRIFT_START_STD**2 * np.eye(3) * (not self._embedded)
         place = np.array(pose.position), np.array(pose.orientation)
-        self._state = State(pose.time, *place, 0.75, np.zeros(3), covariance)
+        self._state = State(pose.time, *place, START_AMPLITUDE, np.zeros(3), covariance)
         self._accepted, self.misses, self._candidate = 1, 0, None
         self._publish(pose, True)
 
@@ -245,13 +261,13 @@ class Tracker:
         """Restart the track if two rejected poses in a row agree with each other."""
         other = self._candidate
         self._candidate = pose
-        if other is None or self.misses < 3:
+        if other is None or self.misses < RESTART_MISSES:
             return
         orientation = pose.orientation
         if self._device.along_cantilever:
             orientation = choose_nearer_orientation(orientation, other.orientation)
-        near = np.linalg.norm(pose.position - other.position) < 2e-3
-        if near and np.dot(orientation, other.orientation) ** 2 > 0.95:
+        near = np.linalg.norm(pose.position - other.position) < RESTART_DISTANCE
+        if near and np.dot(orientation, other.orientation) ** 2 > RESTART_AGREEMENT:
             self._begin(pose)
 
     def _predict(self, shot: Shot, time: float) -> None:
@@ -334,10 +350,10 @@ class Tracker:
             measurement_covariance += _MODEL_FLOOR
         m = len(innovation)
         distance, change, covariance = update(state.covariance, measurement_covariance, innovation)
-        if not distance <= GATE + 2.0 * (m - 6):
+        if not distance <= GATE + GATE_PER_DEGREE * (m - 6):
             return False
-        surprise = 0.95 * self._innovation_scale + 0.05 * self._innovation_scale * distance / m
-        self._innovation_scale = min(max(surprise, 1.0), 25.0)
+        scale = INNOVATION_OLD * self._innovation_scale + INNOVATION_NEW * self._innovation_scale * distance / m
+        self._innovation_scale = min(max(scale, 1.0), MAX_INNOVATION_SCALE)
         orientation = multiply_quaternions(quaternion_from_rotation_vector(change[_E]), state.orientation)
         self._state = replace(
             state,
