@@ -48,22 +48,22 @@ class _AskedScheduler(Scheduler):
 
     def __init__(self, real: Scheduler, played: Scheduler, field: Callable[..., Any]) -> None:
         self.__dict__.update(vars(real))
-        self._play_checked = played
+        self._played = played
         self._excitation_field = field
         self.planned: list[Shot] = []
 
     def next(self, command: Command, tracker: Any) -> Shot:
         self.planned.append(super().next(command, tracker))
-        return self._play_checked.next(command, tracker)
+        return self._played.next(command, tracker)
 
     def make_noise_shots(self, duration: float) -> Iterator[Shot]:
-        return self._both(super().make_noise_shots(duration), self._play_checked.make_noise_shots(duration))
+        return self._both(super().make_noise_shots(duration), self._played.make_noise_shots(duration))
 
     def make_probe_shots(self) -> Iterator[Shot]:
-        return self._both(super().make_probe_shots(), self._play_checked.make_probe_shots())
+        return self._both(super().make_probe_shots(), self._played.make_probe_shots())
 
     def make_tail_shots(self, coil: int) -> Iterator[Shot]:
-        return self._both(super().make_tail_shots(coil), self._play_checked.make_tail_shots(coil))
+        return self._both(super().make_tail_shots(coil), self._played.make_tail_shots(coil))
 
     def _both(self, planned: Iterator[Shot], played: Iterator[Shot]) -> Iterator[Shot]:
         for plan, shot in zip(planned, played, strict=False):
@@ -76,12 +76,12 @@ class _AskedPilot:
 
     def __init__(self, real: Pilot, played: Pilot) -> None:
         self._real = real
-        self._play_checked = played
+        self._played = played
         self.answers: list[Command] = []
 
     def command(self, shot: Shot, tracker: Tracker) -> Command:
         self.answers.append(self._real.command(self._as_asked(shot), tracker))
-        return self._play_checked.command(shot, tracker)
+        return self._played.command(shot, tracker)
 
     def _as_asked(self, shot: Shot) -> Shot:
         """The shot with what was asked last, where it differs from what was played by no more than another machine's
