@@ -365,8 +365,8 @@ class Loop:
         belief = self.scheduler.belief
         belief.learn_magnet(learned.moment, learned.l0)
         self.localizer = self.localizer.with_sensors(learned.sensors).with_device(belief.device)
-        found = {"recordings": learned.recordings, "moment_a_m2": learned.moment, "l0_m": learned.l0}
-        self._record_event(time, "array learned", {**found, **as_lists(learned.sensors)})
+        detail = {"recordings": learned.recordings, "moment_a_m2": learned.moment, "l0_m": learned.l0}
+        self._record_event(time, "array learned", {**detail, **as_lists(learned.sensors)})
 
     def _update_resonance(self, time: float, swing: Oscillation) -> None:
         error = swing.estimate_resonance_error()

@@ -312,10 +312,10 @@ class Localizer(PoseEstimatorBase):
     def _locate_with_trend(self, recording: Recording, prior: Pose | None, trend: int) -> tuple[Pose, Swing]:
         problem = self.prepare(recording, trend)
         if prior is None:
-            found = find_best_fits(problem, self.volume)
+            fits = find_best_fits(problem, self.volume)
         else:
-            found = self._fit_from_prior(problem, np.asarray(prior.position), prior.rotation)
-        return self._make_pose(problem, found, recording, prior)
+            fits = self._fit_from_prior(problem, np.asarray(prior.position), prior.rotation)
+        return self._make_pose(problem, fits, recording, prior)
 
     def free_trend(self, recording: Recording) -> int:
         """Choose the degree of the polynomial that is left free in every channel: the highest at a negligible cost.
@@ -387,13 +387,13 @@ class Localizer(PoseEstimatorBase):
             problem = self.prepare(shifted, trend)
             problem = Problem(replace(problem.model, device=shared.scale_device(self.device, share)), problem.data)
             if prior is None:
-                found = find_best_fits(problem, self.volume)
+                fits = find_best_fits(problem, self.volume)
             elif stale:
-                found = self._fit_from_prior(problem, np.asarray(prior.position), prior.rotation)
+                fits = self._fit_from_prior(problem, np.asarray(prior.position), prior.rotation)
             else:
                 phase, amplitude = problem.estimate_phase_and_amplitude(prior.position, prior.rotation)
-                found = [problem.fit(prior.position, prior.rotation, phase, amplitude)]
-            pose, swing = self._make_pose(problem, found, segment, prior, steady=True)
+                fits = [problem.fit(prior.position, prior.rotation, phase, amplitude)]
+            pose, swing = self._make_pose(problem, fits, segment, prior, steady=True)
             outcomes.append((swing.misfit, pose, swing))
             if swing.misfit < MAX_MISFIT:
                 break
@@ -431,13 +431,13 @@ class Localizer(PoseEstimatorBase):
         return [first]
 
     def _make_pose(
-        self, problem: Problem, found: list[Fit], recording: Recording, prior: Pose | None, *, steady: bool = False
+        self, problem: Problem, fits: list[Fit], recording: Recording, prior: Pose | None, *, steady: bool = False
     ) -> tuple[Pose, Swing]:
         """Make a pose of the best fit; the 180° ambiguity is resolved by the least turn since the prior.
 
         A `steady` device is recorded again and again, so its turn about the moment needs to be known only roughly.
         """
-        best, flip_margin, odds = choose_fit(problem, found, self.device, prior)
+        best, flip_margin, odds = choose_fit(problem, fits, self.device, prior)
         variance = (
             _estimate_variance(problem, best) if problem.model.white else compute_residual_variance(problem, best)
         )

@@ -219,17 +219,17 @@ def calibrate_sensors(
         np.array([priors.gain, priors.axis, priors.axis, *[priors.place] * 3]),
         np.array([*[priors.holder_place] * 3, *[priors.holder_turn] * 3]),
     )
-    found = Unknowns(
+    unknowns = Unknowns(
         np.zeros((len(sensors), UNKNOWNS_PER_SENSOR)),
         np.zeros(UNKNOWNS_OF_HOLDER),
         np.array([r.amplitude for r in reduced]),
     )
     for _ in range(GAUSS_NEWTON_STEPS):
-        found, spread, loose = compute_gauss_newton_step(
-            reduced, sensors, device, frames, found, deviations, priors.track
+        unknowns, spread, loose = compute_gauss_newton_step(
+            reduced, sensors, device, frames, unknowns, deviations, priors.track
         )
-    array, gains = correct_array(sensors, frames, found.sensors), np.exp(found.sensors[:, 0])
-    check = [(recordings[i], compute_pose_in_holder(track[i], found.holder)) for i in sorted(aside)]
+    array, gains = correct_array(sensors, frames, unknowns.sensors), np.exp(unknowns.sensors[:, 0])
+    check = [(recordings[i], compute_pose_in_holder(track[i], unknowns.holder)) for i in sorted(aside)]
     before = _compute_errors([r for r, _ in check], check, sensors, device)
     after = _compute_errors([replace(r, field=r.field / gains[:, None]) for r, _ in check], check, array, device)
     return ArrayCalibration(
@@ -238,7 +238,7 @@ def calibrate_sensors(
         place_std=freeze(spread[:, 3:]),
         gain_std=freeze(spread[:, 0]),
         tilt_std=freeze(spread[:, 1:3]),
-        holder=Holder(*(freeze(part) for part in (found.holder[:3], found.holder[3:], loose[:3], loose[3:]))),
+        holder=Holder(*(freeze(part) for part in (unknowns.holder[:3], unknowns.holder[3:], loose[:3], loose[3:]))),
         held_out=HeldOut(len(check), before[0], after[0], before[1], after[1]),
     )
 
@@ -253,7 +253,7 @@ def _compute_errors(
     localizer = Localizer(sensors=array, device=loose)
     places, turns = [], []
     for recording, (_, pose) in zip(recordings, check, strict=True):
-        found = localizer.locate(recording, pose)
-        places.append(found.position - pose.position)
-        turns.append(compute_rotation_error(np.array(found.orientation), np.array(pose.orientation)))
+        located = localizer.locate(recording, pose)
+        places.append(located.position - pose.position)
+        turns.append(compute_rotation_error(np.array(located.orientation), np.array(pose.orientation)))
     return float(np.sqrt(np.mean(np.square(places)))), float(np.sqrt(np.mean(np.square(turns))))

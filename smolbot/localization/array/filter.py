@@ -238,8 +238,8 @@ class ArrayFilter:
     def _update_pose(self, pose: Pose, terms: ArrayTerms) -> bool:
         """Update with a pose; return False, with nothing changed, if it fails the gate."""
         assert self._position is not None
-        off = self.deviations - self._applied
-        innovation = terms.pose + terms.sensitivity @ off
+        unapplied = self.deviations - self._applied
+        innovation = terms.pose + terms.sensitivity @ unapplied
         innovation[:3] += pose.position - self._position
         innovation[3:6] += compute_rotation_error(pose.orientation, self._orientation)
         innovation[6] += terms.amplitude - self._amplitude

@@ -267,8 +267,8 @@ def _compute_sizes(
     """Compute the power coefficients, gains included, shape (n_recordings, n_sensors, POWERS)."""
     array, gains = correct_array(sensors, frames, values), np.exp(values[:, 0])
     poses = [compute_pose_in_holder(h.pose, holder) for h in recordings]
-    found = [compute_power_coefficients(array, device, p.position, p.orientation) for p in poses]
-    return np.stack(found) * gains[None, :, None]
+    sizes = [compute_power_coefficients(array, device, p.position, p.orientation) for p in poses]
+    return np.stack(sizes) * gains[None, :, None]
 
 
 def correct_array(sensors: SensorArray, frames: FloatArray, values: FloatArray) -> SensorArray:

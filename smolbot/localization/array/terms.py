@@ -129,14 +129,14 @@ def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> Array
             for size, slope in zip(spread, model.slopes, strict=True)
         ]
     )
-    found, step, covariance, sensitivity, information, right, left = separate_pose_and_deviations(
+    determined, step, covariance, sensitivity, information, right, left = separate_pose_and_deviations(
         np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _L0_STEP]),
         np.concatenate([turning, retuned]),
         problem.data - out,
     )
     freedom = max(len(out) - compiled.N_PARAMETERS, 1)
     misfit = left / freedom
-    if not found or misfit > MAX_MISFIT:
+    if not determined or misfit > MAX_MISFIT:
         return None
     doubt = misfit if misfit > 1.0 + DOUBT_SIGMAS * math.sqrt(2.0 / freedom) else 1.0
     if n < len(model.used):  # zeros for the sensors that were not used
@@ -255,8 +255,8 @@ def separate_pose_and_deviations(
 
     Returns
     -------
-    found : bool
-        False where the pose is undetermined.
+    determined : bool
+        False if the pose is undetermined.
     step : ndarray, shape (7,)
         Of the pose.
     covariance : ndarray, shape (7, 7)

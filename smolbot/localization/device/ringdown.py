@@ -126,20 +126,20 @@ def measure_ring_down(
     bases = (_compute_harmonic_basis(thinned, make_device(values)) for values in grid)
     best = grid[int(np.argmax([float(np.sum((thinned.data @ basis) ** 2)) for basis in bases]))]
     values, covariance, cost = minimize(residual, best, FIT_STEPS)
-    found = make_device(values)
+    fitted = make_device(values)
     channels, blocks = thinned.data.shape
     excess = cost / max(channels * (blocks - N_WAVES) - 2, 1)  # relative to the expected noise
     spread = np.sqrt(np.diag(covariance) * excess)
-    basis = _compute_harmonic_basis(thinned, found)
+    basis = _compute_harmonic_basis(thinned, fitted)
     explained = float(np.sum((thinned.data @ basis) ** 2))
-    wave = thinned.compute_waves(found, [(1, 1)])[0]
+    wave = thinned.compute_waves(fitted, [(1, 1)])[0]
     columns = thinned.whiten(np.stack([wave.real, wave.imag]))
     sizes = np.linalg.lstsq(columns.T, basis @ (thinned.data @ basis).T, rcond=None)[0]
     return RingDownFit(
-        found.frequency,
+        fitted.frequency,
         float(spread[0]),
-        found.damping,
-        float(found.damping * spread[1]),
+        fitted.damping,
+        float(fitted.damping * spread[1]),
         model,
         float(np.sqrt(np.sum(sizes**2))),
         float(np.sqrt(explained / max(N_WAVES * channels * excess, TINY_VARIANCE)) / BLOCK_NOISE),

@@ -95,7 +95,7 @@ def test_residuals_of_an_externally_guided_device_do_not_change_the_noise_model(
     with TankWorld.open(mission.rig, mission.robot, mission.start, 3) as rig:
         loop = make_loop(rig, mission)
         assert loop.externally_guided
-        loop.guided = guided
+        loop.externally_guided = guided
         flown = loop.fly()
     assert flown.status == "completed"
     assert ("noise refreshed" not in {event.what for event in flown.events}) == guided

@@ -1,4 +1,4 @@
-"""Where each rule of the safety begins, on both sides of its bound, and the figures that it tells."""
+"""Where each rule of the safety begins, on both sides of its bound, and its summary."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_what_coils_are_left_at_is_noted_as_soon_as_a_run_is_over(tmp_path, ende
     assert (noted == safety.heat.temperatures[0]) == ended
     assert 25.0 < noted <= safety.heat.temperatures[0]
     again = a_safety(coils=(coil, None, None, None), memory=HeatMemory(tmp_path / "heat.json", clock=lambda: 1e6))
-    assert again.figures()["coil_temperature_begin_c"] == {"+x": pytest.approx(noted)}
+    assert again.summarize()["coil_temperature_begin_c"] == {"+x": pytest.approx(noted)}
 
 
 def test_once_over_nothing_is_played_and_the_first_reason_is_kept():
@@ -250,8 +250,8 @@ def test_without_rules_only_a_rigs_limits_end_a_run():
         assert safety.duty.peaks[0] == min(0.125 * (i + 1), 1.0)  # of a second
         silent = make_recording(shot.end - LISTEN.duration, dead=(0, 1, 2))
         assert safety.check_recording(shot, silent, shot.end + 1e6) is silent
-    assert set(safety.figures()["duty_peak"]) == {"+x", "-x", "excitation x", "excitation y"}
-    assert safety.figures()["coil_temperature_peak_c"] == {}
+    assert set(safety.summarize()["duty_peak"]) == {"+x", "-x", "excitation x", "excitation y"}
+    assert safety.summarize()["coil_temperature_peak_c"] == {}
     safety.check_shot(Shot((Excite((10.0, -10.0), 128.0, 64), RingDown(0.02), LISTEN)), 30.0, far)
     assert "9.00 A" in refusal(safety, pulling(40.0, current=9.0), 40.0)
 

@@ -88,11 +88,11 @@ def test_a_paused_or_unconfirmed_robot_is_measured_but_not_pulled():
     assert plan.next(PULL, Belief(facing(0))).mode == "track"
 
 
-@pytest.mark.parametrize("patience", [1, 3])
-def test_after_too_many_misses_it_is_lost_and_stops_pulling(patience):
-    plan = scheduler(patience=patience)
-    modes = [plan.next(PULL, Belief(facing(0), misses)).mode for misses in range(patience + 2)]
-    assert modes == ["track"] * patience + ["lost"] * 2
+@pytest.mark.parametrize("max_misses", [1, 3])
+def test_after_too_many_misses_it_is_lost_and_stops_pulling(max_misses):
+    plan = scheduler(max_misses=max_misses)
+    modes = [plan.next(PULL, Belief(facing(0), misses)).mode for misses in range(max_misses + 2)]
+    assert modes == ["track"] * max_misses + ["lost"] * 2
 
 
 def test_a_search_tries_every_direction_and_then_for_longer():

@@ -180,7 +180,7 @@ def test_errors_of_tracks_are_as_large_as_claimed_in_every_entry():
         for i in range(25):
             wait = 0.25
             drift = drift + nature.drift_change * np.sqrt(wait) * rng.standard_normal(3)
-            walk = np.array(nature.heading_noise) * np.sqrt(wait) * rng.standard_normal(6)
+            walk = np.array(nature.wander) * np.sqrt(wait) * rng.standard_normal(6)
             place, turn = place + wait * drift + walk[:3], Rotation.from_rotvec(walk[3:]) * turn
             if i > 10:  # before it is heard
                 squares["foreseen"].append([*misses(track.pose_at(wait * i), place, turn), 1.0])
